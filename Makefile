@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin
-PIP := $(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517
+# Versions as tested: a new one of some library fails nobody's test of something else.
+PIP := $(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --constraint constraints.txt
 OUT := out
 # Containers often forbid Python to keep bytecode. Then each process compiles all that it imports, and starts in twice the time.
 export PYTHONDONTWRITEBYTECODE :=
@@ -64,7 +65,7 @@ lint: $(VENV)/.ready
 	$(RUN)/vulture
 	$(RUN)/mypy
 
-$(VENV)/.ready: setup.py
+$(VENV)/.ready: setup.py constraints.txt
 	./tools/make-environment $(PYTHON) $(VENV)
 	$(PIP) --no-compile --editable ".[test]"  # Python compiles what is imported; pip would compile all
 	@touch $@

@@ -28,6 +28,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Motion
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import write
 from trackres_ros.output.mcap import BagWriter
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import FieldReader, Template
@@ -387,9 +389,27 @@ def rows(steps: int = 200_000, repeats: int = 15) -> dict[str, float]:
     return found
 
 
+def file_sets(files: int = 20, size: int = 100_000, repeats: int = 20) -> dict[str, float]:
+    """Replacement of the files of a report: together, and one by one."""
+    with tempfile.TemporaryDirectory() as folder:
+        content = bytes(size)
+
+        def one_by_one() -> None:
+            for number in range(files):
+                write(Path(folder) / f"{number}.svg", content)
+
+        def together() -> None:
+            with file_set():
+                one_by_one()
+
+        times = alternated({"together": together, "one by one": one_by_one}, repeats)
+    found = {f"{way} [ms]": 1e3 * statistics.median(taken) for way, taken in times.items()}
+    return {**found, "together over one by one": median_ratio(times["together"], times["one by one"])}
+
+
 DECISIONS: dict[str, Callable[..., dict[str, float]]] = {
     "cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page, "export": export,
-    "rows": rows,
+    "rows": rows, "file_sets": file_sets,
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -128,7 +128,7 @@ def wait(holds):
     raise SystemExit("the node has not answered")
 
 
-command = [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--vehicle", "xgd24d"]
+command = [sys.executable, "-P", "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--vehicle", "xgd24d"]
 node = subprocess.Popen([*command, "-p", "state_file:=none"], stderr=subprocess.DEVNULL)
 try:
     found = wait(lambda groups: groups["vehicle"]["feedforward_torque_nm"] > 1000.0)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 
@@ -44,9 +45,16 @@ def _files(given: str) -> list[str]:
     return [given] if given else []
 
 
+def _ended(event: ProcessExited, context: LaunchContext) -> None:
+    """Let the launch end with exit code 1 after a failure, the only one it has; what else it started goes on."""
+    if event.returncode:
+        context.asyncio_loop.call_exception_handler({"message": f"the node ended with exit code {event.returncode}"})
+
+
 def _node(context: LaunchContext) -> list[LifecycleNode]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     explicit = {name: given[name] for name in TEXTS if given[name]}
+    respawn = _switch("respawn", given["respawn"])
     explicit |= {name: _switch(name, given[name]) for name in SWITCHES if given[name]}
     return [
         LifecycleNode(
@@ -56,8 +64,9 @@ def _node(context: LaunchContext) -> list[LifecycleNode]:
             namespace=given["namespace"],
             parameters=[*_files(given["params_file"]), *([explicit] if explicit else [])],
             arguments=["--ros-args", "--log-level", given["log_level"]],
-            respawn=_switch("respawn", given["respawn"]),
+            respawn=respawn,
             respawn_delay=1.0,
+            on_exit=None if respawn else _ended,
             output="screen",
         )
     ]

@@ -18,6 +18,7 @@ if not COMPILER:
 
 # Reads lines of: stamp, torque, level, now, elapsed; "none" for a message without a level. Prints the torque to add.
 PROGRAM = """
+#include <cstdlib>
 #include <iostream>
 #include <sstream>
 #include <string>
@@ -36,8 +37,9 @@ int main()
   std::string line, torque, level;
   while (std::getline(std::cin, line)) {
     std::istringstream words(line);
-    int sec; unsigned nanosec; double now_s, elapsed_s;
-    words >> sec >> nanosec >> torque >> level >> now_s >> elapsed_s;
+    int sec; unsigned nanosec; double now_s; std::string elapsed;
+    words >> sec >> nanosec >> torque >> level >> now_s >> elapsed;
+    const double elapsed_s = std::strtod(elapsed.c_str(), nullptr);  // a stream reads no "nan"
     Group group{{"resistance_std_nm", "feedforward_torque_nm"}, {100.0, std::strtod(torque.c_str(), nullptr)}};
     if (level != "none") {
       group.interface_names.push_back("level");
@@ -51,7 +53,7 @@ int main()
 }
 """
 START = 1_700_000_000
-AGES = st.sampled_from([-3600.0, -0.1, -0.04, 0.0, 0.02, 0.4, 0.6, 3600.0]) | st.floats(-1.0, 1.0)
+AGES = st.sampled_from([-3600.0, -0.1, -0.04, 0.0, 0.02, 1.9, 2.1, 3600.0]) | st.floats(-1.0, 3.0)
 TORQUES = st.floats(-30000.0, 30000.0) | st.sampled_from([0.0, math.nan, math.inf, -math.inf])
 LEVELS = st.sampled_from([0.0, 1.0, 2.0, 3.0, math.nan, -1.0, 0.5, None])
 STEPS = st.lists(st.tuples(AGES, TORQUES, LEVELS, st.floats(0.001, 0.05)), min_size=1, max_size=60)
@@ -87,9 +89,14 @@ def timed(steps):
 
 
 def used(program, steps):
+    return run(program, timed(steps))
+
+
+def run(program, rows):
+    """What the program adds at each row of `timed`."""
     lines = "".join(
         f"{sec} {nanosec} {torque!r} {'none' if level is None else repr(level)} {now!r} {elapsed!r}\n"
-        for sec, nanosec, torque, level, now, elapsed in timed(steps)
+        for sec, nanosec, torque, level, now, elapsed in rows
     )
     done = subprocess.run([program], input=lines, capture_output=True, text=True, check=True)
     return [float(line) for line in done.stdout.split()]
@@ -115,7 +122,7 @@ def test_it_adds_what_the_example_in_python_adds(program, python, steps):
         assert found == pytest.approx(drive.used, abs=0.01)
 
 
-@pytest.mark.parametrize("level", [2.0, 3.0, math.nan, 7.0])
+@pytest.mark.parametrize("level", [2.0, math.nan, 7.0, 0.5])
 def test_what_is_not_to_be_trusted_goes_to_zero(program, level):
     steps = [(0.01, 3000.0, 0.0, 0.02)] * 100 + [(0.01, 3000.0, level, 0.02)] * 100
     found = used(program, steps)
@@ -123,10 +130,27 @@ def test_what_is_not_to_be_trusted_goes_to_zero(program, level):
     assert found[-1] == 0.0
 
 
-def test_an_incomplete_message_is_ignored_until_the_last_is_old(program):
+def test_what_the_node_fades_is_added_on_its_way(program):
+    fading = [max(0.0, 3000.0 * (1.5 - 0.02 * i)) for i in range(100)]
+    steps = [(0.01, 3000.0, 0.0, 0.02)] * 100 + [(0.02 * i, min(t, 3000.0), 3.0, 0.02) for i, t in enumerate(fading)]
+    assert used(program, steps)[100:] == pytest.approx([min(t, 3000.0) for t in fading])
+
+
+@pytest.mark.parametrize("elapsed", [math.nan, math.inf, -math.inf, -5.0])
+def test_a_time_that_is_none_counts_as_the_last_one(program, elapsed):
+    steps = [(0.01, 3000.0, 0.0, 0.02)] * 100
+    rows = [*timed(steps), *[(START, 0, 3000.0, None, START + 2.0, elapsed)] * 100]  # and nothing comes any more
+    found = run(program, rows)
+    assert found[99] == 3000.0
+    assert found[-1] == 0.0
+    assert all(abs(b - a) <= RAMP * 0.02 + 1e-6 for a, b in itertools.pairwise(found))
+
+
+def test_an_incomplete_message_is_none_and_the_silence_ends_it(program):
     steps = [(0.01, 3000.0, 1.0, 0.02)] * 100 + [(0.01, 9000.0, None, 0.02)] * 100
     found = used(program, steps)
     assert max(found) == 3000.0
-    assert found[120] == 3000.0
+    assert found[108] == 3000.0
+    assert found[111] < 3000.0
     assert found[-1] == 0.0
     assert all(b <= a for a, b in itertools.pairwise(found[100:]))

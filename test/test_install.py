@@ -6,6 +6,7 @@
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,8 @@ import xml.etree.ElementTree as ET
 import pytest
 
 import trackres_ros
+
+COLCON = re.compile(r"colcon build ((?:--base-paths \S+ )?--packages-select \w+)")
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +74,18 @@ def test_colcon_builds_it_and_its_commands_run(tmp_path, repository, links):
     listed = subprocess.run(["bash", "-c", run], cwd=tmp_path, capture_output=True, text=True)
     assert listed.returncode == 0, listed.stderr
     assert "xgd24d" in listed.stdout
+
+
+def test_colcon_finds_each_package_as_the_pages_build_it(tmp_path, repository):
+    """Colcon does not look for packages inside another one."""
+    if not importlib.util.find_spec("colcon_ros"):
+        pytest.skip("colcon is not installed for this Python: pip install colcon-common-extensions")
+    ignored = shutil.ignore_patterns("[.]*", "build", "install", "log", "out", "docs", "test", "*.egg-info", "__pycache__")
+    shutil.copytree(repository, tmp_path / "src" / "trackres_ros", ignore=ignored)
+    pages = [repository / "README.md", *(repository / "docs").glob("*.md")]
+    shown = {line for page in pages for line in COLCON.findall(page.read_text(encoding="utf-8"))}
+    assert {words.split()[-1] for words in shown} == {"trackres_ros", "trackres_feedforward"}
+    program = "import sys; from colcon_core.command import main; sys.exit(main())"
+    for words in map(str.split, shown):
+        found = [sys.executable, "-W", "ignore", "-c", program, "list", "--names-only", *words]
+        assert subprocess.run(found, cwd=tmp_path, capture_output=True, text=True).stdout.split() == words[-1:]

@@ -4,12 +4,16 @@
 """package.xml: rosdep installs all that is imported, but for what only extras need; a release with bloom takes no keys of pip."""
 
 import ast
+import os
 import re
+import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError, packages_distributions, requires
 from xml.etree import ElementTree
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
 
 from trackres_ros.errors import MissingExtraError
 
@@ -62,6 +66,40 @@ def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depende
             assert re.search(rf'"{EXTRAS[name]}[^\w-]', required), f"{name}: no requirement {EXTRAS[name]} in setup.py"
         else:
             assert depended & {name, f"python3-{name}", KEYS.get(name)}, f"{name} is imported, and package.xml does not say so"
+
+
+def installed_with(keys):
+    """Modules that libraries of PyPI bring for keys of rosdep, with all that these need."""
+    known, waiting = set(), [name for key in keys if (name := key.removeprefix("python3-")) and name != "yaml"]
+    waiting += ["PyYAML", "setuptools", "packaging"]  # Python's own tools, which pytest needs too
+    while waiting:
+        name = re.sub("[-_.]+", "-", waiting.pop()).lower()
+        if name in known:
+            continue
+        try:
+            needed = [Requirement(text) for text in requires(name) or ()]
+        except PackageNotFoundError:  # ROS' own, where there is no ROS
+            continue
+        known.add(name)
+        waiting += [one.name for one in needed if one.marker is None or one.marker.evaluate({"extra": ""})]
+    return {
+        module
+        for module, brought_by in packages_distributions().items()
+        if known & {re.sub("[-_.]+", "-", one).lower() for one in brought_by}
+    }
+
+
+@pytest.mark.long
+def test_tests_load_where_only_the_keys_of_package_xml_are(repository, package, depended):
+    """As `colcon test` runs them after `rosdep install`: a test that needs more is skipped, none is an error."""
+    there = installed_with(depended | {one.text for one in package.findall("test_depend")})
+    assert {"numpy", "numba", "matplotlib", "pytest", "hypothesis", "jsonschema"} <= there
+    assert not there & {"rosbags", "pyarrow", "cyclonedds", "pandas", "distributed", "threadpoolctl"}
+    given = {**os.environ, "ONLY_PACKAGE_XML": " ".join(there), "PYTHONPATH": str(repository / "test")}
+    given["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # of other plugins, whose libraries are hidden
+    command = [sys.executable, "-m", "pytest", "-p", "only_package_xml", "-p", "no:cacheprovider", "--collect-only", "-qq"]
+    done = subprocess.run([*command, "test"], cwd=repository, env=given, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
 
 
 def test_what_an_error_says_to_install_brings_the_module():

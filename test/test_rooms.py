@@ -6,6 +6,7 @@
 import ast
 import re
 from graphlib import CycleError
+from itertools import pairwise
 
 import pytest
 
@@ -115,8 +116,8 @@ def test_no_test_name_is_longer_than_60_characters(trees):
 
 
 PLAIN = {"write_text", "write_bytes", "copyfile", "copy2", "copytree"}
-PARTS = {"output/table.py", "output/mcap.py", "recording/unfinished.py", "fleet/periods.py"}  # moved in place when whole
-NOT_KEPT = {"recording/unpacking.py", "export/fmu.py", "estimator/warm_up.py", "fleet/run.py"}  # temporary folders, and locks
+PARTS = {"output/table.py", "output/mcap.py", "recording/unfinished.py", "files/file_sets.py"}  # moved in place when whole
+NOT_KEPT = {"recording/unpacking.py", "export/fmu.py", "estimator/warm_up.py", "fleet/run.py", "files/file_lock.py"}
 RUN_AGAIN = ("evaluation/", "cli/prove.py")  # the command that wrote them writes them again
 
 
@@ -135,6 +136,28 @@ def test_what_a_user_keeps_is_written_whole_or_not_at_all(trees, repository):
         if path.is_relative_to(package) and any(map(_writes_in_place, ast.walk(tree))):
             found.add(path.relative_to(package).as_posix())
     assert {name for name in found if not name.startswith(RUN_AGAIN)} == PARTS | NOT_KEPT
+
+
+def _follows(node):
+    """What a command line has right after this Python."""
+    for of in (getattr(node, "elts", None), getattr(node, "args", None)):
+        for word, after in pairwise(of if isinstance(of, list) else ()):
+            if ast.unparse(word) == "sys.executable":
+                yield ast.unparse(after)
+
+
+def test_python_is_started_without_the_current_folder(repository):
+    """`-P`; else `-m` and `-c` look there for every module first. In the package one function does it, for its children too."""
+    folders = [repository / name for name in ("trackres_ros", "tools", "launch", "examples")]
+    found = set()
+    for path in (path for folder in folders for path in folder.rglob("*") if path.is_file()):
+        head = path.read_bytes()[:200]
+        if path.suffix == ".py" or (head.startswith(b"#!") and b"python" in head.splitlines()[0]):
+            name = path.relative_to(repository).as_posix()
+            found |= {(name, after) for node in ast.walk(ast.parse(path.read_bytes())) for after in _follows(node)}
+    assert {name for name, _ in found if name.startswith("trackres_ros")} == {"trackres_ros/engine/interpreter.py"}
+    assert len(found) > 5
+    assert {after for _, after in found} == {"'-P'"}
 
 
 MOST_LINES, MOST_PARAMETERS = 60, 8

@@ -19,8 +19,8 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = {"index.md": "README.md", "CONTRIBUTING.md": "CONTRIBUTING.md", "QUALITY_DECLARATION.md": "QUALITY_DECLARATION.md"}
-LINKED = ("CHANGELOG.rst", "LICENSE", "config/*.yaml", "config/rubber/*.csv", "examples/*.py", "examples/*.ipynb")
+PAGES = {name: name for name in ("CONTRIBUTING.md", "QUALITY_DECLARATION.md", "SECURITY.md")} | {"index.md": "README.md"}
+LINKED = ("CHANGELOG.rst", "LICENSE", "package.xml", "config/*.yaml", "config/rubber/*.csv", "examples/*.py", "examples/*.ipynb")
 EXAMPLES = "examples/index.md"
 STYLE = ".md-grid { max-width: 76rem; }"  # the tables are wide
 FETCHED = re.compile(r'(?:\ssrc="|<link(?![^>]*rel="canonical")[^>]*\shref=")(?:https?:)?//[^"]*')

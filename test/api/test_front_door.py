@@ -46,6 +46,8 @@ PRINTING = {
     "trackres_ros.text.numbers": "numbers as people are shown them",
     "trackres_ros.files.resources": "names of the shipped vehicles, for help",
     "trackres_ros.progress": "how far work is",
+    "trackres_ros.files.file_sets": "files of a command that are replaced together",
+    "trackres_ros.files.own_files": "files of a command, written and removed",
     "trackres_ros.units": "units as people read them",
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }

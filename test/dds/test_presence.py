@@ -8,15 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import peer
 import pytest
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import InstanceState, Policy, Qos
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl import types as idl
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -38,25 +35,6 @@ from trackres_ros.vehicle import load
 FLOAT, TWIST = "std_msgs/msg/Float64", "geometry_msgs/msg/TwistStamped"
 
 
-@dataclass
-class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
-    data_: idl.array[idl.uint8, 16]
-
-
-@dataclass
-class NodeEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
-    node_namespace_: idl.bounded_str[256]
-    node_name_: idl.bounded_str[256]
-    reader_gid_seq_: idl.sequence[Gid]
-    writer_gid_seq_: idl.sequence[Gid]
-
-
-@dataclass
-class ParticipantEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
-    gid_: Gid
-    node_entities_info_seq_: idl.sequence[NodeEntities]
-
-
 class Graph:
     """What anyone can see of others: their endpoints, and the nodes they say these belong to."""
 
@@ -67,8 +45,7 @@ class Graph:
             Policy.History.KeepLast(100),
             Policy.DataRepresentation(use_cdrv0_representation=True),
         )
-        topic = Topic(wire.participant, "ros_discovery_info", ParticipantEntities)
-        self._nodes_reader = DataReader(wire.participant, topic, qos=quality)
+        self._nodes_reader = DataReader(wire.participant, peer.graph_topic(wire), qos=quality)
         self._seen = [
             BuiltinDataReader(wire.participant, kind) for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
         ]
@@ -83,7 +60,7 @@ class Graph:
                 else:
                     self._endpoints.pop(found.key.bytes, None)
         for message in self._nodes_reader.take(100):
-            if isinstance(message, ParticipantEntities):  # not the notice that a writer has gone
+            if isinstance(message, peer.ParticipantEntities):  # not the notice that a writer has gone
                 self._nodes[bytes(message.gid_.data_)] = message
         return self
 
@@ -228,8 +205,8 @@ def test_messages_come_in_order_with_the_time_they_were_sent(wire):
         wait = mine.waiter()
         taken = []
         assert wait_for(lambda: wait(10**8) is not None and taken.extend(reader.take()) is None and len(taken) == 20)
-        assert [STORE.deserialize_cdr(raw, FLOAT).data for raw, _ in taken] == list(range(20))
-        sent = [sent_ns for _, sent_ns in taken]
+        assert [STORE.deserialize_cdr(one.raw, FLOAT).data for one in taken] == list(range(20))
+        sent = [one.sent_ns for one in taken]
         assert sent == sorted(sent)
         assert before <= sent[0] <= sent[-1] <= time.time_ns()
         assert wait(1) == 0

@@ -226,6 +226,19 @@ def test_torques_add_factors_multiply_and_sinks_are_averaged():
     assert (both.torque, both.loss_factor, float(both.conductance), float(both.sink)) == pytest.approx((5.0, 2.2, 40.0, 30.0))
 
 
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("before", [0.0, 700.0, 40_000.0])
+def test_an_effect_acts_alike_from_a_later_first_start(name, before):
+    """What a fit counts from the first recording, a replay and a live node count from their own start."""
+    active = Active(catalogue()[name], catalogue()[name].values())
+    later = active.after(before)
+    for distance in (0.0, 300.0, 5000.0):
+        both = (one.terms(conditions(distance=at)) for one, at in ((active, before + distance), (later, distance)))
+        whole, rest = (np.array(terms) for terms in both)
+        assert rest == pytest.approx(whole, abs=0.005)  # what is less has faded
+    assert later.does_nothing == (name == "mullins" and before > 20_000.0)
+
+
 def test_values_of_a_vehicle_file_are_checked():
     good = {"warmup": {"torque": 100.0, "time_constant": 200.0, "cooling": 5000.0}}
     (active,) = check_effects(good, "vehicle.yaml: effects", CATALOGUE, "vehicle")

@@ -52,7 +52,8 @@ def k():
         clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
         passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
         slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK,
-        axles=AXLES, first_wheel=WHEELS,
+        axles=AXLES, first_wheel=WHEELS, first_belt=NAMED["belt"],
+        speed_variance=4e-4, speed_max_age=0.5, slow_input_max_age_ns=S,
         max_acceleration=8.0, speed_slack=1.0, enable_hold_ns=0, disagreeing_ns=S, bridge=BRIDGE_S,
         nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
     )  # fmt: skip
@@ -322,7 +323,7 @@ def test_what_is_forgotten_is_all_of_the_others_but_counters(guard):
         assert guard.counts(channel) == {"ACCEPTED": 1}
     guard.send(1, 7.0)
     forget_others(guard.memory, at.SPEED)
-    assert at.Tracked(guard.memory.tracked).reference == 7.0
+    assert guard.memory.runs[at.SPEED, at.Run.reference] == 7.0
 
 
 # Held values
@@ -380,7 +381,7 @@ def test_without_ambient_the_last_or_nominal_one_is_assumed(guard):
 
 def loads(guard, now=0):
     found = np.zeros(ASSEMBLIES)
-    return Reason(gather_loads(guard.k, guard.memory, T + now, found)), found
+    return Reason(gather_loads(guard.k, guard.memory, T + now, found)[0]), found
 
 
 def test_no_load_at_all_is_the_nominal_one(guard):
@@ -463,7 +464,8 @@ def test_an_old_load_is_held_with_a_reason_and_dropped_later(guard, channel):
         guard.send(LOAD_HOLD, 80e3, NAMED["axle"] + 1)
     held_from = 2 * S
     first = {at.LOAD: 30e3, NAMED["axle"]: 50e3, NAMED["assembly"]: 100e3}[channel]
-    for now, said in ((0, 0), (held_from, 0), (held_from + 1, Reason.LOAD_HELD), (LOAD_HOLD, Reason.LOAD_HELD)):
+    old = Reason.LOAD_HELD | Reason.LOAD_OLD
+    for now, said in ((0, 0), (held_from, 0), (held_from + 1, Reason.LOAD_HELD), (32 * S, Reason.LOAD_HELD), (LOAD_HOLD, old)):
         reasons, found = loads(guard, now)
         assert found[0] == pytest.approx(first)
         assert reasons == said
@@ -706,15 +708,15 @@ def test_wheels_that_disagree_stop_the_feedforward(guard, wheel):
 
 def test_wheels_without_axles_take_only_the_vehicles_load(k):
     """The channels behind those of all vehicles are of wheel speeds then, not of loads or belts."""
-    k.number.axles, k.number.first_wheel = 0, at.FIRST_AXLE
+    k.number.axles, k.number.first_wheel, k.number.first_belt = 0, at.FIRST_AXLE, at.FIRST_AXLE
     k.assembly = k.assembly[:1]
     k.assembly[0, [at.Assembly.nominal_load, at.Assembly.share_of_all]] = 60e3, 1.0
     memory, loads = guards.new_memory(at.FIRST_AXLE + 1), np.zeros(1)
     memory.times[at.FIRST_AXLE, [at.Times.seen, at.Times.last_arrival]] = 1, 5 * S
     memory.values[at.FIRST_AXLE] = 7.0  # a wheel speed
-    assert gather_loads(k, memory, 5 * S, loads) == int(at.Reason.LOAD_NOMINAL)
+    assert gather_loads(k, memory, 5 * S, loads) == (int(at.Reason.LOAD_NOMINAL), 0.0)
     assert loads[0] == 60e3
     memory.times[at.LOAD, [at.Times.seen, at.Times.last_arrival]] = 1, 5 * S
     memory.values[at.LOAD] = 65e3
-    assert gather_loads(k, memory, 5 * S, loads) == 0
+    assert gather_loads(k, memory, 5 * S, loads) == (0, 0.0)
     assert loads[0] == 65e3

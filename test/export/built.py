@@ -153,7 +153,7 @@ def drive(estimator, hours, seed, faults=True):
     value = np.concatenate([values for *_, values in columns])
     order = np.lexsort((channel == 0, stamp))
     channel, stamp, value = channel[order], stamp[order], value[order]
-    arrival = stamp + random.integers(0, 3_000_000, len(stamp))
+    arrival = np.maximum.accumulate(stamp + random.integers(0, 3_000_000, len(stamp)))
     return with_faults(random, channel, stamp, arrival, value) if faults else (channel, stamp, arrival, value)
 
 

@@ -66,11 +66,13 @@ def own(tmp_path, good):
 def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
     good("export", "c", "mine.yaml", "-o", "out", cwd=own)
     random, time = np.random.default_rng(4), np.arange(0.0, 300.0, 0.05)
+    time[4000:] += 9 * 86400.0  # a pause of more than one step may last
     kmh = np.clip(np.cumsum(random.normal(0.0, 0.3, len(time))), -5.0, 45.0)
     lines = [
         f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 200000 + i},ignored"
         for i, (t, v) in enumerate(zip(time, kmh, strict=True))
     ]
+    lines[3000:3000] = [f"{time[2990]:.3f},{kmh[2999]:.4f},20.0,,late"]
     lines[:1], lines[7:7] = ["", lines[0]], ["", ""]  # empty lines, and the mark of UTF-8
     text = "\ufefftime_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n\n"
     (own / "drive.csv").write_text(text, encoding="utf-8")

@@ -135,6 +135,18 @@ def test_a_call_moves_by_its_time_and_at_a_speed_by_20_ms_more(instance):
     assert np.max(np.array(moves)[~at_speed]) == pytest.approx(rate * short)
 
 
+@pytest.mark.parametrize("step", [0.0, -0.02, np.nan, np.inf, -np.inf, 604800.1, 1e300])
+def test_a_step_that_is_no_time_changes_nothing(step, instance):
+    drive(instance, 0, 100)
+    state = instance.getFMUState()
+    with pytest.raises(Exception, match="fmi3DoStep"):
+        instance.doStep(100 * STEP_S, step)
+    after = instance.getFMUState()
+    assert bytes(instance.serializeFMUState(after)) == bytes(instance.serializeFMUState(state))
+    instance.freeFMUState(state)
+    instance.freeFMUState(after)
+
+
 def test_a_state_that_was_kept_goes_on_as_before(instance):
     drive(instance, 0, 200)
     state = instance.getFMUState()

@@ -43,6 +43,7 @@ class Desk:
         self.published, self.statuses, self.logged = [], [], []
         self.reasons, self.left = [], []  # of each estimate: reasons, and share of the feed-forward
         self.found_peers = {}
+        self.found_rivals, self.latched, self.opened = (), [], 0
         self.sim_time = given.get("use_sim_time", False)
         parameters = {"vehicle": "xgd24d", "state_file": "none", "output_rate_hz": 0.0, **given}
         steady_ns, sleep = lambda: int(self.steady_s * SECOND_NS), lambda seconds: self.forward(seconds, tick=False)
@@ -69,6 +70,15 @@ class Desk:
     def peers(self, index):
         return self.found_peers.get(self.app.inputs[index].name, ())
 
+    def latch(self, index):
+        self.latched.append(self.app.inputs[index].name)
+
+    def rivals(self):
+        return self.found_rivals
+
+    def open_outputs(self):
+        self.opened += 1
+
     def record(self, others):
         return [f"# {given.type}" for given in (*self.app.inputs, *others)]
 
@@ -90,7 +100,7 @@ class Desk:
 
     def index(self, role):
         """Place of the input that feeds a role."""
-        return next(i for i, given in enumerate(self.app.inputs) if role in given.roles)
+        return next(i for i, given in enumerate(self.app.inputs) if role in given.valued)
 
     def send(self, role, value, stamp_s=None):
         """A message of a role, stamped now or at a time [s since the start]."""

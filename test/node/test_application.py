@@ -4,6 +4,7 @@
 """The application without a middleware: its outputs and statuses for given inputs."""
 
 import inspect
+import itertools
 import math
 import shlex
 import time
@@ -16,6 +17,7 @@ from trackres_ros.estimator.columns import SPEED, Count
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.node import message_handler
 from trackres_ros.node.application import Application
+from trackres_ros.node.message_handler import Sent
 from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
@@ -337,7 +339,7 @@ def test_stamps_of_another_clock_are_remarked(desk):
 def test_simulated_time_that_goes_back_starts_anew(desk):
     d = desk(use_sim_time=True)
     d.drive(120.0, dt=0.3)
-    d.app.messages.receive_values(d.index("ambient"), d.now_ns(), [35.0], sent_ns=1)  # waits for a speed, and is of before
+    d.app.messages.receive_values(d.index("ambient"), d.now_ns(), [35.0], sent=Sent(1))  # waits for a speed, and is of before
     d.time_s = 0.0
     d.app.time_went_back(4 * SECOND_NS)
     d.drive(0.1)
@@ -351,11 +353,23 @@ def test_simulated_time_that_goes_back_starts_anew(desk):
 def test_feedforward_keeps_the_time_of_a_fast_simulated_clock(desk):
     d = desk(use_sim_time=True, feedforward_rate=1000.0, output_rate_hz=50.0)
     d.simulated_in_a_second = 10.0
-    d.drive(0.4)
+    d.drive(0.6)
     assert d.last("feedforward_torque_nm")[1][0] > 3000.0
     d.simulated_in_a_second = 0.0
     d.forward(2.0)
     assert [given.too_old for given in d.app.overview().inputs if given.role == "speed"] == [True]
+
+
+def test_a_leap_of_the_simulated_clock_is_no_time_to_move_in(desk):
+    d = desk(use_sim_time=True, output_rate_hz=50.0)
+    d.drive(2.0)
+    before = len(d.published)
+    d.time_s += 3600.0
+    d.drive(2.0)
+    torques = [values[0] for name, _, values in d.published[before - 20 :] if name == "feedforward_torque_nm"]
+    assert min(torques) < 0.9 * torques[0]  # the speed was an hour old
+    steps = [abs(b - a) for a, b in itertools.pairwise(torques)]
+    assert max(steps) <= 20000.0 * 0.02 * (1.0 + 1e-6)  # feedforward_rate
 
 
 @pytest.mark.parametrize(("changed_s", "anew"), [(10.0, False), (1.0, True)])
@@ -430,10 +444,10 @@ def test_before_the_clock_the_newest_messages_of_an_input_wait(desk, monkeypatch
 def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):
     d = desk()
     d.drive(1.0, load=250e3)
-    d.app.messages.receive_values(d.index("load"), None, [300e3], sent_ns=2000)
-    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 1, [8.0], sent_ns=1000)
+    d.app.messages.receive_values(d.index("load"), None, [300e3], sent=Sent(2000))
+    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 1, [8.0], sent=Sent(1000))
     assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
-    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 2, [8.0], sent_ns=3000)
+    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 2, [8.0], sent=Sent(3000))
     assert d.app.overview().values["weight_n"] == pytest.approx(300e3)
 
 
@@ -441,7 +455,7 @@ def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
     d = desk()
     d.drive(1.0)
     before = sum(number for name, _, number in d.app.session.counts() if name == "load")
-    d.app.messages.receive_values(d.index("load"), None, [300e3], sent_ns=d.now_ns())
+    d.app.messages.receive_values(d.index("load"), None, [300e3], sent=Sent(d.now_ns()))
     d.app.close()
     assert sum(number for name, _, number in d.app.session.counts() if name == "load") == before + 1
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trackres_ros.node.message_handler import Sent
 from trackres_ros.node.transport import FIRST_NS, LAST_NS, UNUSABLE, Level, is_usable, nearest_usable, stamp_ns
 from trackres_ros.output.topics import TOTALS, output_topics
 
@@ -50,11 +51,11 @@ def test_whatever_comes_no_tick_raises_and_status_goes_out(wild_by_clock, simula
         else:
             role, seconds, nanoseconds, value, sent = given_
             if what == "strange":
-                d.app.messages.receive(d.index(role), value, sent)
+                d.app.messages.receive(d.index(role), value, Sent(sent))
             else:
                 now = divmod(START_NS + round(d.time_s * SECOND_NS), SECOND_NS)
                 stamp = (seconds, nanoseconds) if what == "message" else now
-                d.app.messages.receive(d.index(role), d.message(role, *stamp, value), sent)
+                d.app.messages.receive(d.index(role), d.message(role, *stamp, value), Sent(sent))
         d.app.tick()
     d.broken.clear()
     count = len(d.statuses)

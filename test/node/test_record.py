@@ -8,6 +8,7 @@ import json
 import math
 import os
 import random
+import struct
 from collections import deque
 from functools import partial
 
@@ -23,9 +24,12 @@ from trackres_ros.estimator.columns import LOAD  # noqa: E402
 from trackres_ros.node import message_handler  # noqa: E402
 from trackres_ros.node import record as record_room  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
+from trackres_ros.node.message_handler import Sent  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
+from trackres_ros.node.transport import Peer  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("undrawn")
+AT_ONCE = 1e9  # Nm/s: how the feed-forward moves from output to output hangs on when they come
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TWIST, WRENCH, TEMPERATURE, NUMBER = (
     "geometry_msgs/msg/TwistStamped",
@@ -133,7 +137,7 @@ def in_haste(wire, depth, chance, unknown=1 / 3):
 
     def hand(index, message, arrived):
         raw, kind, sent_ns = message
-        app.messages.receive(index, STORE.deserialize_cdr(raw, kind), sent_ns * (chance.random() >= unknown), arrived, raw)
+        app.messages.receive(index, STORE.deserialize_cdr(raw, kind), Sent(sent_ns * (chance.random() >= unknown)), arrived, raw)
 
     inbox = Inbox([partial(take, queue) for queue in queues], hand, app.clock.arrival, app.messages.dropped, depth)
 
@@ -351,7 +355,7 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     d.forward(2.0)
     wire.send("brake", NUMBER, 1.0)
     d.app.messages.receive_undecodable(wire.index["speed"], arrived=earlier, raw=b"no message!!")
-    d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent_ns=1, raw=b"waits for a speed")
+    d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent=Sent(1), raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()
     found = [raw for *_, raw in messages_of(tmp_path / "live.mcap")]
@@ -370,3 +374,58 @@ def test_a_recording_that_cannot_begin_is_refused(desk, tmp_path, monkeypatch):
     monkeypatch.setattr(record_room.OutputBag, "__enter__", full)
     with pytest.raises(tr.InputError, match=r"--record: given .*No space left"):
         Recorder(tmp_path / "live.mcap").begin(desk().app)
+
+
+def estimates_in(bag):
+    """Stamp [ns] and bytes of each `~/estimate` of a bag."""
+    with AnyReader([bag]) as reader:
+        kept = [bytes(raw) for c, _, raw in reader.messages() if c.topic == "/trackres/estimate"]
+    return [(seconds * SECOND_NS + rest, raw) for raw in kept for seconds, rest in [struct.unpack_from("<iI", raw, 4)]]
+
+
+def values_in(raw):
+    """Numbers of the first group of an estimate."""
+    from trackres_ros.node.dds.wire import typestore
+
+    return typestore().deserialize_cdr(raw, "control_msgs/msg/DynamicInterfaceGroupValues").interface_values[0].values.tolist()
+
+
+def test_the_estimate_is_the_same_live_recorded_and_replayed(desk, tmp_path, good):
+    pytest.importorskip("cyclonedds")
+    from trackres_ros.node.dds.messages import DdsEstimate
+
+    topics = tmp_path / "topics.yaml"
+    topics.write_text("".join(line + "\n" for line in TOPICS.splitlines() if not line.startswith("torque")))
+    (tmp_path / "params.yaml").write_text(f"feedforward_rate: {AT_ONCE}\n")  # else the torque goes on between two steps
+    d = desk(topics=str(topics), learning="off", feedforward_rate=AT_ONCE)
+    d.found_peers = {given.name: (Peer(given.type, True),) for given in d.app.inputs}
+    wire = Wire(d, tmp_path / "live.mcap")
+    for step in range(600):  # no ambient temperature at first, then one, that later grows old
+        d.forward(0.1)
+        d.forward(0.1)  # the torque is where the step before wants it
+        if 100 <= step < 200:
+            wire.send("/air", TEMPERATURE, 12.0)
+        wire.send("speed", TWIST, 6.0 + 3.0 * math.sin(step / 50.0))
+    d.forward(0.1)
+    d.forward(0.1)
+    wire.recorder.end()
+    message, left = DdsEstimate("base_link"), [one for one in d.published if one[0] == "estimate"]
+    published = [
+        (stamp, message.filled(stamp, values, tuple(reasons.items())))
+        for (_, stamp, values), reasons in zip(left, d.reasons, strict=True)
+    ]
+    given = ("--vehicle", "xgd24d", "--topics", topics, "--params", tmp_path / "params.yaml")
+    good("replay", tmp_path / "live.mcap", *given, "-o", tmp_path / "again.mcap")
+    recorded, replayed = (estimates_in(tmp_path / name) for name in ("live.mcap", "again.mcap"))
+    assert recorded == published
+    last = dict(published)  # of each stamp, before the next speed
+    assert len(replayed) == 600
+    numbers = slice(0, published[0][1].index(b"reasons"))  # stamp and groups; the numbers follow the names
+    alike = 0
+    for stamp, raw in replayed[1:]:  # in the first step there is no time for the torque to move
+        assert raw[numbers] == last[stamp][numbers]
+        assert values_in(raw)[:3] == values_in(last[stamp])[:3]  # to the last bit
+        alike += raw == last[stamp]
+    # A node shows a reason for a second after its last step; in all other messages every byte is the same.
+    assert alike >= 500
+    assert len({tuple(one) for one in d.reasons}) > 1

@@ -14,7 +14,7 @@ import pytest
 from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.core import InstanceState, Policy, Qos, SampleState, ViewState
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import make_idl_struct, types
+from cyclonedds.idl import IdlStruct, make_idl_struct, types
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -83,6 +83,30 @@ def _qos(reliable, depth, deadline_s, latched=False):
     ]
     policies += [Policy.Deadline(duration(seconds=deadline_s))] if deadline_s else []
     return Qos(*policies, *([Policy.Durability.TransientLocal] if latched else []))
+
+
+@dataclass
+class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+    data_: types.array[types.uint8, 16]
+
+
+@dataclass
+class NodeEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+    node_namespace_: types.bounded_str[256]
+    node_name_: types.bounded_str[256]
+    reader_gid_seq_: types.sequence[Gid]
+    writer_gid_seq_: types.sequence[Gid]
+
+
+@dataclass
+class ParticipantEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+    gid_: Gid
+    node_entities_info_seq_: types.sequence[NodeEntities]
+
+
+def graph_topic(wire):
+    """The topic on which nodes announce their endpoints."""
+    return Topic(wire.participant, "ros_discovery_info", ParticipantEntities)
 
 
 @dataclass
@@ -167,6 +191,13 @@ class Wire:
     def publisher(self, topic, kind, reliable=True, depth=1000, struct=None, latched=False, deadline_s=0.0):
         """A publisher by full topic name; what is latched comes to those too who join later."""
         return Publisher(self, topic, kind, reliable, depth, struct, latched, deadline_s)
+
+    def announce(self, node, *publishers):
+        """Announce publishers as those of a node of the root namespace, as ROS 2 does."""
+        quality = _qos(reliable=True, depth=1, deadline_s=0.0, latched=True)
+        self._graph = DataWriter(self.participant, graph_topic(self), qos=quality)
+        keys = [Gid(list(publisher._writer.guid.bytes)) for publisher in publishers]
+        self._graph.write(ParticipantEntities(Gid(list(self.participant.guid.bytes)), [NodeEntities("/", node, [], keys)]))
 
     def close(self):
         """Leave."""

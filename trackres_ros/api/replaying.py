@@ -60,7 +60,8 @@ def replay(
     save_vehicle
         Vehicle file to write at the end, with the learned parameters. Without any, none is written, and the result says why.
     output
-        File to write during the replay, in the format of `ReplayResult.save`. Its rows are then not kept. With a bag, memory does
+        File to write during the replay, in the format of `ReplayResult.save`. It replaces an older one at the end, together with
+        the state and the vehicle file. Its rows are then not kept. With a bag, memory does
         not grow. With another file, up to ten million samples are kept to find their defects: 1.1 GB at most.
     progress
         Takes the number of messages of each block.
@@ -95,6 +96,7 @@ def replay(
     from trackres_ros.estimator.snapshot import save, state_file
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.estimator.warm_up import MESSAGES, first_run
+    from trackres_ros.files.file_sets import file_set
     from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
     from trackres_ros.learning.learner import MODES, OFF, Learner
     from trackres_ros.learning.store import go_on_from, stored
@@ -135,6 +137,7 @@ def replay(
         raise InputError("save_vehicle", str(save_vehicle), "only with learning watch or on")
     kept: list[Steps] = []
     with ExitStack() as stack:
+        stack.enter_context(file_set())
         warm_up = stack.enter_context(first_run(MESSAGES, described))
         estimator = Estimator(described, settings, entries=warm_up.first)
         learner = Learner(estimator, learning) if learns else None
@@ -144,14 +147,14 @@ def replay(
             go_on_from(before, session, learner, learned_before, unlearned_s)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write, session, progress, learner, warm_up.finished)
-    written = [one for one in (file, state) if one is not None]
-    if state is not None:
-        saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
-        save(done.session, state, saved_at, learned_before if learner is None else stored(learner))
-    if learned_file is not None and learner is not None:
-        saved = write_learned(learner, estimator.vehicle, learned_file)
-        done = replace(done, learned_file=saved)
-        written += saved.written
+        written = [one for one in (file, state) if one is not None]
+        if state is not None:
+            saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
+            save(done.session, state, saved_at, learned_before if learner is None else stored(learner))
+        if learned_file is not None and learner is not None:
+            saved = write_learned(learner, estimator.vehicle, learned_file)
+            done = replace(done, learned_file=saved)
+            written += saved.written
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
     findings = tuple(replace(one, first_time_s=one.first_time_s - done.late_s) for one in findings)

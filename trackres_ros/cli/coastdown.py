@@ -39,6 +39,7 @@ def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: 
     trackres coastdown roll_1.csv roll_2.csv --vehicle xgd24d --picture rolls.png
     trackres coastdown roll.mcap --vehicle my.yaml --topics topics.yaml --save-vehicle rolled.yaml
     """
+    from trackres_ros.files.file_sets import file_set
     from trackres_ros.files.output_files import output_file, picture_file
 
     if save_vehicle is not None:
@@ -49,9 +50,10 @@ def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: 
     watch(save_vehicle, picture)
     with progress("coast-down", None):
         found = tr.coastdown(**asked)
-    written = [*found.save_vehicle(save_vehicle)] if save_vehicle is not None and found.better else []
-    if picture is not None:
-        written.append(found.plot(picture))
+    with file_set():
+        written = [*found.save_vehicle(save_vehicle)] if save_vehicle is not None and found.better else []
+        if picture is not None:
+            written.append(found.plot(picture))
     refused = f"\nNot written: {save_vehicle}" if save_vehicle is not None and not found.better else ""
     report = {**found.as_dict(), "written": [str(path) for path in written]}
     emit(report, as_json, lambda: with_written(f"{found!r}{refused}", written))

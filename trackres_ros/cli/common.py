@@ -18,6 +18,8 @@ import click
 from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import nearest
+from trackres_ros.files.file_sets import RepairWarning
+from trackres_ros.files.own_files import remove
 from trackres_ros.progress import listening
 
 
@@ -27,7 +29,8 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run it."""
         try:
-            return super().invoke(ctx)
+            with _print_repairs():
+                return super().invoke(ctx)
         except InputError as error:
             option_of = {p.name: p.opts[0] for p in self.params if isinstance(p, click.Option)}
             names = error.where.split(", ")
@@ -46,6 +49,23 @@ class Commands(click.Group):
             guess = nearest(name, self.list_commands(ctx)) or f"one of {', '.join(self.list_commands(ctx))}"
             raise click.UsageError(f"No such command {name!r}: {guess}", ctx)
         return super().resolve_command(ctx, args)
+
+
+@contextmanager
+def _print_repairs() -> Iterator[None]:
+    """Print on standard error that files were made whole; leave other warnings to whoever listens."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+        warnings.simplefilter("always", RepairWarning)
+
+        def shown(message: Warning | str, category: type[Warning], *where: Any, **into: Any) -> None:
+            if issubclass(category, RepairWarning):
+                click.echo(f"trackres: {message}", err=True)
+            else:
+                show(message, category, *where, **into)
+
+        warnings.showwarning = shown
+        yield
 
 
 @contextmanager
@@ -109,7 +129,7 @@ def picture_if_possible(picture: Path) -> Iterator[None]:
     except MissingExtraError as error:
         removed = picture.is_file()
         with suppress(OSError):
-            picture.unlink(missing_ok=True)
+            remove(picture)
         click.echo(f"trackres: no picture{f', the earlier {picture} is removed' if removed else ''}: {error}", err=True)
 
 

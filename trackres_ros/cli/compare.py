@@ -51,6 +51,7 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
     """
     from trackres_ros.design.compare import asked_of, compare_designs, wheels_compared, wheels_text
     from trackres_ros.design.compare_text import designs_text, draw_designs
+    from trackres_ros.files.file_sets import file_set
     from trackres_ros.files.output_files import output_folder as usable_folder
     from trackres_ros.fleet.compare import compare, compare_text, draw_overlay
     from trackres_ros.offline.vehicle_files import differences, differences_text
@@ -73,7 +74,9 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
         with progress("operating points", asked.points) as advance:
             found["designs"] = designs = compare_designs(asked, advance)
     if output is not None:
-        found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
-        if designs is not None:
-            found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
+        output_folder(output)
+        with file_set():
+            found["written"] = str(draw_overlay(found, output / "compare.png"))
+            if designs is not None:
+                found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
     emit(found, as_json, lambda: "\n".join([text, *([designs_text(designs)] if designs is not None else [])]))

@@ -15,6 +15,7 @@ import click
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Command, emit, needs, picture_beside, picture_if_possible, progress, with_written
 from trackres_ros.cli.partial_output import watch
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.units import KMH_PER_MPS
 
@@ -92,11 +93,12 @@ def sweep_command(
         found = sweep(asked, engine, workers, advance)
     written = []
     if file is not None and picture is not None:
-        write_table(file, found.columns)
-        written.append(str(file))
-        with picture_if_possible(picture):
-            needs("a picture", "plots", "matplotlib")
-            written.append(str(draw(found, picture)))
+        with file_set():
+            write_table(file, found.columns)
+            written.append(str(file))
+            with picture_if_possible(picture):
+                needs("a picture", "plots", "matplotlib")
+                written.append(str(draw(found, picture)))
     emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(), written))
 
 

@@ -20,10 +20,12 @@ def main() -> None:
         insist()
     try:
         from trackres_ros.cli.main import main as run
+        from trackres_ros.engine.interpreter import SAFE
     except KeyboardInterrupt:
         interrupt_handled()
         print("trackres: interrupted before the start", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    os.environ.update(SAFE)
     try:
         run()
     except KeyboardInterrupt:  # in the moment in which the command line has just ended

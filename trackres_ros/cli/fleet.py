@@ -14,6 +14,7 @@ from trackres_ros import InputError
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Command, emit, needs, print_warnings, progress, to_nowhere, with_written
 from trackres_ros.cli.partial_output import watch
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import output_file
 
 EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
@@ -121,8 +122,9 @@ def run_command(
         with print_warnings():
             found = trends(dataset, limits_of(output, {}))
         found["alerts"] = rows = alerts(found)
-        write_alerts(output / FILE, rows)
-        pages = write_pages(output, found, dataset)
+        with file_set():
+            write_alerts(output / FILE, rows)
+            pages = write_pages(output, found, dataset)
     done = {"found": counts.found, "kept": counts.kept, "good": counts.good, "broken": counts.broken}
 
     def text() -> str:

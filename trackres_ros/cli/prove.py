@@ -5,7 +5,7 @@
 
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,9 @@ import click
 from trackres_ros import InputError
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Commands, emit, needs, output_folder
+from trackres_ros.engine.interpreter import python
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import write
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0
@@ -118,8 +121,8 @@ def _level_and_count(given: str, of: Mapping[str, int], count: int | None) -> tu
     return level, int(number) if equals else count or of[level]
 
 
-def _write_and_print(path: Path, text: str, as_json: bool) -> None:
-    path.write_text(text, encoding="utf-8")
+def _print(path: Path, text: str, as_json: bool) -> None:
+    """Print a page that was written."""
     emit({"written": str(path), "text": text}, as_json, lambda: text)
 
 
@@ -146,19 +149,20 @@ def _process(as_json: bool, step: Step) -> None:
     """Run a step in a process of its own."""
     # Every core works on a case of its own: threads within a case would only compete for cores.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    words = "trackres_ros.evaluation.processes", *map(str, step)
-    _run(words[1].split(".")[-2], words, env={**os.environ, **alone}, stdout=sys.stderr if as_json else None)
+    name, *words = map(str, step)
+    started = python("trackres_ros.evaluation.processes", name, *words, **alone)
+    _run(name.split(".")[-2], **started, stdout=sys.stderr if as_json else None)
 
 
-def _run(name: str, words: Sequence[str], **how: Any) -> None:
-    """Run a module of Python as a process that ends with this one, and all that it starts too.
+def _run(name: str, **how: Any) -> None:
+    """Run a process that ends with this one, and all that it starts too.
 
-    `name`: for messages; `words`: the module, and its arguments; `how`: for `subprocess.Popen`.
+    `name`: for messages; `how`: for `subprocess.Popen`.
     """
     import signal
     import subprocess
 
-    running = subprocess.Popen([sys.executable, "-m", *words], process_group=0, **how)
+    running = subprocess.Popen(**how, process_group=0)
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         code = running.wait()
@@ -208,7 +212,11 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     from trackres_ros.evaluation.field.run import try_all
 
     output_folder(output)
-    _write_and_print(output / "proof-real.md", write_page(data, try_all(data, output), try_bus(data), output), as_json)
+    tried = try_all(data, output), try_bus(data)
+    with file_set():
+        text = write_page(data, *tried, output)
+        write(output / "proof-real.md", text.encode())
+    _print(output / "proof-real.md", text, as_json)
 
 
 @prove_command.command("learning")
@@ -264,7 +272,9 @@ def prove_paper_command(output: Path, as_json: bool) -> None:
     from trackres_ros.evaluation.paper import diagnose_all, page
 
     output_folder(output)
-    _write_and_print(output / "paper-test.md", page(diagnose_all(output)), as_json)
+    text = page(diagnose_all(output))
+    write(output / "paper-test.md", text.encode())
+    _print(output / "paper-test.md", text, as_json)
 
 
 @prove_command.command("loop")
@@ -277,8 +287,11 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
 
     output_folder(output)
     loop = close_loop(output)
-    draw(loop, output / "loop.png")
-    _write_and_print(output / "loop.md", page(loop, "loop.png"), as_json)
+    with file_set():
+        draw(loop, output / "loop.png")
+        text = page(loop, "loop.png")
+        write(output / "loop.md", text.encode())
+    _print(output / "loop.md", text, as_json)
 
 
 @prove_command.command("fleet")
@@ -298,8 +311,8 @@ def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, 
     drawn_by = (seed, vehicles, days, f"{every:g}", f"{minutes:g}")
     _settle(output, f"fleet {' '.join(map(str, drawn_by))}", SAME_OPTIONS)
     _process(as_json, ("fleet.prove.generate", output, *drawn_by))
-    words = ["fleet", str(output / "fleet" / "recordings"), "--vehicles", str(output / "fleet" / "fleet.yaml")]
-    words += ["--period", "none", "-o", str(output / "results"), "--json"]
+    words = ["fleet", output / "fleet" / "recordings", "--vehicles", output / "fleet" / "fleet.yaml"]
+    words += ["--period", "none", "-o", output / "results", "--json"]
     with (output / "found.json").open("w", encoding="utf-8") as into:
-        _run("trackres fleet", ["trackres_ros", *words], stdout=into)
+        _run("trackres fleet", **python("trackres_ros", *words), stdout=into)
     _score(output, as_json, ("fleet.prove.score", output))

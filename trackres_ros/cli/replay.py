@@ -63,6 +63,7 @@ def replay_command(
     Messages are processed in the order they were logged and by their own stamps, so the same recording always gives the same
     bits.
     """
+    from trackres_ros.files.file_sets import file_set
     from trackres_ros.files.output_files import no_two_alike
 
     output = output or _table_of(recording[0])
@@ -70,12 +71,13 @@ def replay_command(
     no_two_alike({"output": picture, "save_state": asked["save_state"]})
     watch(output, picture, asked["save_state"], asked["save_vehicle"])
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
-    with progress("replaying", None) as advance:
-        result = tr.replay(recording, described, output=output, progress=advance, **asked)
-    written = [str(path) for path in result.written]
-    with picture_if_possible(picture):
-        result.plot(picture)
-        written.append(str(picture))
+    with file_set():
+        with progress("replaying", None) as advance:
+            result = tr.replay(recording, described, output=output, progress=advance, **asked)
+        written = [str(path) for path in result.written]
+        with picture_if_possible(picture):
+            result.plot(picture)
+            written.append(str(picture))
     emit(
         {**result.as_dict(), "written": written},
         as_json,

@@ -14,8 +14,9 @@ from trackres_ros.compound.fitting import ARRHENIUS, KEPT, CompoundFit, fit_comp
 from trackres_ros.compound.picture import draw_compound
 from trackres_ros.compound.reading import FREQUENCIES, read_sweep
 from trackres_ros.compound.superposition import Value
-from trackres_ros.compound.writing import files_of, write_compound
+from trackres_ros.compound.writing import files_of, put_compound, write_compound
 from trackres_ros.errors import one_line
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.model.coverage import check_heat
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.text.numbers import alike, decimals, figures
@@ -39,10 +40,13 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
     sweep = read_sweep(sweep_file, frequency_hz)
     fit = fit_compound(sweep, before)
     with TemporaryDirectory() as trial:
-        _check_belts(write_compound(fit, before, files_of(sweep_file, Path(trial))), sweep_file)
-    vehicle = write_compound(fit, before, files)
-    need = need_of(vehicle)
-    draw_compound(fit, need, files["picture"])
+        tried = write_compound(fit, before, files_of(sweep_file, Path(trial)))
+        _check_belts(tried, sweep_file)
+    need = need_of(tried)
+    with file_set():
+        put_compound(fit, before, files)
+        draw_compound(fit, need, files["picture"])
+    vehicle = load(files["vehicle"])
     part = covered(fit, need)
     values = {name: _quantity(found, RUBBER[name].unit) for name, found in fit.values.items()}
     if fit.energy is not None:

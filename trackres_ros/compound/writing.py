@@ -13,6 +13,7 @@ import numpy as np
 from trackres_ros.arrays import Array
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, CompoundFit
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input
 from trackres_ros.files.own_files import write
 from trackres_ros.text.numbers import figures
@@ -59,23 +60,28 @@ def files_of(sweep: Path, folder: Path, inputs: Iterable[Path] = ()) -> dict[str
 
 
 def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> Vehicle:
-    """Write rubber file, Prony series and, last, the vehicle file; return the vehicle as it is read back.
+    """Write rubber file, Prony series and vehicle file; return the vehicle as it is read back.
 
     Raises InputError if a vehicle may not have the compound.
     """
+    put_compound(fit, vehicle, files)
+    return load(files["vehicle"])
+
+
+def put_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> None:
+    """Write rubber file, Prony series and vehicle file together. Raises InputError if a vehicle may not have the compound."""
     _check_warm(fit)
     try:
-        files["rubber"].parent.mkdir(parents=True, exist_ok=True)
-        rubber = write_numbered(files["rubber"], _rubber_text(fit).encode())
-        write(files["prony"], prony_text(fit).encode())
-        with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=rubber)
-        changes = FileChanges(None, (), {}, by="trackres compound", amend=lambda text: _with_rubber(text, with_rubber, fit))
-        write_track_vehicle(with_rubber, files["vehicle"], changes, "\n".join(_provenance(fit)))
+        with file_set():
+            rubber = write_numbered(files["rubber"], _rubber_text(fit).encode())
+            write(files["prony"], prony_text(fit).encode())
+            with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=rubber)
+            changes = FileChanges(None, (), {}, by="trackres compound", amend=lambda text: _with_rubber(text, with_rubber, fit))
+            write_track_vehicle(with_rubber, files["vehicle"], changes, "\n".join(_provenance(fit)))
     except OSError as error:
         raise InputError(
             "output", f"{error.filename or files['vehicle'].parent}: {error.strerror or error}", "a writable folder"
         ) from error
-    return load(files["vehicle"])
 
 
 def table_degc(fit: CompoundFit) -> Array:

@@ -249,6 +249,10 @@ class Effect(ABC):
         """Its action under the conditions, with these parameter values."""
         raise NotImplementedError
 
+    def values_after(self, values: Mapping[str, float], distance: float) -> dict[str, float]:  # noqa: ARG002 - most do not wear
+        """The values that act alike from a first start that comes so much further [m], see `Conditions.distance`."""
+        return dict(values)
+
     def values(self, off: bool = False) -> dict[str, float]:
         """Typical values of the parameters, or those without effect."""
         return {q.name: q.off if off and q.off is not None else q.start for q in self.parameters}
@@ -288,6 +292,16 @@ class Active:
     def numbers(self) -> tuple[float, ...]:
         """The values in the order of the parameters."""
         return tuple(float(self.values[q.name]) for q in self.effect.parameters)
+
+    @property
+    def does_nothing(self) -> bool:
+        """Whether all of its sizes are off."""
+        sizes = [q for q in self.effect.parameters if q.off is not None]
+        return bool(sizes) and all(self.values[q.name] == q.off for q in sizes)
+
+    def after(self, distance: float) -> Active:
+        """The same effect from a first start that comes so much further [m]."""
+        return replace(self, values=self.effect.values_after(self.values, distance))
 
     def terms(self, at: Conditions, own: float = 0.0) -> Terms:
         """Its terms, given its own state."""

@@ -17,6 +17,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.request import urlopen
 
+from trackres_ros.engine.interpreter import SAFE
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": DEATHS - 1,
         "distributed.comm.timeouts.connect": CONNECT_S,
         "distributed.nanny.environ": ONE_THREAD,
+        "distributed.nanny.pre-spawn-environ": {**dask.config.get("distributed.nanny.pre-spawn-environ"), **SAFE},
         "distributed.admin.tick.limit": "1h",
     }
     with dask.config.set(settings):

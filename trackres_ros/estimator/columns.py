@@ -115,6 +115,7 @@ class Motion(Row):
     unfed = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
     air = Real()  # degC, of the last step, measured or assumed
     air_std = Real()  # K, of the air that is assumed: that of `Belt.consider_ambient`; 0 while it is measured
+    longest_age = Real()  # s, of a trusted speed where it comes so rarely that the setting is too short; else 0
 
 
 # What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of
@@ -141,7 +142,7 @@ START_COLD = -0.5  # and: the next speed starts cold, in the air that is known
 
 
 class Times(Row):
-    """Memory of the guards for one channel; times in ns. The fields from `doubts` on are for the speed, see `plausible_speed`."""
+    """Memory of the guards for one channel; times in ns. The doubts are those of a speed or a load, see `plausible_change`."""
 
     seen = Whole()  # whether a message was accepted yet
     last_stamp = Whole()
@@ -151,17 +152,23 @@ class Times(Row):
     suspect_arrival = Whole()
     unchanged_since = Whole()
     fresh = Whole()  # whether the last value was used yet (0) or not (1)
-    doubts = Whole()  # speeds of the run in doubt
+    doubts = Whole()  # values of the run in doubt
     doubt_since = Whole()
     doubt_stamp = Whole()
-    disagrees_since = Whole()
+    disagrees_since = Whole()  # of the speed, see `plausible_speed`
+    period = Whole()  # in which messages come, see `guards.learn_period`; 0 before two of them
+
+
+class Run(Row):
+    """Memory of a channel's changes, see `plausible_change`; in its unit."""
+
+    reference = Real()  # of the accepted values
+    doubted = Real()  # of the values in doubt
 
 
 class Tracked(Row):
-    """Memory for the checks of the speed, and of the odometer, see `plausible_speed`."""
+    """Memory for the comparison with the odometer, see `plausible_speed`."""
 
-    reference = Real()  # m/s, of the accepted speeds
-    run = Real()  # m/s, of the speeds in doubt
     began = Real()  # m, odometer at the start of a comparison
     last = Real()  # m, its last value
     way = Real()  # m by the speed since the comparison began, unsigned
@@ -229,6 +236,9 @@ class Reason(IntFlag):
     SPEED_DISAGREES = 1 << 20, "the speed disagrees with all wheel speeds, or with the odometer: the feed-forward fades to zero"
     DISABLED = 1 << 21, "the feed-forward is not enabled: it fades to zero"
     ENABLE_OLD = 1 << 22, "no recent enable message: the feed-forward fades to zero"
+    LOAD_DOUBTED = 1 << 23, "a load jumped while driving: the estimate uses the one before until the new one has lasted"
+    LOAD_OLD = 1 << 24, "the last load is old: the uncertainty of the torque has grown"
+    SPEED_SLOW = 1 << 25, "the speed comes rarely: it is trusted for longer than a frequent one"
 
 
 REASON_TEXT = {reason: reason.text for reason in Reason if reason}

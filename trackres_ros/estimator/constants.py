@@ -70,6 +70,7 @@ class Numbers(NamedTuple):
     rotating_mass_factor: float
     nominal_ambient: float
     axles: int
+    first_belt: int  # channel of the first assembly's belt temperature
     first_wheel: int  # channel of the wheel speeds; those of single axles and assemblies follow it
     initial_belt_std: float
     process_noise: float
@@ -103,6 +104,7 @@ class Numbers(NamedTuple):
     feedforward_rate: float
     feedforward_limit: float
     speed_max_age: float
+    slow_input_max_age_ns: int
     feedforward_fade: float
     belt_std_warn: float
     # By default those of wheels without belts.
@@ -204,8 +206,6 @@ def make_constants(
         air_density=chassis.air_density,
         rotating_mass_factor=chassis.rotating_mass_factor,
         nominal_ambient=chassis.ambient,
-        axles=len(vehicle.axles),
-        first_wheel=at.channels(vehicle).index(at.WHEELS),
         initial_belt_std=settings.initial_belt_std_k,
         process_noise=settings.process_noise_k,
         ambient_std=settings.ambient_std_k,
@@ -225,6 +225,7 @@ def make_constants(
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
+        **_places(vehicle),
         **_times_ns(settings),
         **fed,
         **runs_on.numbers,
@@ -242,11 +243,17 @@ def make_constants(
     )
 
 
+def _places(vehicle: AnyVehicle) -> dict[str, Any]:
+    """Where the channels of loads, belts and wheels are."""
+    first_wheel = at.channels(vehicle).index(at.WHEELS)
+    return {"axles": len(vehicle.axles), "first_belt": first_wheel - len(vehicle.assemblies), "first_wheel": first_wheel}
+
+
 def _times_ns(settings: Settings) -> dict[str, Any]:
     """Times of the settings that are compared with message times [ns]."""
     names = (
         "clock_jump", "load_hold", "passengers_hold", "ambient_hold", "motion_hold", "torque_hold", "position_hold", "stuck",
-        "enable_hold",
+        "enable_hold", "slow_input_max_age",
     )  # fmt: skip
     seconds = {name: getattr(settings, f"{name}_s") for name in names} | {"disagreeing": settings.speed_max_age_s}
     return {f"{name}_ns": int(round(value * 1e9)) for name, value in seconds.items()}

@@ -22,7 +22,16 @@ from trackres_ros.estimator.between_steps import turn
 from trackres_ros.estimator.by_place import follow_along, of_place, position_came
 from trackres_ros.estimator.columns import Assembly, Motion, Results, Times
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, AMBIENT_NOMINAL, GAP, Memory, admit, forget_others, gather
+from trackres_ros.estimator.guards import (
+    ACCEPTED_AFTER_RESET,
+    AMBIENT_NOMINAL,
+    GAP,
+    Memory,
+    admit,
+    forget_others,
+    gather,
+    longest_age,
+)
 from trackres_ros.estimator.kernel import advance, follow_air, predict, start
 from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, State
 from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
@@ -77,7 +86,9 @@ def feed(
     dt = elapsed * NANOSECOND
     if dt > k.number.gap:
         memory.counters[channel, GAP] += 1
-    advance(k, carried, inputs, dt, out)
+    advance(k, carried, inputs, dt, out)  # with the age that was allowed while it waited
+    longest = longest_age(k, memory)
+    motion.longest_age = longest if longest > k.number.speed_max_age else 0.0
     found = int(Results(out).reasons)
     for bit in range(memory.reasons.shape[0]):
         memory.reasons[bit] += (found >> bit) & 1
@@ -111,12 +122,16 @@ def feed_all(
 def advance_once(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array) -> bool:
     """`kernel.advance` for inputs from outside; false for values that `records.checked` refuses: here a check costs nothing."""
     usable = (
-        inputs.ambient_std >= 0.0 and inputs.reasons >= 0 and inputs.fed >= 0.0 and not math.isnan(inputs.speed + inputs.ambient)
+        inputs.ambient_std >= 0.0
+        and inputs.reasons >= 0
+        and inputs.fed >= 0.0
+        and inputs.load_std >= 0.0
+        and not math.isnan(inputs.speed + inputs.ambient)
     )
     for value in (
         inputs.speed, inputs.ambient, inputs.ambient_std, inputs.acceleration, inputs.grade, inputs.yaw_rate, inputs.heading,
         inputs.distance, inputs.measured_torque, inputs.slope_by_place, inputs.torque_by_place, inputs.torque_by_place_std,
-        inputs.fed,
+        inputs.fed, inputs.load_std,
     ):  # fmt: skip
         usable = usable and not abs(value) > LARGEST
     for i in range(inputs.belt_measured.shape[0]):
@@ -143,7 +158,7 @@ def advance_along(
         inputs = Inputs(
             series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], grade,
             series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, slope, torque,
-            series.torque_stds_by_place[i], of_place(k, series.places_known[i] > 0.0, grade, slope, torque), 1.0,
+            series.torque_stds_by_place[i], of_place(k, series.places_known[i] > 0.0, grade, slope, torque), 1.0, 0.0,
         )  # fmt: skip
         advance(k, carried, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
 

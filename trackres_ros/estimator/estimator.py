@@ -27,8 +27,11 @@ from trackres_ros.estimator.guards import Memory, ambient_now, new_memory
 from trackres_ros.estimator.kernel import start
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
 from trackres_ros.estimator.records import (
+    FIRST_NS,
     LARGEST,
+    LAST_NS,
     LEAST_WEIGHT,
+    LONGEST_STEP_S,
     DriveSeries,
     GroundSeries,
     Inputs,
@@ -46,8 +49,8 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, load_any
 
+LONGEST_STEP = LONGEST_STEP_S, "for a longer pause call rest, which takes any"
 UNKNOWN_GROUND = math.nan, math.nan, math.nan, 0.0
-FIRST_NS, LAST_NS = -(2**63), 2**63 - 1  # stamps
 ALONG = (
     "speed", "weight", "ambient", "acceleration", "grade", "yaw_rate", "heading", "distance", *DriveSeries._fields[-4:],
 )  # fmt: skip
@@ -206,9 +209,10 @@ class Estimator:
         Raises
         ------
         InputError
-            For a negative dt, a state or inputs of another vehicle, or values that `inputs` refuses.
+            For a dt that is negative, no number or above a week, a state or inputs of another vehicle, or values that `inputs`
+            refuses.
         """
-        after, elapsed, row = self._copy(state), duration(dt, "dt"), np.empty(len(self.columns))
+        after, elapsed, row = self._copy(state), duration(dt, "dt", *LONGEST_STEP), np.empty(len(self.columns))
         if not is_as_compiled(inputs, *self._sizes):
             inputs = self._checked(inputs)
         if not self.entries.step_once(*self.own_arguments(), *after, *inputs, elapsed, row):
@@ -300,11 +304,12 @@ class Estimator:
     def rest(self, state: State, ambient: float | None, seconds: float) -> State:
         """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
 
-        None is the last known one: a session that begins from the state moves its belts once it knows the air. The given state
-        does not change. Raises InputError for a negative time, a temperature that is no finite number, or a state of another
-        vehicle.
+        None is the last known one: a session that begins from the state moves its belts once it knows the air. More than a week
+        counts as a week. The given state does not change. Raises InputError for a negative time, a temperature that is no finite
+        number, or a state of another vehicle.
         """
-        after, std, off = self._copy(state), self.constants.number.ambient_unknown_std, duration(seconds, "seconds")
+        after, std = self._copy(state), self.constants.number.ambient_unknown_std
+        off = min(duration(seconds, "seconds"), LONGEST_STEP_S)
         air = math.nan if ambient is None else number(ambient, "ambient")
         self.entries.rest_vehicle(*self.own_arguments(), *after, air, std, off)
         return after
@@ -405,7 +410,7 @@ class Session:
     def start_anew(self) -> None:
         """Reset belts and messages after time went back, as at a cold start; counters stay. The next estimate reports it."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
-        self.memory.followed[:], self.memory.tracked[:] = NOTHING_YET, NOTHING_TRACKED
+        self.memory.followed[:], self.memory.tracked[:], self.memory.runs[:] = NOTHING_YET, NOTHING_TRACKED, math.nan
         self.effects[:] = cooled_effects(self.effects)
         self.motion[at.Motion.started] = at.START_ANEW
 

@@ -102,7 +102,7 @@ def feedforward(k: Constants, motion: Motion, total: Part, of_effects: float, in
         wanted = math.copysign(limit, wanted) if abs(wanted) > limit else 0.0
         reasons |= CLAMPED
     last = followed(number, motion.feedforward, present_target(motion), dt - motion.turned)
-    last *= fade(dt, number.speed_max_age, number.feedforward_fade)
+    last *= fade(dt, max(number.speed_max_age, motion.longest_age), number.feedforward_fade)
     moved = followed(number, last, wanted, min(dt, FEEDFORWARD_STEP_S))
     if moved != wanted:
         reasons |= LIMITED

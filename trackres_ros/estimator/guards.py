@@ -18,18 +18,27 @@ import numpy as np
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, of_place
-from trackres_ros.estimator.columns import Assembly, Motion, Times, Tracked
+from trackres_ros.estimator.columns import Assembly, Motion, Run, Times, Tracked
 from trackres_ros.estimator.constants import LEAST_LOAD_SHARE, Constants
+from trackres_ros.estimator.motion_step import is_noise
+from trackres_ros.estimator.plausible_change import (
+    FRESH_LOAD_NS,
+    LOAD_PER_S,
+    LOAD_SLACK,
+    is_load,
+    load_is_plausible,
+    load_std,
+    trust,
+)
 from trackres_ros.estimator.plausible_speed import (
     NOTHING_TRACKED,
     disagrees,
     drive_on,
     is_near,
-    is_plausible,
     move_clock,
     odometer_came,
     seems_to_stand,
-    trust,
+    speed_is_plausible,
 )
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.jit.compiled import compiled, inlined
@@ -41,6 +50,7 @@ DUPLICATE, LATE, FUTURE, BACKWARD = int(at.Count.DUPLICATE), int(at.Count.LATE),
 ZERO_STAMP, GAP, CLOCK_JUMP, RESET = int(at.Count.ZERO_STAMP), int(at.Count.GAP), int(at.Count.CLOCK_JUMP), int(at.Count.RESET)
 IMPLAUSIBLE = int(at.Count.IMPLAUSIBLE)
 LOAD_HELD, LOAD_NOMINAL = int(at.Reason.LOAD_HELD), int(at.Reason.LOAD_NOMINAL)
+LOAD_DOUBTED, LOAD_OLD, SPEED_SLOW = int(at.Reason.LOAD_DOUBTED), int(at.Reason.LOAD_OLD), int(at.Reason.SPEED_SLOW)
 SPEED_QUANTISED = int(at.Reason.SPEED_QUANTISED)
 AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPEED_STUCK)
 CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
@@ -48,7 +58,8 @@ SPEED_IMPLAUSIBLE, SPEED_DISAGREES = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Re
 DISABLED, ENABLE_OLD = int(at.Reason.DISABLED), int(at.Reason.ENABLE_OLD)
 
 SEEN, LAST_ARRIVAL, FRESH = Times.seen, Times.last_arrival, Times.fresh  # of one channel among many
-FRESH_LOAD_NS = 2_000_000_000  # an older load is reported as held, while it is valid
+OLD_LOAD_NS = FRESH_LOAD_NS + int(0.5 * LOAD_SLACK / LOAD_PER_S / NANOSECOND)  # half of what it may change in the end
+FIRST_PERIOD_NS = 333_333_333  # ours: a third of a second is what the age limits of 0.5 s are for
 STANDING = 1e-3  # m/s: slower is no movement that could be stuck
 QUANTISED = (0.05, 1.0)  # m/s: a smallest step between these is a bus's resolution, not noise
 QUANTISED_PATIENCE = 10  # in a steady drive such a bus repeats one value for minutes
@@ -66,6 +77,7 @@ class Memory(NamedTuple):
     reasons: IntArray  # (reasons,) steps with each reason
     followed: Array  # (FOLLOWED,) position on a route, see `route.follower`
     tracked: Array  # numbers of `columns.Tracked`
+    runs: Array  # (channels, numbers of `columns.Run`)
 
 
 def new_memory(channels: int) -> Memory:
@@ -77,6 +89,7 @@ def new_memory(channels: int) -> Memory:
         np.zeros(len(at.REASON_TEXT), dtype=np.int64),
         np.array(NOTHING_YET),
         np.array(NOTHING_TRACKED),
+        np.full((channels, at.Run.columns), np.nan),
     )
 
 
@@ -95,6 +108,36 @@ def has_jumped(k: Constants, times: Times, stamp: int, arrival: int, is_behind: 
 
 
 @inlined
+def learn_period(times: Times, elapsed: int) -> None:
+    """Follow the period of a channel's messages, by at most half of it each time (ours): it is near the median of the last few.
+
+    So a single pause is no period, and a sensor of 50 Hz counts as a slow one only after seven long pauses in a row.
+    """
+    if times.period == 0:
+        times.period = min(elapsed, FIRST_PERIOD_NS)
+    elif elapsed > times.period:
+        times.period = min(elapsed, times.period + times.period // 2 + 1)
+    else:
+        times.period = max(elapsed, times.period - times.period // 3)
+
+
+@inlined
+def slow_ns(k: Constants, times: Times) -> int:
+    """Age [ns] to which the last value of a channel may be used as its messages come so rarely, whatever the setting.
+
+    With half a period for jitter, the last value holds until the next one. No pause is longer than the bound: a sensor that has
+    failed is not believed for having been slow.
+    """
+    return min(times.period + times.period // 2, k.number.slow_input_max_age_ns)
+
+
+@inlined
+def longest_age(k: Constants, memory: Memory) -> float:
+    """Longest age of a trusted speed [s]."""
+    return max(k.number.speed_max_age, slow_ns(k, Times(memory.times[at.SPEED])) * NANOSECOND)
+
+
+@inlined
 def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step observed in the speed [m/s].
 
@@ -104,7 +147,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
         ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT, or minus the counter of the refusal;
         and the time [ns] since the channel's last message.
     """
-    times, counters, tracked = Times(memory.times[channel]), memory.counters[channel], Tracked(memory.tracked)
+    times, counters, run = Times(memory.times[channel]), memory.counters[channel], Run(memory.runs[channel])
     if not math.isfinite(value):
         counters[NON_FINITE] += 1
         return -NON_FINITE, 0
@@ -136,7 +179,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             if has_jumped(k, times, stamp, arrival, is_behind):
                 outcome, elapsed, is_behind = ACCEPTED_AFTER_JUMP, max(waited, 0), False
                 if channel == at.SPEED:
-                    if not is_near(k, tracked, elapsed, value, quantum):  # the clock of who sends this is none to go by
+                    if not is_near(k, run, elapsed, value, quantum):  # the clock of who sends this is none to go by
                         counters[IMPLAUSIBLE] += 1
                         return -IMPLAUSIBLE, 0
                     move_clock(times, forward - elapsed)
@@ -147,17 +190,19 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
                 refusal = FUTURE if forward > 0 else BACKWARD
                 counters[refusal] += 1
                 return -refusal, 0
-    if channel == at.SPEED:
-        if not times.seen or outcome == ACCEPTED_AFTER_RESET:  # no earlier value to compare with
-            trust(times, tracked, value)
-        else:
-            in_doubt = times.doubts > 0
-            if not is_plausible(k, times, tracked, stamp, elapsed, value, quantum):
-                counters[IMPLAUSIBLE] += 1
-                return -IMPLAUSIBLE, 0
-            outcome = ACCEPTED_AFTER_DOUBT if in_doubt else outcome
+    if channel == at.SPEED or is_load(k, channel):
+        in_doubt = times.doubts > 0
+        if may_change_at_will(k, memory, channel, arrival, quantum) or outcome == ACCEPTED_AFTER_RESET:
+            trust(times, run, value)
+        elif not is_plausible(k, times, run, channel, stamp, elapsed, value, quantum):
+            counters[IMPLAUSIBLE] += 1
+            return -IMPLAUSIBLE, 0
+        elif in_doubt:
+            outcome = ACCEPTED_AFTER_DOUBT
     elif channel == at.DISTANCE:
-        odometer_came(k, tracked, value, elapsed)
+        odometer_came(k, Tracked(memory.tracked), value, elapsed)
+    if outcome == ACCEPTED_IN_ORDER and elapsed > 0:
+        learn_period(times, elapsed)
     paused = elapsed * NANOSECOND > k.number.bridge  # the values meanwhile are unknown
     if not times.seen or paused or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times.unchanged_since = stamp
@@ -170,6 +215,30 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     return outcome, elapsed
 
 
+@inlined
+def may_change_at_will(k: Constants, memory: Memory, channel: int, now: int, quantum: float) -> bool:
+    """Whether a speed or load that arrives now may have any value: the first one, and a load at standstill, or after a time in
+    which the last one was not used any more.
+    """
+    if memory.times[channel, SEEN] == 0:
+        return True
+    if channel == at.SPEED:
+        return False
+    drives = not is_noise(memory.values[at.SPEED], quantum, k.number.speed_variance, True)
+    hold_ns = k.number.passengers_hold_ns if channel == at.PASSENGERS else k.number.load_hold_ns
+    return not drives or now - memory.times[channel, LAST_ARRIVAL] > hold_ns
+
+
+@inlined
+def is_plausible(
+    k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float, quantum: float
+) -> bool:
+    """Whether the vehicle can have changed its speed, or its load, so fast."""
+    if channel == at.SPEED:
+        return speed_is_plausible(k, times, run, stamp, elapsed, value, quantum)
+    return load_is_plausible(k, times, run, channel, stamp, elapsed, value)
+
+
 @compiled
 def forget_others(memory: Memory, kept: int) -> None:
     """Forget times and values of all channels but one, as at the start; counters stay."""
@@ -177,11 +246,12 @@ def forget_others(memory: Memory, kept: int) -> None:
         if channel != kept:
             memory.times[channel, :] = 0
             memory.values[channel] = math.nan
+            memory.runs[channel, :] = math.nan
     forget(memory.followed)
     for i in range(memory.tracked.shape[0]):
         memory.tracked[i] = NOTHING_TRACKED[i]
     if kept == at.SPEED:
-        trust(Times(memory.times[kept]), Tracked(memory.tracked), memory.values[kept])
+        trust(Times(memory.times[kept]), Run(memory.runs[kept]), memory.values[kept])
 
 
 @inlined
@@ -190,6 +260,12 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     if memory.times[channel, SEEN] == 0 or now - memory.times[channel, LAST_ARRIVAL] > hold_ns:
         return math.nan
     return float(memory.values[channel])
+
+
+@inlined
+def held_motion(k: Constants, memory: Memory, channel: int, now: int) -> float:
+    """The last acceleration, grade, yaw rate or heading, nan where it is too old for the period in which it comes."""
+    return held(memory, channel, now, max(k.number.motion_hold_ns, slow_ns(k, Times(memory.times[channel]))))
 
 
 @inlined
@@ -214,7 +290,7 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
 
     It is not enabled, or a required enable has expired, or the vehicle may stand: even then nothing may push it.
     """
-    if Times(memory.times[at.SPEED]).doubts > 0 and seems_to_stand(k, Tracked(memory.tracked)):
+    if Times(memory.times[at.SPEED]).doubts > 0 and seems_to_stand(k, Run(memory.runs[at.SPEED])):
         return SPEED_IMPLAUSIBLE
     if k.number.enable_hold_ns == 0:
         return DISABLED if memory.values[at.ENABLE] <= 0.0 else 0
@@ -225,8 +301,28 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
 
 
 @inlined
-def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, loads: Array) -> int:
-    """Share a load [N], less those already known, among the assemblies without one; return the reason to report, else 0.
+def reasons_of_load(memory: Memory, channel: int, now: int) -> int:
+    """Reasons to report where the last load of a channel is used."""
+    age, reasons = now - memory.times[channel, LAST_ARRIVAL], 0
+    if age > FRESH_LOAD_NS:
+        reasons |= LOAD_HELD
+    if age > OLD_LOAD_NS:
+        reasons |= LOAD_OLD
+    if Times(memory.times[channel]).doubts > 0:
+        reasons |= LOAD_DOUBTED
+    return reasons
+
+
+@inlined
+def unsure_load(k: Constants, memory: Memory, channel: int, now: int) -> float:
+    """Standard deviation of the last load of a channel [N]; of passengers their number."""
+    return load_std(k, Times(memory.times[channel]), Run(memory.runs[channel]), channel, memory.values[channel], now)
+
+
+@inlined
+def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, loads: Array) -> tuple[int, float]:
+    """Share a load [N], less those already known, among the assemblies without one; return the reasons to report, and the
+    standard deviation of what is shared [N].
 
     It is the load of an axle, or with `axle` -1 of all. In proportion to nominal loads, and no less than a plausible load.
     """
@@ -239,41 +335,56 @@ def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, 
             else:
                 rest -= loads[i]
     if math.isnan(rest) or share == 0.0:
-        return 0
+        return 0, 0.0
     for i in range(loads.shape[0]):
         assembly = Assembly(k.assembly[i])
         if math.isnan(loads[i]) and (axle < 0 or int(assembly.axle) == axle):
             loads[i] = max(rest * (assembly.share_of_all / share), LEAST_LOAD_SHARE * assembly.nominal_load)
-    return LOAD_HELD if now - memory.times[channel, LAST_ARRIVAL] > FRESH_LOAD_NS else 0
+    return reasons_of_load(memory, channel, now), unsure_load(k, memory, channel, now)
 
 
 @inlined
-def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
-    """Load of each assembly [N] from the finest source available; fill `loads`, return the reasons to report.
+def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[int, float]:
+    """Load of each assembly [N] from the finest source available; fill `loads`, return the reasons to report, and the standard
+    deviation of all together [N], as if all departed alike.
 
     A load of the assembly has priority over one of its axle, and that over the total. Without any, passengers add to the nominal
-    loads.
+    loads. A load that is too old, or doubted, adds to the standard deviation; one that was never given is the vehicle file's.
     """
     first_assembly = at.FIRST_AXLE + k.number.axles
-    reasons = 0
+    reasons, unsure = 0, 0.0
     for i in range(loads.shape[0]):
         loads[i] = math.nan
         if k.number.axles > 0:
             loads[i] = held(memory, first_assembly + i, now, k.number.load_hold_ns)
-            if not math.isnan(loads[i]) and now - memory.times[first_assembly + i, LAST_ARRIVAL] > FRESH_LOAD_NS:
-                reasons |= LOAD_HELD
+            if not math.isnan(loads[i]):
+                reasons |= reasons_of_load(memory, first_assembly + i, now)
+                unsure += unsure_load(k, memory, first_assembly + i, now)
     for axle in range(k.number.axles):
-        reasons |= share_rest(k, memory, at.FIRST_AXLE + axle, axle, now, loads)
-    reasons |= share_rest(k, memory, at.LOAD, -1, now, loads)
+        found, std = share_rest(k, memory, at.FIRST_AXLE + axle, axle, now, loads)
+        reasons, unsure = reasons | found, unsure + std
+    found, std = share_rest(k, memory, at.LOAD, -1, now, loads)
+    reasons, unsure = reasons | found, unsure + std
     payload = held(memory, at.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
+    was_known = memory.times[at.LOAD, SEEN] != 0
+    for channel in range(at.FIRST_AXLE, k.number.first_belt):
+        was_known = was_known or memory.times[channel, SEEN] != 0
+    boarded = 0.0
     for i in range(loads.shape[0]):
         assembly = Assembly(k.assembly[i])
         if math.isnan(loads[i]) and not math.isnan(payload):
             loads[i] = assembly.nominal_load + payload * assembly.share_of_all
+            boarded += assembly.share_of_all
         elif math.isnan(loads[i]):
             loads[i] = assembly.nominal_load
             reasons |= LOAD_NOMINAL
-    return reasons
+            if was_known:
+                unsure += LOAD_SLACK * assembly.nominal_load
+    if boarded > 0.0:
+        unsure += boarded * k.number.passenger_weight * unsure_load(k, memory, at.PASSENGERS, now)
+        if Times(memory.times[at.PASSENGERS]).doubts > 0:
+            reasons |= LOAD_DOUBTED
+    return reasons, unsure
 
 
 @inlined
@@ -287,7 +398,7 @@ def gather(
     times, tracked = Times(memory.times[at.SPEED]), Tracked(memory.tracked)
     now, stamp = times.last_arrival, times.last_stamp
     speed = memory.values[at.SPEED]
-    reasons = gather_loads(k, memory, now, loads)
+    reasons, unsure = gather_loads(k, memory, now, loads)
     if outcome == ACCEPTED_AFTER_JUMP:
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
@@ -298,21 +409,22 @@ def gather(
     if motion.started > 0.0 and QUANTISED[0] < quantum < QUANTISED[1]:
         patience = QUANTISED_PATIENCE
         reasons |= SPEED_QUANTISED
+    if longest_age(k, memory) > k.number.speed_max_age:
+        reasons |= SPEED_SLOW
     if abs(speed) > STANDING and stamp - times.unchanged_since > k.number.stuck_ns * patience:
         reasons |= SPEED_STUCK
     ambient, ambient_std, assumed = ambient_now(k, memory, motion, now)
     reasons |= assumed
-    first_belt = k.number.first_wheel - belt_measured.shape[0]
     for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan
-        for channel in (at.BELT, first_belt + i):
+        for channel in (at.BELT, k.number.first_belt + i):
             since = (now - memory.times[channel, LAST_ARRIVAL]) * NANOSECOND
             if memory.times[channel, FRESH] and since <= k.number.bridge:  # an older one is of the belt before a pause
                 belt_measured[i] = memory.values[channel]
     memory.times[at.BELT, FRESH] = 0
     for i in range(belt_measured.shape[0]):
-        memory.times[first_belt + i, FRESH] = 0
-    grade = held(memory, at.GRADE, now, k.number.motion_hold_ns)
+        memory.times[k.number.first_belt + i, FRESH] = 0
+    grade = held_motion(k, memory, at.GRADE, now)
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
     reasons |= of_place(k, known, grade, slope, torque)
     unfed = not_enabled(k, memory, now)
@@ -327,10 +439,10 @@ def gather(
         ambient,
         ambient_std,
         belt_measured,
-        held(memory, at.ACCEL, now, k.number.motion_hold_ns),
+        held_motion(k, memory, at.ACCEL, now),
         grade,
-        held(memory, at.YAW_RATE, now, k.number.motion_hold_ns),
-        held(memory, at.HEADING, now, k.number.motion_hold_ns),
+        held_motion(k, memory, at.YAW_RATE, now),
+        held_motion(k, memory, at.HEADING, now),
         math.nan,  # an odometer starts at any value; the distance is integrated from the speed, as in a fit
         held(memory, at.TORQUE, now, k.number.torque_hold_ns),
         slope,
@@ -338,4 +450,5 @@ def gather(
         torque_std,
         reasons | unfed,
         0.0 if unfed else 1.0,
+        unsure,
     )

@@ -232,6 +232,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, inputs, dt)
     variance = torque_variance(k, total, learned, road, driving, inputs.torque_by_place_std)
+    variance += of_load(total, road, inputs.load_std / weight, work[TERM_DRIVE_GAIN])
     motion.feedforward, motion.last_speed, motion.air = wanted, speed, inputs.ambient
     motion.last_drive, motion.last_others = driving, others
 
@@ -280,6 +281,14 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
     for cause in range(4):
         variance += squared(total.consider[cause] * gain)
     return variance
+
+
+@inlined
+def of_load(total: Part, road: Road, relative_std: float, gain: float) -> float:
+    """Variance of the resistance [Nm^2] by a relative standard deviation of the load, to which all but the wind is taken to be
+    proportional (ours).
+    """
+    return squared((total.unsigned - total.arm * abs(road.wind)) * relative_std * gain)
 
 
 @inlined

@@ -40,10 +40,16 @@ def known_quantum(motion: Motion) -> float:
 
 
 @inlined
+def is_noise(speed: float, quantum: float, speed_variance: float, has_rolled: bool) -> bool:
+    """Whether a speed [m/s] may be the sensor's noise at rest, or is none; `quantum`: smallest step observed [m/s]."""
+    noise = ROLLS_UNTIL if has_rolled else ROLLS_FROM
+    return not abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * (quantum if quantum < LARGEST_QUANTUM else 0.0)
+
+
+@inlined
 def rolls(motion: Motion, speed: float, speed_variance: float) -> float:
     """1 while the speed [m/s] exceeds its sensor's noise at rest, else 0: |v| > n std + quantum/2 (ours)."""
-    noise = ROLLS_UNTIL if motion.rolls > 0.0 else ROLLS_FROM
-    return 1.0 if abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * known_quantum(motion) else 0.0
+    return 0.0 if is_noise(speed, motion.quantum, speed_variance, motion.rolls > 0.0) else 1.0
 
 
 @inlined

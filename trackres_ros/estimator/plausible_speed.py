@@ -1,13 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Checks that the vehicle can have changed its speed as its messages say, and that wheel speeds and odometer agree with it.
+"""Checks that wheel speeds and odometer agree with the speed, and that the vehicle can have reached it.
 
-A reference follows the accepted speeds, at most at the vehicle's greatest acceleration. A speed further from it than
-noise, resolution and delay explain is refused and begins a doubt. Then nothing is accepted until a run of consistent speeds
-ends the doubt. The run has as many speeds as a clock jump needs, lasts as long as the doubt before it, and can have been
-reached by the vehicle. So one wrong value costs a few samples, and two alternating values are never believed. No doubt
-lasts longer than the vehicle needs from the old speed to the new one. Wheel speeds and the odometer are used only for this check.
+How a speed may change is in `plausible_change`: within noise, resolution and delay of what the vehicle's greatest acceleration
+allows. No doubt lasts longer than the vehicle needs from the old speed to the new one. Wheel speeds and the odometer are used
+only for this check.
 """
 
 from __future__ import annotations
@@ -15,16 +13,15 @@ from __future__ import annotations
 import math
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.estimator.columns import SPEED, Times, Tracked
+from trackres_ros.estimator.columns import SPEED, Run, Times, Tracked
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.feedforward import towards
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
+from trackres_ros.estimator.plausible_change import follow, is_in_reach
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import NANOSECOND
 
-LONGEST_RUN_NS = 2_000_000_000  # by then the feed-forward is zero: a longer wait is no safer
 SEEN, LAST_ARRIVAL = Times.seen, Times.last_arrival
-NOTHING_TRACKED = (math.nan, math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
+NOTHING_TRACKED = (math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHARE = 0.25  # wheels slip, and their radii are nominal ones
 SLOW_MPS = 1.0  # pulses of a slow wheel are too rare: those of the ZTBus show nothing up to 0.6 m/s
 COMPARED_M, COMPARED_STEPS = 50.0, 8.0  # a comparison takes so far, and so many steps of the odometer
@@ -32,21 +29,9 @@ FARTHEST_M = 1000.0  # no odometer has larger steps
 
 
 @inlined
-def follow(k: Constants, reference: float, speed: float, elapsed: int, quantum: float) -> tuple[float, bool]:
-    """The reference [m/s] after some time [ns], and whether a speed is close enough to it (ours).
-
-    It moves towards the speed by a_max t at most; "close" is within the slack and one step of a quantised speed.
-    """
-    moved = towards(reference, speed, k.number.max_acceleration * (elapsed * NANOSECOND))
-    slack = k.number.speed_slack + (quantum if quantum < LARGEST_QUANTUM else 0.0)
-    return moved, abs(speed - moved) <= slack
-
-
-@inlined
-def trust(times: Times, tracked: Tracked, speed: float) -> None:
-    """Accept a speed as the vehicle's, independent of its history."""
-    tracked.reference, tracked.run = speed, math.nan
-    times.doubts = 0
+def slack_of(k: Constants, quantum: float) -> float:
+    """How far a speed [m/s] may be from where the vehicle can be: the slack, and one step of a quantised speed."""
+    return float(k.number.speed_slack + (quantum if quantum < LARGEST_QUANTUM else 0.0))
 
 
 @inlined
@@ -58,40 +43,21 @@ def move_clock(times: Times, by: int) -> None:
 
 
 @inlined
-def is_near(k: Constants, tracked: Tracked, elapsed: int, speed: float, quantum: float) -> bool:
+def is_near(k: Constants, run: Run, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether the vehicle can have reached a speed some time [ns] after the last accepted one."""
-    return follow(k, tracked.reference, speed, elapsed, quantum)[1]
+    return follow(run.reference, speed, elapsed, k.number.max_acceleration, slack_of(k, quantum))[1]
 
 
 @inlined
-def seems_to_stand(k: Constants, tracked: Tracked) -> bool:
+def seems_to_stand(k: Constants, run: Run) -> bool:
     """Whether the doubtful speeds are those of a standing vehicle."""
-    return bool(abs(tracked.run) <= k.number.speed_slack)
+    return bool(abs(run.doubted) <= k.number.speed_slack)
 
 
 @inlined
-def is_plausible(k: Constants, times: Times, tracked: Tracked, stamp: int, elapsed: int, speed: float, quantum: float) -> bool:
+def speed_is_plausible(k: Constants, times: Times, run: Run, stamp: int, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether to accept a speed some time [ns] after the last accepted one; record a doubtful one."""
-    reached, near = follow(k, tracked.reference, speed, elapsed, quantum)
-    if near and times.doubts == 0:
-        tracked.reference = reached
-        return True
-    agrees, run = False, speed
-    if times.doubts > 0:
-        run, agrees = follow(k, tracked.run, speed, stamp - times.doubt_stamp, quantum)
-    if agrees:
-        times.doubts += 1
-        tracked.run = run
-    else:
-        times.doubts, times.doubt_since = 1, stamp
-        tracked.run = speed
-    times.doubt_stamp = stamp
-    lasted = stamp - times.doubt_since
-    before = min(times.doubt_since - times.last_stamp, LONGEST_RUN_NS)
-    if near and times.doubts >= k.number.jumps_to_accept and lasted >= before:
-        trust(times, tracked, tracked.run)
-        return True
-    return False
+    return is_in_reach(k, times, run, stamp, elapsed, speed, k.number.max_acceleration, slack_of(k, quantum), 0)
 
 
 @inlined

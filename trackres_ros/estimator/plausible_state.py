@@ -19,6 +19,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.guards import Memory
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.records import FARTHEST_NS
 from trackres_ros.route.follower import NOTHING_YET
 
 BELT_DEGC = (-100.0, 400.0)  # wider than any rubber lives through
@@ -31,10 +32,10 @@ ROUNDING = 1e-9
 NO_QUANTUM = 1e9  # as `kernel.start` begins
 TORQUE_REACH = 1e4  # of weight times sprocket radius: inertia by the acceleration above
 STARTED = (at.START_ANEW, at.START_COLD, 0.0, at.RESTS, 1.0)
-FARTHEST_NS = 1 << 62
 MOST_SUSPECTS = 1000
 FARTHEST_FOLLOWED = 1e9  # metres, Nm, and seconds
 LONGEST_TURN = 1e10  # s: times are at most so far apart
+LONGEST_AGE = 60.0  # s: the settings allow no more
 LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an effect in any unit
 
 
@@ -63,6 +64,7 @@ def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
         ("mark of no feed-forward", left.unfed, 0.0, 1.0),
         ("air", left.air, *BELT_DEGC),
         ("standard deviation of the air", left.air_std, 0.0, LARGEST_DEPARTURE),
+        ("longest age of the speed", left.longest_age, 0.0, LONGEST_AGE),
     ):
         _within(name, value, low, high)
     if left.started not in STARTED:
@@ -98,8 +100,10 @@ def check_memory(memory: Memory, limits: Array) -> None:
     if (known != (memory.times[:, at.Times.seen] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
     _within("doubts", memory.times[:, at.Times.doubts], 0, FARTHEST_NS)
+    _within("periods", memory.times[:, at.Times.period], 0, FARTHEST_NS)
+    _within("references", memory.runs[~np.isnan(memory.runs)], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
     for name, values, at_first in (
-        ("references of the speed and the odometer", memory.tracked, NOTHING_TRACKED),
+        ("comparison with the odometer", memory.tracked, NOTHING_TRACKED),
         ("place on a route", memory.followed, NOTHING_YET),
     ):
         is_number = ~np.isnan(values)

@@ -22,6 +22,12 @@ IN_SECONDS = 'seconds of dates are (t - t[0]) / numpy.timedelta64(1, "s"), and o
 LEAST_WEIGHT = 1e-3  # N
 FEW = 16
 LARGEST = 1e9  # of an input, in its unit: more than any vehicle has, and its powers do not overflow
+LONGEST_STEP_S = 7 * 86400.0
+"""Of a step: by then any belt is at the temperature of the air, and as uncertain as it gets, and all that fades is gone. A longer
+time tells no more; where it is given, it is the difference of an unsigned clock that went back (2^32 ms are 50 days)."""
+FARTHEST_NS = 1 << 62
+"""146 years: two times that are nearer to 0 have a difference within 64 bits."""
+FIRST_NS, LAST_NS = 1 - FARTHEST_NS, FARTHEST_NS - 1
 
 
 class Inputs(NamedTuple):
@@ -43,11 +49,22 @@ class Inputs(NamedTuple):
     torque_by_place_std: float = math.nan  # Nm
     reasons: int = 0  # columns.Reason found before the step
     fed: float = 1.0  # 0 for no feed-forward: it is not enabled, or the speed is not trusted
+    load_std: float = 0.0  # N, of all loads together: they are old or doubted
 
 
-MAYBE_UNKNOWN = Inputs._fields[5:-2]
+MAYBE_UNKNOWN = Inputs._fields[5:-3]
 FLOAT = np.dtype(float)
-KINDS = (float, np.ndarray, float, float, np.ndarray, *(float for _ in MAYBE_UNKNOWN), int, float)  # of Inputs, as compiled
+KINDS = (
+    float,
+    np.ndarray,
+    float,
+    float,
+    np.ndarray,
+    *(float for _ in MAYBE_UNKNOWN),
+    int,
+    float,
+    float,
+)  # of Inputs, as compiled
 
 
 class State(NamedTuple):
@@ -169,8 +186,12 @@ def checked(given: Inputs, assemblies: int, belts: int) -> Inputs:
         raise InputError("load", given.load, "loads with a sum above 0")
     known = number(given.ambient, "ambient"), number(given.ambient_std, "ambient_std", least=0.0)
     degc = bounded(given.belt_measured, "belt_measured", (belts,), unknown=True)
-    others = [v if v is math.nan else number(v, name, unknown=True) for v, name in zip(given[5:-2], MAYBE_UNKNOWN, strict=True)]
-    last = int(number(given.reasons, "reasons", least=0.0)), number(given.fed, "fed", least=0.0)
+    others = [v if v is math.nan else number(v, name, unknown=True) for v, name in zip(given[5:-3], MAYBE_UNKNOWN, strict=True)]
+    last = (
+        int(number(given.reasons, "reasons", least=0.0)),
+        number(given.fed, "fed", least=0.0),
+        number(given.load_std, "load_std", least=0.0),
+    )
     return Inputs._make((number(given.speed, "speed"), load, *known, degc, *others, *last))
 
 
@@ -183,11 +204,12 @@ def is_as_compiled(inputs: Inputs, assemblies: int, belts: int) -> bool:
     return shaped and load.dtype == degc.dtype == FLOAT and load.flags.carray and degc.flags.carray
 
 
-def duration(given: ArrayLike, where: str) -> float:
-    """A duration [s]; InputError for a negative or infinite one, or none."""
+def duration(given: ArrayLike, where: str, most: float = math.inf, remedy: str = "") -> float:
+    """A duration [s]; InputError for a negative or infinite one, one above `most`, or none."""
     found = float(given if isinstance(given, float) else floats(given, where, ()))
-    if not 0.0 <= found < math.inf:
-        raise InputError(where, found, "a finite number of seconds, at least 0")
+    if not 0.0 <= found <= most or found == math.inf:
+        allowed = "a finite number of seconds, at least 0" if most == math.inf else f"a number of seconds from 0 to {most:g}"
+        raise InputError(where, found, allowed, remedy if found > most else "")
     return found
 
 

@@ -28,20 +28,21 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.plausible_state import check_effects, check_learned, check_memory, check_state
+from trackres_ros.estimator.records import LONGEST_STEP_S
 from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
 
 FORMAT = "trackres-state"
-VERSION = 14
+VERSION = 15
 HEAD = json.dumps({"format": FORMAT}).encode()[:-1]  # first bytes of each state file
 REMEDY = "give a state of this vehicle, or none"
 LARGEST = 4 << 20  # bytes; a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
-LONGEST_OFF = 7 * 86400.0  # s: by then any belt is at the temperature of the air, and as uncertain as it gets
+LONGEST_OFF = LONGEST_STEP_S  # a longer time tells no more
 SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 
 # Session arrays in a state file, in the order of `_arrays`.
-FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked")
+FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked", "runs")
 INTEGERS = ("times", "counters", "reasons")
 # Of a vehicle: no part of what a state means, or in the key in another form.
 NOT_IN_KEY = {
@@ -226,8 +227,9 @@ def rested(before: Session, seconds: float, ambient: float | None = None) -> Ses
 
 def _arrays(session: Session) -> dict[str, NDArray[Any]]:
     memory = session.memory
-    floats = session.belts, session.motion, session.effects, session.learned, memory.values, memory.followed, memory.tracked
-    return dict(zip((*FLOATS, *INTEGERS), (*floats, memory.times, memory.counters, memory.reasons), strict=True))
+    carried = session.belts, session.motion, session.effects, session.learned
+    floats = memory.values, memory.followed, memory.tracked, memory.runs
+    return dict(zip((*FLOATS, *INTEGERS), (*carried, *floats, memory.times, memory.counters, memory.reasons), strict=True))
 
 
 def _take(session: Session, path: Path) -> float:

@@ -29,6 +29,9 @@ AGE_LIMITS = {
 """Setting behind `max_age_s` of a role; several roles may share one, then the smallest applies."""
 LIKE_MOTION = ("yaw_rate", "heading", "wheel_speed", "specific_force")
 """Roles with the age limit of an acceleration, without a `max_age_s` of their own."""
+FAST = ("speed", "accel", "grade")
+"""Roles whose age limit follows the period in which they come, unless a topics file gives the limit of one of them."""
+SLOWEST_S = 0.01
 FIELDS = {"passenger_kg": "kg_each", "belt_sensor": "sensor", "belt_measured_std_k": "std_k"}
 """Field of a topics file behind a setting; behind all others it is `max_age_s`."""
 ENABLE_HOLD_S = 0.5
@@ -74,12 +77,14 @@ def given_by(topics: Topics) -> dict[str, Any]:
     changes: dict[str, Any] = {}
     for role in topics:
         limit = topics[role].max_age_s
-        if limit is None:
+        if limit is None or role == "direction":  # that of its own
             continue
         name = AGE_LIMITS.get(base_role(role))
         if name is None:
             raise InputError(f"{topics.origin}: {role}: max_age_s", limit, f"an age limit on {', '.join(AGE_LIMITS)}")
         changes[name] = limit if role == "enable" else min(limit, changes.get(name, limit))
+        if role in FAST:
+            changes["slow_input_max_age_s"] = SLOWEST_S
     kinds = {(topics[role].sensor, topics[role].std_k) for role in topics if base_role(role) == "belt"}
     if len(kinds) > 1:
         raise InputError(f"{topics.origin}: belt", sorted(map(str, kinds)), "one sensor and std_k for all belts")

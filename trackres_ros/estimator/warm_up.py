@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from trackres_ros.engine.interpreter import python
 from trackres_ros.estimator.entry_points import COMPILED, Entries, interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit.compiled import code_folder, is_cached, keep_code_in
@@ -95,8 +96,7 @@ class CompilerWarmUp:
             self.first = interpreted_entries()
             tell("in plain Python, while it is compiled, once")
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, work, *self._files],
-                env=self._environment(),
+                **python(__name__, work, *self._files, **self._cache()),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -105,16 +105,16 @@ class CompilerWarmUp:
             self._thread = threading.Thread(target=self._wait, name="warm-up", daemon=True)
             self._thread.start()
 
-    def _environment(self) -> dict[str, str]:
-        """Cache of the compiling process: if no cache is usable, both processes share a folder of this run."""
+    def _cache(self) -> dict[str, str]:
+        """Variable with the cache of the compiling process: if none is usable, both processes share a folder of this run."""
         if code_folder() is not None:
-            return dict(os.environ)
+            return {}
         try:
             self._folder = tempfile.TemporaryDirectory(prefix="trackres")
         except OSError:  # nowhere at all: then this process compiles again
-            return dict(os.environ)
+            return {}
         keep_code_in(Path(self._folder.name))
-        return {**os.environ, "NUMBA_CACHE_DIR": self._folder.name}
+        return {"NUMBA_CACHE_DIR": self._folder.name}
 
     @property
     def running(self) -> bool:

@@ -21,7 +21,10 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
+from trackres_ros.engine.interpreter import python
 from trackres_ros.errors import InputError
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import write
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -56,8 +59,9 @@ def check_seal(folder: Path, hidden: object, remedy: str = "begin anew") -> str:
 
 def write_scores(folder: Path, scores: Mapping[str, Any], page: str, text: str) -> None:
     """Write the scores and the page about them, and print the page."""
-    (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
-    (folder / page).write_text(text, encoding="utf-8")
+    with file_set():
+        write(folder / "scores.json", json.dumps(scores, indent=1).encode())
+        write(folder / page, text.encode())
     print(text)
 
 
@@ -92,7 +96,7 @@ def show_count(what: str, done: int, total: int, rest: str = "") -> None:
 
 def run_command(*words: str | Path) -> None:
     """Run a command of `trackres`."""
-    subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, words)], check=True, capture_output=True)
+    subprocess.run(**python("trackres_ros", *words), check=True, capture_output=True)
 
 
 def unfinished(cases: Path, results: Path, first: int | None = None, suffix: str = ".json") -> list[Path]:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from trackres_ros.effects.as_compiled import LARGEST_WHOLE
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.records import LONGEST_STEP_S
 from trackres_ros.export.functions import TEMPLATES, Instance
 from trackres_ros.export.kinds import INT, REAL, WIDE, Record, safe
 from trackres_ros.export.parts import Parts, StateArray
@@ -88,6 +89,7 @@ class CSource:
         ]
         channels = [f"    TRACKRES_CHANNEL_{in_c(channel).upper()} = {i}," for i, channel in enumerate(self.estimator.channels)]
         return {
+            "LONGEST_STEP": repr(LONGEST_STEP_S),
             "VEHICLE": json.dumps(_ascii(self.estimator.vehicle.source.stem)),
             "REASONS": _without_last_comma(reasons),
             "CHANNELS": _without_last_comma(channels),

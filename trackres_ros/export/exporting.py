@@ -22,6 +22,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.export.c_source import CSource
 from trackres_ros.export.parts import Parts
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
@@ -112,7 +113,6 @@ def export_c(request: Request, folder: Path) -> list[Path]:
     if foreign := [name for name in files if (folder / name).exists() and not (folder / LIST).exists()]:
         given = f"a folder with another {' and '.join(foreign)}"
         raise InputError(str(folder), given, "a new folder, or one written by trackres export c", "choose another folder")
-    folder.mkdir(parents=True, exist_ok=True)
     listed = {
         "format": FORMAT,
         "version": VERSION,
@@ -127,9 +127,10 @@ def export_c(request: Request, folder: Path) -> list[Path]:
         "values": values_key(estimator),
         "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in files.items()},
     }
-    write(folder / LIST, (json.dumps(listed, indent=2) + "\n").encode())  # first: it shows whose files these are
-    for name, text in files.items():
-        write(folder / name, text.encode())
+    with file_set():
+        write(folder / LIST, (json.dumps(listed, indent=2) + "\n").encode())
+        for name, text in files.items():
+            write(folder / name, text.encode())
     return [folder / name for name in (*files, LIST)]
 
 

@@ -206,7 +206,7 @@ def _state_arrays(session: Session, of_sums: Scalar) -> list[StateArray]:
     """
     memory, k = session.memory, session.estimator.constants
     return [
-        StateArray("clock", np.zeros(2, dtype=np.int64), "now, and the latest time since the last speed [ns]"),
+        StateArray("clock", np.zeros(3, dtype=np.int64), "now, the latest time since the last speed [ns], and its rounding"),
         StateArray("times", memory.times, "channel x what the guards remember [ns]"),
         StateArray("counters", memory.counters, "channel x counter"),
         StateArray("reasons", memory.reasons, "steps at which each reason held"),
@@ -215,6 +215,7 @@ def _state_arrays(session: Session, of_sums: Scalar) -> list[StateArray]:
         StateArray("values", memory.values, "channel, last accepted value"),
         StateArray("followed", memory.followed, "place on a route"),
         StateArray("tracked", memory.tracked, "speed and odometer"),
+        StateArray("runs", memory.runs, "channel x what it is compared with, and what is doubted"),
         StateArray("carried_motion", session.motion, "motion and feed-forward"),
         StateArray("carried_learned", session.learned, "what was learned of the vehicle"),
         StateArray("effect_values", k.effect_values, "effect x parameter"),

@@ -16,27 +16,30 @@ from trackres_ros.estimator.between_steps import age_of_speed, fed_now
 from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.entry_points import feed, rest
-from trackres_ros.estimator.feedforward import fade
-from trackres_ros.estimator.guards import Memory, forget_others, not_enabled
-from trackres_ros.estimator.plausible_state import FARTHEST_NS
-from trackres_ros.estimator.records import State
-from trackres_ros.estimator.snapshot import LONGEST_OFF
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, fade
+from trackres_ros.estimator.guards import Memory, forget_others, longest_age, not_enabled
+from trackres_ros.estimator.records import FARTHEST_NS, FIRST_NS, LAST_NS, LONGEST_STEP_S, State
 from trackres_ros.units import NANOSECOND
 
 STEPPED, WAITED, WRONG_TIME = 1, 0, -2
-FARTHEST_S = 1e9  # of one step to the next: more is no time
+PARTS = 2.0**32  # of a nanosecond: of smaller ones no caller can make enough
+DISORDER_NS = round(FEEDFORWARD_STEP_S / NANOSECOND)
 SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
-NOW, LATEST = range(2)  # of the clock: its time, and the latest one since the last accepted speed
+NOW, LATEST, PART = range(3)  # of the clock: its time, the latest one since the last accepted speed, and what rounding has left
 
 
-def set_clock(k: Constants, clock: IntArray, now: int) -> None:
-    """Set the clock [ns]; once it has gone back by more than a clock jump, the speed is old until the next one.
+def arrived(motion: Motion, clock: IntArray, arrival: int) -> None:
+    """Move the clock to an arrival [ns]. Time does not go back: one a little before the last, as of two queues, is with it.
 
-    Nobody knows then for how long there has been none.
+    By more than the time between two outputs it is another clock, and nobody knows how much time has passed: the speed is old
+    until the next one, and the feed-forward begins anew from zero.
     """
-    went_back = now < clock[NOW] - k.number.clock_jump_ns
-    clock[LATEST] = FARTHEST_NS if went_back else max(clock[LATEST], now)
-    clock[NOW] = now
+    if arrival < clock[NOW] - DISORDER_NS:
+        clock[NOW], clock[LATEST] = arrival, FARTHEST_NS
+        motion.feedforward = motion.feedforward_target = 0.0
+    else:
+        clock[NOW] = max(clock[NOW], arrival)
+        clock[LATEST] = max(clock[LATEST], clock[NOW])
 
 
 def outcome_of(clock: IntArray, stepped: bool) -> int:
@@ -55,7 +58,7 @@ def step(
     Parameters
     ----------
     clock
-        Time of the last step and the latest one [ns], shape (2,).
+        Time of the last step, the latest one, and what rounding has left of them, shape (3,): `NOW`, `LATEST` and `PART`.
     given
         A value of each channel, nan without a new one; shape (channels,).
     out
@@ -64,17 +67,22 @@ def step(
     Returns
     -------
     int
-        `STEPPED` with an accepted speed; `WAITED` without; `WRONG_TIME` if `dt` is invalid, or the clock at its end.
+        `STEPPED` with an accepted speed; `WAITED` without; `WRONG_TIME`, and nothing has changed, if `dt` is negative,
+        no number or above `LONGEST_STEP_S`, or the clock at its end.
     """  # fmt: skip
-    if not abs(dt) < FARTHEST_S:
+    if not 0.0 <= dt <= LONGEST_STEP_S:
         return WRONG_TIME
-    now = clock[NOW] + math.floor(dt / NANOSECOND + 0.5)
-    if not -FARTHEST_NS < now < FARTHEST_NS:
+    elapsed = dt / NANOSECOND + clock[PART] / PARTS
+    whole = math.floor(elapsed + 0.5)
+    now = clock[NOW] + whole
+    if now > LAST_NS:
         return WRONG_TIME
-    set_clock(k, clock, now)
+    clock[NOW], clock[LATEST], clock[PART] = now, max(clock[LATEST], now), math.floor((elapsed - whole) * PARTS + 0.5)
     for channel in range(at.SPEED + 1, given.shape[0]):
         if not math.isnan(given[channel]):
-            feed(k, memory, carried, loads, belt_measured, channel, now, now, given[channel], out)
+            times = Times(memory.times[channel])  # what a call gives is new, also where no time has passed since the last one
+            stamp = max(now, times.last_stamp + 1) if times.seen else now
+            feed(k, memory, carried, loads, belt_measured, channel, stamp, now, given[channel], out)
     if math.isnan(given[at.SPEED]):
         return WAITED
     return outcome_of(clock, feed(k, memory, carried, loads, belt_measured, at.SPEED, now, now, given[at.SPEED], out))
@@ -85,12 +93,12 @@ def take_message(
     arrival: int, value: float, out: Array,
 ) -> int:  # fmt: skip
     """Process one message with its own stamp and its arrival [ns], as the live node does; see `step`."""
-    if not (-FARTHEST_NS < stamp < FARTHEST_NS and -FARTHEST_NS < arrival < FARTHEST_NS):
+    if not (FIRST_NS <= stamp <= LAST_NS and FIRST_NS <= arrival <= LAST_NS):
         return WRONG_TIME
-    set_clock(k, clock, arrival)
+    arrived(Motion(carried.motion), clock, arrival)
     if channel < 0 or channel >= memory.values.shape[0]:
         return WAITED
-    return outcome_of(clock, feed(k, memory, carried, loads, belt_measured, channel, stamp, arrival, value, out))
+    return outcome_of(clock, feed(k, memory, carried, loads, belt_measured, channel, stamp, clock[NOW], value, out))
 
 
 def feedforward_now(k: Constants, memory: Memory, motion: Array, latest: int) -> float:
@@ -98,7 +106,7 @@ def feedforward_now(k: Constants, memory: Memory, motion: Array, latest: int) ->
     if Times(memory.times[at.SPEED]).seen == 0 or Motion(motion).started <= 0.0:
         return 0.0
     fed, _, _ = fed_now(k, memory, motion, latest)
-    return fed * fade(age_of_speed(memory, latest), k.number.speed_max_age, k.number.feedforward_fade)
+    return fed * fade(age_of_speed(memory, latest), longest_age(k, memory), k.number.feedforward_fade)
 
 
 def reasons_now(k: Constants, memory: Memory, latest: int) -> int:
@@ -109,7 +117,7 @@ def reasons_now(k: Constants, memory: Memory, latest: int) -> int:
 
 def is_stale(k: Constants, memory: Memory, latest: int) -> bool:
     """Whether the last accepted speed is too old to be trusted, or there is none."""
-    return Times(memory.times[at.SPEED]).seen == 0 or age_of_speed(memory, latest) > k.number.speed_max_age
+    return Times(memory.times[at.SPEED]).seen == 0 or age_of_speed(memory, latest) > longest_age(k, memory)
 
 
 def rest_after(k: Constants, memory: Memory, carried: State, ambient: float, seconds: float) -> None:
@@ -119,7 +127,7 @@ def rest_after(k: Constants, memory: Memory, carried: State, ambient: float, sec
     """
     is_plausible = k.channel_limits[at.AMBIENT, 0] <= ambient <= k.channel_limits[at.AMBIENT, 1]
     there = ambient if is_plausible else math.nan
-    off = LONGEST_OFF if math.isnan(seconds) else min(max(seconds, 0.0), LONGEST_OFF)
+    off = LONGEST_STEP_S if math.isnan(seconds) else min(max(seconds, 0.0), LONGEST_STEP_S)
     if Motion(carried.motion).started > 0.0:
         rest(k, carried, there, k.number.ambient_unknown_std, off)
     forget_others(memory, -1)

@@ -13,6 +13,7 @@ from tempfile import TemporaryFile
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.files.file_sets import settle
 
 BAG_SUFFIX = ".mcap"
 PICTURE_SUFFIXES = (".png", ".svg")
@@ -34,6 +35,7 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
     Raises InputError otherwise; `where` names the argument.
     """
     file = checks.path(path, where)
+    _settled(file.parent, where)
     if not file.name.lower().endswith(tuple(suffixes)):
         raise InputError(where, str(file), f"a file name that ends in {', '.join(suffixes)}")
     if not file.parent.is_dir():
@@ -67,10 +69,19 @@ def output_folder(path: str | PathLike[str], where: str = "output", names: Itera
     if folder.exists() and not folder.is_dir():
         raise InputError(where, str(folder), "a folder; a file of that name exists")
     _try_to_write(folder, folder, where)
+    _settled(folder, where)
     for file in (folder / name for name in names):
         if file.exists() and not (file.is_file() and os.access(file, os.W_OK)):
             raise InputError(where, str(file), "a file that can be replaced", "remove it, or choose another folder")
     return folder
+
+
+def _settled(folder: Path, where: str) -> None:
+    """Make files whole that a killed process had replaced in part: what is read there before it is written is of one run."""
+    try:
+        settle(folder)
+    except OSError as error:
+        raise InputError(where, str(folder), f"a folder whose files are of one run: {error.strerror or error}") from error
 
 
 def _try_to_write(folder: Path, given: Path, where: str) -> None:

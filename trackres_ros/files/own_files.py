@@ -15,6 +15,8 @@ import stat
 import sys
 from pathlib import Path
 
+from trackres_ros.files.file_sets import Member, open_set, settle, write_new
+
 PART = ".part"
 OF_ALL, PRIVATE = 0o666, 0o600  # permissions of a new file, the first less the umask
 SEAL = hashlib.sha256
@@ -31,9 +33,12 @@ class NotOurFileError(OSError):
 def read(path: Path, most: int) -> bytes:
     """All bytes of a regular file of at most `most` bytes; never blocks.
 
+    Files that belong together and that a killed process had replaced in part are made whole first, see `file_sets`.
+
     Raises OSError if there is none, or it cannot be read; NotOurFileError if it is not a regular file, or larger.
     """
     try:
+        settle(Path(os.path.realpath(path)).parent)
         _check(path, path.stat(), most)  # before it is opened: to open a device may do something
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
             _check(path, os.fstat(file.fileno()), most)
@@ -53,7 +58,7 @@ def _check(path: Path, found: os.stat_result, most: int) -> None:
 
 
 def write(path: Path, data: bytes, private: bool = False) -> None:
-    """Write a temporary file in the same folder, flush it to the disk and move it in place.
+    """Write a temporary file in the same folder, flush it to the disk and move it in place; within a `file_set`, at its end.
 
     The permissions of an older file stay; a `private` file is for its owner alone. A symbolic link stays one: the file that it
     leads to is replaced.
@@ -70,20 +75,38 @@ def write(path: Path, data: bytes, private: bool = False) -> None:
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     place = Path(os.path.realpath(path))
+    exact = old is not None  # no umask narrows what was there
+    if (files := open_set()) is not None:
+        files.add(Member(place, data, mode, exact))
+        return
     part = place.with_name(f"{place.name}{secrets.token_hex(4)}{PART}")
     try:
-        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode), "wb") as file:
-            if old is not None:  # no umask narrows what was there
-                os.fchmod(file.fileno(), mode)
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
+        write_new(part, data, mode, exact)
         part.replace(place)
     except BaseException as error:
         part.unlink(missing_ok=True)
         if isinstance(error, OSError):  # not that of the temporary file, and a full disk names none
             error.filename = str(path)
         raise
+
+
+def put(part: Path, path: Path) -> None:
+    """Move a finished file from beside its place there; within a `file_set`, at its end. Raises OSError.
+
+    A symbolic link is replaced by the file.
+    """
+    if (files := open_set()) is None:
+        part.replace(path)
+    else:
+        files.add(Member(path.parent.resolve() / path.name, part.resolve()))
+
+
+def remove(path: Path) -> None:
+    """Remove a file, if it is there; within a `file_set`, at its end. Raises OSError."""
+    if (files := open_set()) is None:
+        path.unlink(missing_ok=True)
+    else:
+        files.add(Member(path.parent.resolve() / path.name, None))
 
 
 def sealed(name: str, payload: bytes) -> bytes:

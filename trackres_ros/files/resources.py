@@ -65,13 +65,13 @@ def cache_dir() -> Path | None:
 
 
 def _find(what: str, path_or_name: str | os.PathLike[str], shipped: dict[str, Path]) -> Path:
-    """The path if a file exists there, else the shipped file of that name."""
+    """The shipped file of a name, else the path: a file of that name in the current folder may have come with recordings."""
     allowed = f"the path of a {what} file, or one of {', '.join(shipped)}"
     path, name = checks.path(path_or_name, what, allowed), str(path_or_name)
-    if path.is_file():
-        return path
     if name in shipped:
         return shipped[name]
+    if path.is_file():
+        return path
     raise InputError(what, name, allowed, nearest(name, shipped))
 
 

@@ -4,7 +4,6 @@
 """Diagnoses each vehicle by month, on a few representative recordings, with the engine of the analysis."""
 
 import hashlib
-import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
@@ -18,8 +17,9 @@ import numpy as np
 
 from trackres_ros.engine.executor import done, engine, why
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.file_sets import file_set, settle
 from trackres_ros.files.jsons import parse_json
-from trackres_ros.files.own_files import PART, read
+from trackres_ros.files.own_files import read, remove, write
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.recordings import is_there
 from trackres_ros.fleet.task import NO_DAY, check_unchanged, fetched, may_pass
@@ -168,13 +168,13 @@ def _is_kept(folder: Path, period: Period) -> bool:
 
 
 def _put(folder: Path, period: Period, files: Mapping[str, bytes]) -> None:
-    """Write a report in a temporary folder, and move it in place."""
+    """Write the files of a report in place of all that are there."""
     place = folder / DIAGNOSES / period.place
-    part = place.with_name(place.name + PART)
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
-    for name, content in {**files, INPUTS: period.inputs.encode()}.items():
-        (part / name).parent.mkdir(parents=True, exist_ok=True)
-        (part / name).write_bytes(content)
-    shutil.rmtree(place, ignore_errors=True)
-    part.rename(place)
+    new = {place / name: content for name, content in {**files, INPUTS: period.inputs.encode()}.items()}
+    settle(place)
+    with file_set():
+        for path, content in new.items():
+            write(path, content)
+        for path in place.rglob("*"):
+            if path not in new and not path.is_dir():
+                remove(path)

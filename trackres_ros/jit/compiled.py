@@ -21,6 +21,7 @@ from typing import Any, TypeVar, cast, get_type_hints
 
 from trackres_ros.files.cache import usable
 from trackres_ros.files.resources import cache_dir
+from trackres_ros.files.settings_here import unread
 from trackres_ros.jit.code_cache import CodeCache
 
 COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/prepare", "diagnosis/base", "diagnosis/empirical")
@@ -36,7 +37,9 @@ sys.modules.setdefault("coverage", cast(Any, None))  # numba loads it where colc
 try:
     if os.environ.get("TRACKRES_INTERPRETED"):
         raise ImportError("left out on request")
-    import numba
+    with unread(".numba_config.yaml"):
+        import numba
+        import numba.core.config
     from llvmlite.binding import get_host_cpu_name, parse_assembly
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
@@ -47,6 +50,7 @@ except ImportError:
 else:
     HAVE_NUMBA = True
     _library = numba
+    numba.core.config._config_fname = os.devnull  # it is looked for again at each compilation
 
     _OF_CODE: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     _OF_PART = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}

@@ -37,14 +37,16 @@ from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
+from trackres_ros.node.speed_sources import SpeedSources
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
-from trackres_ros.node.watch import Watch
+from trackres_ros.node.watch import COMPANIONS, STARTING_NS, Watch, contested, two_speeds
 from trackres_ros.units import NANOSECOND, SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
-SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
+SPEED_IMPLAUSIBLE, LOAD_DOUBTED = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Reason.LOAD_DOUBTED)
 FED_NOW = interpreted(fed_now)  # as live also processes messages between two steps
+LOOK_NS = 200_000_000  # between two looks for other publishers of the feed-forward
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
 REASONS_KEPT_NS = 200_000_000  # a full check takes longer than publishing; an old speed and new reasons are handled at once
@@ -79,14 +81,19 @@ class Application:
         self.keeper = StateKeeper(*file, steady_ns=steady_ns)
         self.active = self._withdrawn = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self.on_published: Callable[[int, list[float], Reasons, int], None] | None = None  # stamp, numbers, reasons, time
         self.on_restored: Callable[[bytes, int], None] | None = None  # file of the state that the first speed found, arrival
         self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
         self.clock = NodeClock(transport, parameters.sim_time, steady_ns, self.guard)
         self._transport, self._sleep = transport, sleep
         reader = InputReader(self.inputs, self.estimator.channels, self.topics.bindings)
-        self.messages = MessageHandler(self.inputs, reader, self.clock, self.guard, self._step)
+        self.sources = SpeedSources(
+            self.estimator.constants.number.max_acceleration, lambda: self.estimator.settings.speed_max_age_s
+        )
+        self.messages = MessageHandler(self.inputs, reader, self.sources, self.clock, self.guard, self._step)
         self._publisher = OutputPublisher(self.outputs, self.estimator, transport)
+        self._publisher.on_estimate = self._keep_published
         self._service = ServiceManager()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
@@ -97,8 +104,18 @@ class Application:
         named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]
         self._watch = Watch(self.estimator, named)
         self._reasons_seen: tuple[int, bool, Reasons] | None = None  # time, whether the speed was old, reasons
+        self._peers: list[Sequence[Peer]] = [()] * len(self.inputs)
+        self._latched: set[int] = set()  # inputs that also receive what their publishers keep
+        self._rivals: Sequence[str] = ()
+        self._withheld = False
         now = steady_ns()
         self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
+        self._next_look_ns, self._started_ns = now, now
+
+    @property
+    def publishes(self) -> bool:
+        """Whether it is active, and no other publisher of the feed-forward was found before its own outputs were opened."""
+        return self.active and self._publisher.opened
 
     @property
     def _on_speed(self) -> bool:
@@ -143,7 +160,7 @@ class Application:
         if counters[channel, ACCEPTED] != before:
             self._watch.accepted_ns[channel] = steady - self._waited_ns(channel, arrival)
         elif counters[channel, IMPLAUSIBLE] != doubted:
-            self._show(SPEED_IMPLAUSIBLE)
+            self._show(SPEED_IMPLAUSIBLE if channel == at.SPEED else LOAD_DOUBTED)
         if estimate is not None:
             if restored and self.on_restored:
                 self.guard("recording", self.on_restored, restored, arrival)
@@ -172,12 +189,13 @@ class Application:
         stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
         set_ns = 0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival)
         published = stamp + set_ns
+        self._publisher.slow_max_age_s = float(self.session.motion[at.Motion.longest_age])
         self._publisher.take(values, published, steady, waited)
         offset = now - waited - published
         new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), offset)
         if new_reasons:
             self._reasons_seen = None
-        if self.active and self._on_speed:
+        if self.publishes and self._on_speed:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
             self.guard.essential("publishing", self._publish, self.clock.steady_ns())
         self._state_at = time.time() - waited * NANOSECOND
@@ -210,6 +228,12 @@ class Application:
         self._show(unfed)
         self._publisher.publish(steady, pace, self._reasons_or_fault, goal, target)
 
+    def _keep_published(self, stamp: int, numbers: list[float], reasons: Reasons) -> None:
+        if self.on_published:
+            steady = self.clock.steady_ns()
+            at_ns = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
+            self.guard("recording", self.on_published, stamp, numbers, reasons, at_ns)
+
     def _fed(self, steady: int, pace: int) -> tuple[float, float, int]:
         """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `between_steps.fed_now`."""
         arrival = self.clock.recorded_ns(steady, pace)
@@ -229,7 +253,7 @@ class Application:
 
     def _reasons(self, steady: int) -> Reasons:
         """All present notices, each name once."""
-        old = self._publisher.age_s(steady) > self.estimator.settings.speed_max_age_s
+        old = self._publisher.age_s(steady) > self._publisher.max_age_s
         seen = self._reasons_seen
         if seen is None or old is not seen[1] or not 0 <= steady - seen[0] < REASONS_KEPT_NS:
             hold = tuple({notice.name: notice.level for notice in self.notices(steady)}.items())
@@ -239,9 +263,10 @@ class Application:
     # Outputs
 
     def activate(self) -> None:
-        """Begin to publish. The estimate runs whether it is published or not."""
+        """Begin to publish, once nobody else publishes the feed-forward. The estimate runs whether it is published or not."""
         self._publisher.begin()
-        self.active, self._withdrawn, self._reasons_seen = True, False, None
+        self.active, self._withdrawn, self._withheld, self._reasons_seen = True, False, False, None
+        self.guard("looking for other publishers", self._look_around, self.clock.steady_ns())
 
     def deactivate(self, error: BaseException | None = None, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Ramp the feed-forward to zero at its rate limit, and stop publishing; log and report the fault behind it, if any.
@@ -257,7 +282,7 @@ class Application:
         self._publisher.withdraw(self.clock.steady_ns())
         self._publish_status(self.clock.steady_ns(), diagnostics=True)
         with suppress(Exception):
-            while self._publisher.stamp_ns is not None:
+            while self._publisher.opened and self._publisher.stamp_ns is not None:
                 self._publish(self.clock.steady_ns())
                 if self._publisher.feedforward == 0.0:
                     break
@@ -272,9 +297,13 @@ class Application:
         It never raises: a part that fails is named on the status, and the others run.
         """
         steady = self.clock.steady_ns()
-        age_s, max_age_s = self._publisher.age_s(steady), self.estimator.settings.speed_max_age_s
+        age_s, max_age_s = self._publisher.age_s(steady), self._publisher.max_age_s
         turned_old = self.guard("watching the age of the speed", self._watch.look_at_age, age_s, max_age_s)
         self.guard.essential("taking late messages", self.messages.handle_late, steady)
+        if steady >= self._next_look_ns:
+            self._next_look_ns = steady + LOOK_NS
+            self.guard("looking for other publishers", self._look_around, steady)
+        self.guard("withholding the feed-forward", self._withhold, steady)
         self.guard.essential("publishing", self._publish_due, steady)
         if steady >= self._next_second_ns:
             self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
@@ -284,13 +313,47 @@ class Application:
         self.guard("saving the state", self._save_due, steady)
         self.guard("the service manager", self._service.alive, self._publisher.sent, self.active, steady)
 
+    def _look_around(self, steady: int) -> None:
+        """Open the outputs where nobody else publishes the feed-forward; receive what publishers keep, soon after the start."""
+        rivals = self._transport.rivals()
+        if self.active and not self._publisher.opened and rivals is not None and not rivals:
+            self._transport.open_outputs()
+            self._publisher.opened = True
+        if rivals is not None and set(rivals) != set(self._rivals):
+            self._rivals, self._reasons_seen = tuple(dict.fromkeys(rivals)), None
+        if steady - self._started_ns < STARTING_NS:
+            for index, given in enumerate(self.inputs):
+                if given.stands and index not in self._latched:
+                    self._latch(index, self._transport.peers(index))
+
+    def _latch(self, index: int, peers: Sequence[Peer]) -> None:
+        """Receive what publishers of an input keep, if one does. Others would warn of a subscriber that asks for too much."""
+        if any(peer.latched and peer.type == self.inputs[index].type and peer.defines_alike for peer in peers):
+            self._transport.latch(index)
+            self._latched.add(index)
+
+    def _withhold(self, steady: int) -> None:
+        """Let the feed-forward go to zero while another gives the torque or the speed too, or there is no time."""
+        now = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
+        withheld = bool(self._rivals or self.sources.disagreeing(now) or self._clock_is_bad(steady))
+        if withheld is self._withheld:
+            return
+        self._withheld, self._reasons_seen = withheld, None
+        if not self._withdrawn:
+            self._publisher.withdraw(steady if withheld else None)
+        if self.active:
+            self._publish_status(self.clock.steady_ns())
+
+    def _clock_is_bad(self, steady: int) -> bool:
+        return self.clock.simulated and self.clock.now_ns(steady) == 0
+
     def _publish_due(self, steady: int) -> None:
         early_ns = 0 if self._on_speed else int(0.5 * self.period_s * SECOND_NS)
-        if self.active and steady >= self._next_output_ns - early_ns:
+        if self.publishes and steady >= self._next_output_ns - early_ns:
             between_ns = int(self._between_outputs_s * SECOND_NS)
             self._next_output_ns = max(self._next_output_ns + between_ns, steady)
             self._publish(steady)
-        elif self.active and self._between_outputs_s > LONGEST_PERIOD_S and self._has_to_fall(steady):
+        elif self.publishes and self._between_outputs_s > LONGEST_PERIOD_S and self._has_to_fall(steady):
             self._publish(steady)
 
     def _has_to_fall(self, steady: int) -> bool:
@@ -318,15 +381,31 @@ class Application:
             self._go_on_with(Estimator(self.vehicle, self.estimator.settings, entries=compiled))
 
     def _look(self, steady: int) -> None:
-        peers: list[Sequence[Peer]] = [()] * len(self.inputs)
+        self._peers = [()] * len(self.inputs)
         self.messages.misread = ()
         try:
-            peers = [self._transport.peers(i) for i in range(len(self.inputs))]
-            self.messages.misread = [i for i, found in enumerate(peers) if any(peer.misread for peer in found)]
+            self._peers = [self._transport.peers(i) for i in range(len(self.inputs))]
+            self._look_at_peers()
         finally:  # rates and refusals are of interest without peers too
             arrival = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
-            self._watch.every_second(self.session, self.messages.reader, peers, steady, arrival)
+            self._watch.every_second(self.session, self.messages.reader, self._peers, steady, arrival)
             self._reasons_seen = None
+
+    def _look_at_peers(self) -> None:
+        """Treat each input as its present publishers require."""
+        self.messages.misread = [i for i, found in enumerate(self._peers) if any(peer.misread for peer in found)]
+        several = {}
+        for index, (given, found) in enumerate(zip(self.inputs, self._peers, strict=True)):
+            sending = [peer for peer in found if peer.compatible and peer.type == given.type]
+            several[index] = len(sending) > 1
+            if "speed" in given.roles:
+                self.sources.mixed = several[index] and any(not peer.source for peer in sending)
+            if not given.stands:
+                continue
+            if index not in self._latched:
+                self._latch(index, found)
+            self.messages.repeat(index, {peer.source for peer in sending if peer.latched})
+        self.messages.mixed = [index for index, more in several.items() if more]
 
     def _log_notices(self, steady: int) -> None:
         notices = self.notices(steady)
@@ -364,11 +443,19 @@ class Application:
         return sorted(found, key=lambda notice: -notice.level)
 
     def _watched(self, steady: int) -> list[Notice]:
-        return self._watch.notices(
+        found = self._watch.notices(
             age_s=self._publisher.age_s(steady),
-            max_age_s=self.estimator.settings.speed_max_age_s,
-            clock_runs=not self.clock.simulated or self.clock.now_ns(steady) > 0,
+            max_age_s=self._publisher.max_age_s,
+            period_s=int(self.session.memory.times[at.SPEED, at.Times.period]) * NANOSECOND,
+            no_clock=self.clock.lack if self._clock_is_bad(steady) else "",
         )
+        if self._rivals:
+            found.append(contested(self._rivals, self._publisher.opened))
+        both = self.sources.disagreeing(self.clock.recorded_ns(steady, self.clock.pace_ns(steady)))
+        if both:
+            index = next(index for index, given in enumerate(self.inputs) if "speed" in given.roles)
+            found.append(two_speeds(self._topic_names[index], both, self._peers[index]))
+        return found
 
     def _compiling(self) -> list[Notice]:
         if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
@@ -406,7 +493,7 @@ class Application:
     def reset(self) -> str:
         """Start cold, with belts at the ambient temperature; inputs stay. Return a text for the log."""
         age_s = self._publisher.age_s(self.clock.steady_ns())
-        self.session.start_cold(driving=age_s <= self.estimator.settings.speed_max_age_s)
+        self.session.start_cold(driving=age_s <= self._publisher.max_age_s)
         self._forget()
         text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
@@ -444,19 +531,21 @@ class Application:
         self.messages.close()
         self.guard("ending the compiler", self._warm_up.close)
         self.guard("the log", self._log_counts)
-        if self.keeper.path is None:
-            return "no state is saved"
         try:
-            return self.save_state(SAVING_AT_THE_END_S)
+            return self.save_state(SAVING_AT_THE_END_S) if self.keeper.path else "no state is saved"
         except InputError as error:
             return str(error)
         except BaseException as error:  # whatever fails, it is to end
             return f"the state is not saved because of a bug: {type(error).__name__}: {error}"
+        finally:
+            self.guard("saving the state", self.keeper.close)
 
     def _log_counts(self) -> None:
         reader, channels = self.messages.reader, self.estimator.channels
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         others = {"bad_stamp": reader.bad_stamp, "without_other_part": reader.alone(), "absent": reader.absent}
+        others |= dict(zip(COMPANIONS, map(list, zip(*reader.dropped_by_companions(), strict=True)), strict=True))
+        others["unused"] = reader.unused
         for kind, counts in others.items():
             counted += [f"{name} {kind} {n}" for name, n in zip(channels, counts, strict=True) if n]
         counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, reader.dropped, strict=True) if n]

@@ -13,6 +13,7 @@ from trackres_ros.node.parameters import Parameters
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.companions import DIRECTION
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.recording.sums import Reading, readings_of
 from trackres_ros.vehicle import AnyVehicle
@@ -23,16 +24,22 @@ DIAGNOSTICS = OutputTopic(
     "status",
     "once a second: the estimate, each input, the comparison with a measured torque, the disturbance, the state file",
 )
+STANDING = frozenset({"load", "ambient", "passengers"})
+"""Roles of states that change rarely. A speed or an enable is never latched: that it keeps coming is what makes it valid."""
+TORQUES = ("feedforward_torque", "feedforward_torque_nm", ESTIMATE_TOPIC.name)
+"""Outputs that a controller may add to its own torque: one publisher each."""
+DISCOVERY_NS = 1_000_000_000  # assumed: a participant has found the others by then; one found later withdraws both torques
 WIRE_DEPTH = 5000  # enough for a few seconds' delay of this process at 1 kHz: a middleware drops messages silently
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """Quality of service of an endpoint; history is keep-last, durability volatile. A deadline of 0 s is none."""
+    """Quality of service of an endpoint; history is keep-last. A deadline of 0 s is none."""
 
     reliable: bool
     depth: int
     deadline_s: float
+    latched: bool = False  # transient local, else volatile
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +51,22 @@ class InputTopic:
     roles: tuple[str, ...]
     bindings: tuple[TopicBinding, ...]  # the field for each role
     parts: tuple[int | None, ...]  # for a role that is a sum, the field's place among its parts; else None
+    validities: frozenset[int] = frozenset()  # places of fields that only say whether the role's other field counts
+
+    @property
+    def valued(self) -> tuple[str, ...]:
+        """The roles that a field has a value of, each once."""
+        return tuple(dict.fromkeys(role for place, role in enumerate(self.roles) if place not in self.validities))
 
     @property
     def role_names(self) -> str:
         """For messages: each role once."""
         return ", ".join(dict.fromkeys(self.roles))
+
+    @property
+    def stands(self) -> bool:
+        """Whether its last message stands until the next one, so that it may be published once and latched."""
+        return all(base_role(role) in STANDING for role in self.roles)
 
 
 def input_topics(topics: Topics, on_route: bool = False, channels: Collection[str] = CHANNELS) -> tuple[InputTopic, ...]:
@@ -61,11 +79,11 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
     needed = [
         role
         for role in topics
-        if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS)
+        if (role in channels if base_role(role) == WHEELS else base_role(role) in (*CHANNELS, DIRECTION))
         and (on_route or role not in POSITION)
         and ("torque" in topics or role not in GROUND)
     ]
-    return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
+    return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.valued))
 
 
 def without_effect(topics: Topics, channels: Collection[str], belts: bool) -> list[str]:
@@ -89,18 +107,24 @@ def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
     for reading in readings_of(sorted(roles, key=lambda role: role == "speed"), topics.bindings):
         by_name.setdefault((reading.binding.topic, reading.binding.type), []).append(reading)
     return [
-        InputTopic(name, kind, tuple(one.role for one in fed), tuple(one.binding for one in fed), tuple(one.part for one in fed))
+        InputTopic(
+            name,
+            kind,
+            tuple(one.role for one in fed),
+            tuple(one.binding for one in fed),
+            tuple(one.part for one in fed),
+            frozenset(place for place, one in enumerate(fed) if one.is_valid),
+        )
         for (name, kind), fed in by_name.items()
     ]
 
 
 def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
     """All topics to publish, most urgent first; the residual and learned values only with a measured torque."""
-    feedforward, number, *others = output_topics(vehicle)
     measured = "torque" in topics
-    given = (topic for topic in others if topic.name != "torque_residual" or measured)
+    given = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or measured)
     learned = (PARAMETERS_TOPIC,) if measured else ()
-    return (feedforward, number, ESTIMATE_TOPIC, *given, *learned, DIAGNOSTICS)
+    return (*given, *learned, DIAGNOSTICS)
 
 
 def input_quality(parameters: Parameters) -> Quality:
@@ -110,6 +134,11 @@ def input_quality(parameters: Parameters) -> Quality:
         max(parameters.count("input_depth"), WIRE_DEPTH),
         parameters.number("input_deadline_s"),
     )
+
+
+def latched_quality(parameters: Parameters) -> Quality:
+    """Quality of service of the second endpoint of an input, for what its publishers keep: these are reliable."""
+    return Quality(True, input_quality(parameters).depth, 0.0, latched=True)
 
 
 def output_quality(parameters: Parameters, topic: OutputTopic) -> Quality:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
@@ -17,11 +18,14 @@ from trackres_ros.node.clock import SET_NS
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import is_usable, stamp_ns
 from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.sums import Sum
+from trackres_ros.recording.companions import DIRECTION, Companions, Dropped
+from trackres_ros.recording.sums import Reading, Sum, readings_of
 
 TOGETHER = frozenset({at.SPEED, at.TORQUE, at.SPECIFIC_FORCE, at.LATITUDE, at.LONGITUDE})  # channels whose stamps are compared
 Sample = tuple[int, int, float]
 """Channel, stamp [ns] and value."""
+NO_CHANNEL = -1
+"""In place of a channel: a direction is in the sign of the speed."""
 
 
 class InputReader:
@@ -36,14 +40,23 @@ class InputReader:
         self.absent = [0] * len(channels)
         self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
+        self.unused = [0] * len(channels)  # samples of another publisher than the one in use
         self.stamped: dict[int, int] = {}  # how far the clock was set [ns] at the last stamp of a channel in `TOGETHER`
         self.sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._channels = channels
+        every = [
+            Reading(role, part, b, place in i.validities)
+            for i in inputs
+            for place, (role, b, part) in enumerate(zip(i.roles, i.bindings, i.parts, strict=True))
+        ]
+        wanted = dict.fromkeys(one.role for one in every)
+        self.companions = Companions(readings_of(tuple(wanted), bindings), bindings)
         self._readers = [
             [
-                (_channel(role, channels), _getter(b), b.stamp != "log", b, self.sums.get(role), part)
-                for role, b, part in zip(i.roles, i.bindings, i.parts, strict=True)
+                (_channel(one.role, channels), _getter(one.binding), one, self.sums.get(one.role))
+                for one in itertools.islice(rest, len(i.roles))
             ]
+            for rest in [iter(every)]
             for i in inputs
         ]
 
@@ -64,10 +77,12 @@ class InputReader:
         self.received[index] += 1
         found = []
         absent, bad_stamp = set[int](), set[int]()  # channels: a sum has several parts in a message
-        for (channel, _, by_header, binding, total, part), value in zip(self._readers[index], values, strict=True):
+        for (channel, _, one, total), value in zip(self._readers[index], values, strict=True):
+            binding, by_header = one.binding, one.binding.stamp != "log"
             if isinstance(value, str):
                 absent.add(channel)
-                self.lacks[channel] = f"{binding.field}: {value}"
+                if channel != NO_CHANNEL:
+                    self.lacks[channel] = f"{binding.field}: {value}"
                 continue
             if by_header and stamp_ns and channel in TOGETHER:
                 self.stamped[channel] = set_ns
@@ -77,15 +92,24 @@ class InputReader:
             stamp = binding.less_delay(stamp_ns if given and stamp_ns is not None else came_ns)
             if not is_usable(stamp):
                 bad_stamp.add(channel)
-            elif total is None or part is None:
-                found.append((channel, stamp, float(binding.meant(np.asarray(value))) if binding.values else value))
-            else:
-                found += [(channel, *sample) for sample in total.add(part, stamp, came_ns, value)]
-        for channel in absent:
+                continue
+            value = float(binding.meant(np.asarray(value))) if binding.has_modes else value
+            if not self.companions.valid(one, arrival_ns, value):
+                continue
+            whole = [(stamp, value)] if total is None or one.part is None else total.add(one.part, stamp, came_ns, value)
+            signed = [(at_ns, self.companions.signed(one.role, arrival_ns, number)) for at_ns, number in whole]
+            found += [(channel, at_ns, number) for at_ns, number in signed if number is not None and channel != NO_CHANNEL]
+        for channel in absent - {NO_CHANNEL}:
             self.absent[channel] += 1
-        for channel in bad_stamp:
+        for channel in bad_stamp - {NO_CHANNEL}:
             self.bad_stamp[channel] += 1
         return found
+
+    def dropped_by_companions(self) -> list[list[int]]:
+        """Values of each channel that are not valid, and speeds without a known direction."""
+        none = Dropped()
+        each = (self.companions.dropped.get(role, none) for role in self._channels)
+        return [[one.invalid, one.no_direction] for one in each]
 
     def alone(self) -> list[int]:
         """Messages of each channel that gave no sum, as another part is missing."""
@@ -93,6 +117,8 @@ class InputReader:
 
 
 def _channel(role: str, channels: Sequence[str]) -> int:
+    if role == DIRECTION:
+        return NO_CHANNEL
     if role not in channels:
         raise at.not_of_vehicle(role, channels)
     return channels.index(role)

@@ -46,7 +46,16 @@ LIVE_KINDS = {
     "INACTIVE": NoticeKind(
         Level.STALE, "the node is deactivated, or ends by request: the feed-forward goes to zero, then nothing is published"
     ),
-    "NO_CLOCK": NoticeKind(Level.STALE, "`use_sim_time` is set and no /clock message has arrived", awaited=True),
+    "NO_CLOCK": NoticeKind(
+        Level.STALE, "`use_sim_time` is set and no /clock message has arrived, or it shows a time before 0", awaited=True
+    ),
+    "TWO_SPEEDS": NoticeKind(
+        Level.STALE, "publishers of the speed disagree: none is used, and the feed-forward goes to zero; the text names them"
+    ),
+    "TORQUE_CONTESTED": NoticeKind(
+        Level.STALE,
+        "another node publishes on a topic of the feed-forward: ours goes to zero, or was never begun; the text names the node",
+    ),
     "INTERNAL_ERROR": NoticeKind(
         Level.ERROR,
         "a bug made a message, a step or an output fail (details in the log): do not use the estimate",
@@ -72,7 +81,14 @@ LIVE_KINDS = {
         "a publisher's quality of service is below what the input requests, or without ROS its definition of the type differs; "
         "it never connects",
     ),
-    "SEVERAL_PUBLISHERS": NoticeKind(Level.WARN, "more than one publisher on the topic of an input: their values are mixed"),
+    "NOT_LATCHED": NoticeKind(
+        Level.WARN,
+        "a publisher of load, ambient or passengers has sent nothing since the start, and keeps nothing for those who join later",
+    ),
+    "SEVERAL_PUBLISHERS": NoticeKind(
+        Level.WARN,
+        "more than one publisher on the topic of an input; of a speed one is used at a time, of others all, by their arrival",
+    ),
     "CLOCK_OFFSET": NoticeKind(Level.WARN, "the stamps of the speed differ from this machine's time by more than a second"),
     "MISMATCH": NoticeKind(Level.WARN, "measured and expected torque differ by more than the estimate's uncertainty"),
     "DISTURBANCE": NoticeKind(
@@ -83,6 +99,9 @@ LIVE_KINDS = {
     ),
     "STATE_NOT_SAVED": NoticeKind(
         Level.WARN, "the state file could not be written: a restart would use an older state or start cold"
+    ),
+    "STATE_SHARED": NoticeKind(
+        Level.WARN, "another running node has this state file: this one does not write it until that one has ended"
     ),
     "STATE_NOT_USED": NoticeKind(
         Level.OK, "the state file could not be used: cold start; its text says where the file is kept", of_start=True

@@ -29,7 +29,7 @@ from trackres_ros.learning.learner import Learner
 from trackres_ros.node.endpoints import InputTopic, input_name
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.record_files import RecordingFiles, RecordLimits
-from trackres_ros.node.transport import LAST_NS
+from trackres_ros.node.transport import LAST_NS, Reasons
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.plots import estimate_figure
@@ -62,9 +62,11 @@ class Recorded(NamedTuple):
         return (*self.estimator.columns, *(() if self.learner is None else column_names(self.learner.learnables)))
 
 
-Item = tuple[int, bytes | list[float], int, int, Recorded]
-"""Topic (or `ESTIMATE`, `RESTORED`), message, row or file, stamp and arrival [ns], and what they belong to."""
-ESTIMATE, RESTORED = -1, -2
+Published = tuple[list[float], Reasons]
+"""Numbers and reasons of a message of `~/estimate`."""
+Item = tuple[int, bytes | list[float] | Published, int, int, Recorded]
+"""Topic (or `ESTIMATE`, `RESTORED`, `PUBLISHED`), message, row or file, stamp and arrival [ns], and what they belong to."""
+ESTIMATE, RESTORED, PUBLISHED = -1, -2, -3
 
 
 class Recorder:
@@ -125,6 +127,7 @@ class Recorder:
             self._answered_ns = time.monotonic_ns()
             self._thread.start()
         application.on_estimate, application.on_restored = self._take, self._start_from
+        application.on_published = self._take_published
         application.recording_notices = self.notices
         return [
             f"{path} is unfinished but readable; repair it with: trackres recover {shlex.quote(str(path))} -o FILE"
@@ -182,12 +185,15 @@ class Recorder:
     def _take(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
         self._wait((ESTIMATE, row, stamp_ns, arrival_ns, self._now))
 
+    def _take_published(self, stamp_ns: int, numbers: list[float], reasons: Reasons, at_ns: int) -> None:
+        self._wait((PUBLISHED, (numbers, reasons), stamp_ns, at_ns, self._now))
+
     def _start_from(self, state: bytes, arrival_ns: int) -> None:
         self._wait((RESTORED, state, 0, arrival_ns, self._now))
 
     def _wait(self, item: Item) -> None:
         if self._put - self._taken > MOST_WAITING_BYTES:
-            self._dropped[item[0] == ESTIMATE] += 1
+            self._dropped[item[0] in (ESTIMATE, PUBLISHED)] += 1
             self._dropped_ns = time.monotonic_ns()
             return
         self._put += _size(item)
@@ -231,7 +237,7 @@ class Recorder:
         rounds: list[list[Item]] = [[]]
         of = self._of
         for item in self._drain():
-            if item[0] != RESTORED:
+            if item[0] not in (RESTORED, PUBLISHED):
                 self._given_out[item[0] == ESTIMATE] += 1
             if item[4] is not of or 0 < item[3] < self._latest_ns - of.jump_ns:  # a simulated clock went back
                 rounds.append([])
@@ -257,9 +263,11 @@ class Recorder:
             self._open()
         assert self._bag
         first_ns = next((item[3] for item in items if item[3] > 0), 0)
-        rows, states = [], list[bytes]()
+        rows, states, published = [], list[bytes](), []
         for index, content, stamp_ns, arrival_ns, _ in items:
-            if not isinstance(content, bytes):
+            if isinstance(content, tuple):
+                published.append((*content, stamp_ns, arrival_ns if arrival_ns > 0 else first_ns))
+            elif not isinstance(content, bytes):
                 rows.append((content, stamp_ns, arrival_ns))
             elif index == RESTORED:
                 states.append(content)
@@ -272,6 +280,8 @@ class Recorder:
             steps = Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), np.array(values))
             self._unseen.append(steps)
             self._bag.write(steps)
+        if published:
+            self._bag.write_published(published)
         self._bag.writer.flush()
         for state in states:
             begun = start_of(self._bag.writer.part)
@@ -296,7 +306,7 @@ class Recorder:
         self._files.make_room()
         path, self._part = self._files.next()
         _remove_start(self._part)  # of one that was removed or repaired
-        bag = OutputBag(path, self._of.estimator, self._of.learner, self._part)
+        bag = OutputBag(path, self._of.estimator, self._of.learner, self._part, live=True)
         bag.__enter__()
         self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._of.given]
         self._bag, self._began_ns = bag, 0
@@ -352,6 +362,8 @@ def _remove_start(bag: Path) -> bool:
 
 def _size(item: Item) -> int:
     content = item[1]
+    if isinstance(content, tuple):
+        content = content[0]
     return BYTES_BESIDES + (len(content) if isinstance(content, bytes) else BYTES_PER_NUMBER * len(content))
 
 

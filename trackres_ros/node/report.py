@@ -48,6 +48,8 @@ INPUT_KEYS = {
     "zero_stamp, gap, clock_jump, reset": "remarks on accepted messages so far",
     "absent": "messages without the element, so far",
     "without_other_part": "messages that gave no sum so far, as another part of it is missing",
+    "invalid, without_direction": "values so far that another channel calls invalid, and speeds without a known direction",
+    "unused": "speeds so far of another publisher than the one in use, or while publishers disagree; in no other counter",
     "dropped": "messages of the topic so far that were dropped because they arrived too fast; in no other counter",
 }
 COMPARISON_KEYS = {

@@ -33,6 +33,7 @@ from trackres_ros.estimator.snapshot import (
     set_aside,
 )
 from trackres_ros.files import own_files
+from trackres_ros.files.file_lock import FileLock
 from trackres_ros.node.background import Background
 from trackres_ros.node.clock import steady_ns
 from trackres_ros.node.live_learning import LiveLearning
@@ -68,6 +69,12 @@ def state_name(node: str, namespace: str, vehicle: str) -> str:
     return f"{readable}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]}.json"
 
 
+def lock_of(path: Path) -> Path:
+    """The file that locks a state file, by whatever name it is reached."""
+    there = Path(os.path.realpath(path))
+    return there.with_name(f".{there.name}.lock")
+
+
 class StateKeeper:
     """One state file. Times are the machine's: the belt cools while the machine is off, whatever time is simulated."""
 
@@ -79,6 +86,8 @@ class StateKeeper:
         self.unused = ""  # why the state file that was there could not be used
         self._aside: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
         self._taken: Path | None = None  # copy that this start went on with; it goes once a later state is saved
+        self._lock = FileLock(lock_of(path)) if path else None
+        self.shared_with = ""  # another process that keeps its state in this file
         self._writer = Background("state")
         self._began_ns = 0
 
@@ -90,8 +99,9 @@ class StateKeeper:
         if self.path is None:
             return estimator.session(), f"no state is saved{self.error and f' ({self.error})'}: cold start"
         try:
-            for part in leftovers(self.path):
-                part.unlink(missing_ok=True)
+            if self.path.parent.exists() and self._has_lock():
+                for part in leftovers(self.path):
+                    part.unlink(missing_ok=True)
             if not self.path.exists():
                 return estimator.session(), f"no state file {self.path} yet: cold start"
         except (OSError, ValueError) as error:
@@ -152,9 +162,26 @@ class StateKeeper:
         elif self.error:
             where = f" in {self.path}" if self.path else ""
             found.append(Notice("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.error}"))
+        if self.shared_with:
+            text = f"{self.shared_with} keeps its state in {self.path} too: it is not written until that one has ended"
+            found.append(Notice("STATE_SHARED", f"{text}; give each node a name or a state_file of its own"))
         if self.unused:
             found.append(Notice("STATE_NOT_USED", self.unused))
         return found
+
+    def _has_lock(self) -> bool:
+        """Whether no other node has the file; where no lock can be made, saving will tell why."""
+        assert self._lock is not None
+        try:
+            self.shared_with = self._lock.take()
+        except OSError:
+            self.shared_with = ""
+        return not self.shared_with
+
+    def close(self) -> None:
+        """Leave the file to others, once it is written."""
+        if self._lock is not None and not self._writer.busy:
+            self._lock.release()
 
     def save_soon(self, session: Session, state_at: float, learning: LiveLearning) -> None:
         """Save in the background, without holding up the outputs; not while the last one is still being written.
@@ -194,6 +221,9 @@ class StateKeeper:
     def _write(self, data: bytes, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if not self._has_lock():
+                self.error = f"it is in use by {self.shared_with}"
+                return
             if self._aside is not None:
                 with suppress(FileNotFoundError):
                     set_aside(path, self._aside)

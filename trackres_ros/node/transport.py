@@ -48,6 +48,14 @@ class Peer:
     type: str  # ``package/msg/Name``
     compatible: bool  # whether it fits the input; otherwise it never connects
     defines_alike: bool = True  # False if it announces another definition of the type than ours
+    node: str = ""  # full name of its node; empty where the graph does not know it
+    source: int = 0  # as in `MessageHandler.receive`; 0 where the middleware does not tell publishers apart
+    latched: bool = False  # keeps its last messages for those who join later: transient local and reliable
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return self.node or "a publisher without a node name"
 
     @property
     def misread(self) -> bool:
@@ -83,6 +91,18 @@ class Transport(Protocol):
 
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers that are there now on the topic of an input, whatever their type and quality of service."""
+
+    def latch(self, index: int) -> None:
+        """From now on receive also what the publishers of an input keep for those who join later, marked as latched."""
+
+    def rivals(self) -> Sequence[str] | None:
+        """Names of the nodes of other publishers on our topics with the feed-forward.
+
+        None while a publisher that is there may not have been discovered yet.
+        """
+
+    def open_outputs(self) -> None:
+        """Open the topics below the node's own name; others see it as a publisher of the feed-forward from then on."""
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
         """Pass the bytes of every message too: of an input with its values, of other topics to `MessageHandler.keep`.

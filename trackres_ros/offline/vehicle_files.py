@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_vehicles
 from trackres_ros.files.yamls import read_yaml
@@ -42,6 +43,7 @@ def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
     return table(rows, ("name", "description", "runs on"), numbers=False)
 
 
+@file_set()
 def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
     """Write a copy of a shipped vehicle under another name, with the files it needs, as a template; return all their paths.
 
@@ -65,7 +67,6 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
         if place != rubber:
             document.set(("rubber", "file"), place)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         write(target, (document.text() or document.plain()).encode())
     except OSError as error:
         raise InputError("-o", f"{folder}: {error.strerror or error}", "a writable folder") from error

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes results as topics of an MCAP file: those of the live node, except `estimate`, `parameters` and diagnostics."""
+"""Writes results as topics of an MCAP file: those of the live node, except diagnostics."""
 
 from __future__ import annotations
 
@@ -13,13 +13,26 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import lines
 from trackres_ros.learning.learner import Learner
 from trackres_ros.output.mcap import BagTopic, BagWriter
-from trackres_ros.output.topics import BASE_FRAME, DEFAULT_NODE, PARAMETERS_TOPIC, OutputTopic, output_topics, values_of
+from trackres_ros.output.topics import (
+    BASE_FRAME,
+    DEFAULT_NODE,
+    ESTIMATE_TOPIC,
+    PARAMETERS_TOPIC,
+    REASONS_GROUP,
+    VEHICLE_GROUP,
+    OutputTopic,
+    output_topics,
+    reasons_of,
+    values_of,
+)
+from trackres_ros.recording.cdr import Template
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -32,12 +45,19 @@ Values = Iterable[tuple[str, str]]
 
 
 class OutputBag:
-    """Writes blocks of results; the file is put in place when the `with` block ends well. See `BagWriter` for `part`."""
+    """Writes blocks of results; the file is put in place when the `with` block ends well. See `BagWriter` for `part`.
 
-    def __init__(self, path: Path, estimator: Estimator, learner: Learner | None = None, part: Path | None = None) -> None:
+    Of a `live` node the estimates come from `write_published`, as they left; else each step makes one.
+    """
+
+    def __init__(
+        self, path: Path, estimator: Estimator, learner: Learner | None = None, part: Path | None = None, live: bool = False
+    ) -> None:
+        self._live = live
         self.path, self.writer = path, BagWriter(path, part=part)
         self._estimator, self._learner = estimator, learner
         self._topics: list[tuple[OutputTopic, BagTopic]] = []
+        self._templates: dict[tuple[tuple[str, int], ...], Template] = {}  # of estimates, by their reasons
         self._last_reasons: int | None = None
         self._last_status_ns = self._last_learned_ns = 0
 
@@ -47,7 +67,7 @@ class OutputBag:
         parameters = () if self._learner is None else (PARAMETERS_TOPIC,)
         for topic in (*output_topics(self._estimator.vehicle), *parameters):
             given: tuple[Any, Sequence[str]] = (None, ())
-            if topic.kind != "status":
+            if topic.kind not in ("status", "estimate"):
                 given = template_message(topic, self.writer.typestore, BASE_FRAME), number_fields(topic)
             self._topics.append((topic, self.writer.topic(f"/{DEFAULT_NODE}/{topic.name}", topic.type, *given)))
         return self
@@ -70,9 +90,47 @@ class OutputBag:
             if topic.kind == "status":
                 self._write_status(bag_topic, steps)
                 continue
+            if topic.kind == "estimate":
+                if not self._live:
+                    self._write_steps(topic, bag_topic, steps)
+                continue
             values = values_of(topic, steps.rows, self._estimator.column_index)
             known = np.isfinite(values).all(axis=1)
             self.writer.write_block(bag_topic, steps.stamp_ns[known], steps.arrival_ns[known], values[known])
+
+    def write_published(self, published: Sequence[tuple[Sequence[float], Sequence[tuple[str, int]], int, int]]) -> None:
+        """Write estimates as the node published them: numbers and reasons of each, its stamp, and when it left [ns]."""
+        topic, bag_topic = next(pair for pair in self._topics if pair[0] is ESTIMATE_TOPIC)
+        numbers, reasons, stamps, left_ns = zip(*published, strict=True)
+        times = np.array(stamps, dtype=np.int64), np.array(left_ns, dtype=np.int64)
+        for named in dict.fromkeys(reasons):
+            rows = np.array([of == named for of in reasons])
+            self._write_estimates(topic, bag_topic, named, times[0][rows], times[1][rows], np.array(numbers)[rows])
+
+    def _write_steps(self, topic: OutputTopic, bag_topic: BagTopic, steps: Steps) -> None:
+        """Estimates of steps under their own reasons."""
+        values = values_of(topic, steps.rows, self._estimator.column_index)
+        known = np.isfinite(values).all(axis=1)
+        reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
+        for of in np.unique(reasons[known]).tolist():
+            rows = known & (reasons == of)
+            self._write_estimates(topic, bag_topic, reasons_of(of), steps.stamp_ns[rows], steps.arrival_ns[rows], values[rows])
+
+    def _write_estimates(
+        self,
+        topic: OutputTopic,
+        bag_topic: BagTopic,
+        reasons: Sequence[tuple[str, int]],
+        stamp_ns: NDArray[np.int64],
+        log_ns: NDArray[np.int64],
+        values: Array,
+    ) -> None:
+        """Estimates that have the same reasons."""
+        key = tuple(reasons)
+        if key not in self._templates:
+            message = estimate_message(self.writer.typestore, BASE_FRAME, key)
+            self._templates[key] = self.writer.template(bag_topic, message, number_fields(topic))
+        self.writer.write_block(bag_topic, stamp_ns, log_ns, values, self._templates[key])
 
     def _write_status(self, topic: BagTopic, steps: Steps) -> None:
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
@@ -112,6 +170,8 @@ class OutputBag:
 
 def number_fields(topic: OutputTopic) -> Sequence[str]:
     """Paths of the numbers of a topic in its message."""
+    if topic.kind == "estimate":
+        return tuple(f"interface_values[0].values[{i}]" for i in range(len(topic.names)))
     return FIELDS.get(topic.kind, tuple(f"effort[{i}]" for i in range(len(topic.names))))
 
 
@@ -126,6 +186,18 @@ def diagnostic_array(
         for level, name, text, hardware, of in statuses
     ]
     return types[DIAGNOSTICS](header=header(typestore, frame_id, stamp_ns), status=listed)
+
+
+def estimate_message(typestore: Typestore, frame_id: str, reasons: Sequence[tuple[str, int]]) -> Any:
+    """A message of `topics.ESTIMATE_TOPIC` with the reasons and the level of each, and zeros for its numbers and its stamp."""
+    types, names = typestore.types, list(ESTIMATE_TOPIC.names)
+    group = types["control_msgs/msg/InterfaceValue"]
+    named = group(interface_names=[name for name, _ in reasons], values=np.array([float(level) for _, level in reasons]))
+    return types[ESTIMATE_TOPIC.type](
+        header=header(typestore, frame_id),
+        interface_groups=[VEHICLE_GROUP, REASONS_GROUP],
+        interface_values=[group(interface_names=names, values=np.zeros(len(names))), named],
+    )
 
 
 def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) -> Any:

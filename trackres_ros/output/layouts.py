@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
-from trackres_ros.output.topics import DEFAULT_NODE, TOTALS, OutputTopic, output_topics
+from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC, LEVEL, TOTALS, OutputTopic, output_topics
 from trackres_ros.vehicle import AnyVehicle
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#8c564b", "#17becf", "#bcbd22")
@@ -43,10 +44,10 @@ def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -
     Raises InputError if the folder cannot be made or written to.
     """
     folder = output_folder(folder, "--output")
-    folder.mkdir(parents=True, exist_ok=True)
     texts = {folder / "plotjuggler.xml": plotjuggler(vehicle, base), folder / "foxglove.json": foxglove(vehicle, base)}
-    for path, text in texts.items():
-        write(path, text.encode())
+    with file_set():
+        for path, text in texts.items():
+            write(path, text.encode())
     return list(texts)
 
 
@@ -60,6 +61,11 @@ def _plots(vehicle: AnyVehicle, base: str) -> tuple[LayoutPlot, ...]:
     def joints(topic: OutputTopic, names: Sequence[str]) -> tuple[LayoutCurve, ...]:
         full = f"{base}/{topic.name}"
         return tuple(LayoutCurve(name, f"{full}/{name}/effort", f"{full}.effort[{topic.names.index(name)}]") for name in names)
+
+    def estimate(name: str) -> LayoutCurve:
+        number, full = ESTIMATE_TOPIC.names.index(name), f"{base}/{ESTIMATE_TOPIC.name}"
+        plotjuggler, foxglove = (f"interface_values[0]{slash}values[{number}]" for slash in "/.")
+        return LayoutCurve(name, f"{full}/{plotjuggler}", f"{full}.{foxglove}")
 
     temperatures = tuple(
         LayoutCurve(name, f"{topic}/temperature", f"{topic}.temperature")
@@ -78,6 +84,8 @@ def _plots(vehicle: AnyVehicle, base: str) -> tuple[LayoutPlot, ...]:
         ),
         *(belts if assemblies else ()),
         LayoutPlot("Measured and expected torque [Nm]", joints(residual, residual.names)),
+        LayoutPlot("Standard deviation of the resistance [Nm]", (estimate("resistance_std_nm"),)),
+        LayoutPlot("Level of the estimate: 0 is OK, 1 WARN, 2 ERROR, 3 STALE", (estimate(LEVEL),)),
     )
 
 

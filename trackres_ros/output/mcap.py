@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.output_files import BEFORE_1970
+from trackres_ros.files.own_files import put
 from trackres_ros.recording.cdr import Template
 from trackres_ros.recording.mcap_format import (
     CHANNEL,
@@ -33,7 +34,7 @@ from trackres_ros.recording.mcap_format import (
     sized,
     text,
 )
-from trackres_ros.recording.message_types import Definitions, definitions, message_fields
+from trackres_ros.recording.message_types import Definitions, add_control_msgs, definitions, message_fields
 from trackres_ros.recording.samples import FloatArray, IntArray
 
 CHUNK_BYTES = 2**20
@@ -77,7 +78,7 @@ class BagWriter:
         from rosbags.typesys import Stores, get_typestore
 
         self.path = path
-        self.typestore = get_typestore(Stores.LATEST)
+        self.typestore = add_control_msgs(get_typestore(Stores.LATEST))
         self.part = part or path.with_name(f".{path.name}.{os.getpid()}.part")
         self._stays = part is not None
         self._topics: list[BagTopic] = []
@@ -110,11 +111,17 @@ class BagWriter:
                 if self._stays:
                     os.fsync(self._file.fileno())
                 self._file.close()
-                self.part.replace(self.path)
-        finally:
-            self._file.close()
-            if not self._stays:
-                self.part.unlink(missing_ok=True)
+                put(self.part, self.path)
+        except BaseException:
+            self._drop()
+            raise
+        if kind is not None:
+            self._drop()
+
+    def _drop(self) -> None:
+        self._file.close()
+        if not self._stays:
+            self.part.unlink(missing_ok=True)
 
     @property
     def size(self) -> int:
@@ -147,15 +154,22 @@ class BagWriter:
         self._new += self._schema(topic) + self._channel(topic)
         return topic
 
-    def write_block(self, topic: BagTopic, stamp_ns: IntArray, log_ns: IntArray, values: FloatArray) -> None:
+    def template(self, topic: BagTopic, message: object, fields: Sequence[str]) -> Template:
+        """A template for `write_block`, of a topic whose messages differ in more than numbers; see `topic`."""
+        return Template(bytes(self.typestore.serialize_cdr(message, topic.msgtype)), topic.types, topic.msgtype, fields)
+
+    def write_block(
+        self, topic: BagTopic, stamp_ns: IntArray, log_ns: IntArray, values: FloatArray, template: Template | None = None
+    ) -> None:
         """Write n messages that differ in stamp and numbers only.
 
         `topic`: announced with a template; `stamp_ns`, `log_ns`: header stamps, and log times, from 0 on [ns], shape (n,);
-        `values`: the numbers of the fields of the topic, shape (n, k).
+        `values`: the numbers of the fields of the topic, shape (n, k); `template`: instead of that of the topic.
         """
-        if topic.template is None:
+        template = template or topic.template
+        if template is None:
             raise InputError(f"{self.path}: {topic.name}", "no template", "a topic with a template message")
-        self._write(topic, topic.template, stamp_ns, log_ns, values)
+        self._write(topic, template, stamp_ns, log_ns, values)
 
     def write(self, topic: BagTopic, message: object, stamp_ns: int, log_ns: int) -> None:
         """Write one message of its own form; its header, if any, gets the stamp [ns]."""

@@ -22,7 +22,9 @@ from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import MissingExtraError
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.own_files import write
+from trackres_ros.files.settings_here import unread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,7 +79,8 @@ def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
 def empty_figure(width: float, height: float) -> Iterator[Figure]:
     """An empty figure [inches], and the look of the package while it is drawn."""
     try:
-        import matplotlib  # noqa: F401 - its parts may be there still where it is not
+        with unread("matplotlibrc"):
+            import matplotlib  # noqa: F401 - its parts may be there still where it is not
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError:
         raise MissingExtraError("pictures", "matplotlib", "plots") from None
@@ -139,8 +142,8 @@ def svg_of(figure: Figure) -> bytes:
 def write_figure(figure: Figure, path: Path) -> None:
     """Write a figure as SVG or PNG, by the suffix of the path; create its folder if needed."""
     _without_maths(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write(path, svg_of(figure) if path.suffix.lower() == ".svg" else png_of(figure))
+    with file_set():
+        write(path, svg_of(figure) if path.suffix.lower() == ".svg" else png_of(figure))
 
 
 def _without_maths(figure: Figure) -> None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError
 from trackres_ros.files.arrow_columns import as_arrow
 from trackres_ros.files.output_files import BEFORE_1970
+from trackres_ros.files.own_files import put
 from trackres_ros.recording.samples import FloatArray
 
 EXACT = ("time_s",)
@@ -79,8 +80,11 @@ class TableWriter:
                 self.write(np.empty((0, len(self.names))))
             self._files.__exit__(kind, error, trace)
             if kind is None:
-                self._part.replace(self.path)
-        finally:
+                put(self._part, self.path)
+        except BaseException:
+            self._part.unlink(missing_ok=True)
+            raise
+        if kind is not None:
             self._part.unlink(missing_ok=True)
 
     def write(self, rows: FloatArray) -> None:

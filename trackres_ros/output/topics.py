@@ -9,11 +9,13 @@ In tables, reports and the terminal a resistance is a positive number.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
 
 from trackres_ros.arrays import Array
+from trackres_ros.estimator import columns as at
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.vehicle import AnyVehicle
 
@@ -43,6 +45,11 @@ class OutputTopic:
     names: tuple[str, ...] = ()  # names of the joints, or of the interfaces of an estimate
 
     @property
+    def shared(self) -> bool:
+        """Whether other nodes publish on it too: its name is absolute."""
+        return self.name.startswith("/")
+
+    @property
     def signs(self) -> tuple[float, ...]:
         """Factor from each column to the message."""
         return tuple(sign_of(column) for column in self.columns)
@@ -68,7 +75,14 @@ ESTIMATE_TOPIC = OutputTopic(
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm"),
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm", LEVEL),
 )
-"""Live only. The bag of a replay has the torques on their own topics, the reasons in its status, and no standard deviation."""
+"""The bag of a live node has it as published. That of a replay has one for each step, without the notices of a node."""
+
+
+@cache
+def reasons_of(reasons: int) -> tuple[tuple[str, int], ...]:
+    """Names of the reasons of a step, most severe first, with the level of each: 0 is OK, 1 is WARN."""
+    found = [(str(one.name), int(not one & at.HARMLESS)) for one in at.REASON_TEXT if one & reasons]
+    return tuple(sorted(found, key=lambda pair: -pair[1]))
 
 
 def sign_of(column: str) -> float:
@@ -85,6 +99,7 @@ def output_topics(vehicle: AnyVehicle) -> tuple[OutputTopic, ...]:
             "torque about y that cancels the chosen parts, limited in rate and size [Nm]", ("feedforward_torque_nm",)),
         OutputTopic("feedforward_torque_nm", "std_msgs/msg/Float64", "number",
             "the same number without a stamp, for controllers that accept only a number", ("feedforward_torque_nm",)),
+        ESTIMATE_TOPIC,
         OutputTopic("resistance_torque", "sensor_msgs/msg/JointState", "joints",
             "torque by part about y at the sprockets [Nm], of the vehicle and of each assembly (explained below)",
             (*TOTALS.values(), *(column for column, _ in by_assembly)), (*TOTALS, *(joint for _, joint in by_assembly))),
@@ -106,4 +121,7 @@ def values_of(topic: OutputTopic, rows: Array, index: dict[str, int]) -> Array:
     values = rows[:, [index[name] for name in topic.columns]] * np.array(topic.signs)
     if topic.kind == "temperature":
         values[:, 1] **= 2
+    if topic.kind == "estimate":
+        reasons = rows[:, index["reasons"]].astype(np.int64)
+        values = np.column_stack([values, reasons & ~int(at.HARMLESS) != 0])
     return np.asarray(values + 0.0)  # no negative zeros

@@ -15,6 +15,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.recording.directions import Ways
 from trackres_ros.recording.roles import BRAKE_ON_PA
 
 IN_DEGREES = "sensor_msgs/msg/NavSatFix"
@@ -61,6 +62,8 @@ class TopicBinding:
     kg_each: float | None = None  # of passengers: mass of one [kg], if given
     threshold: float | None = None  # of a brake: value from which it brakes; None if not given
     values: tuple[float, ...] = ()  # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0
+    ways: Ways | None = None  # of a direction: what its values mean; None if neither the line nor a name says so
+    valid: TopicBinding | None = None  # source of whether its values count: other than 0, or one of its `values`
     decimal: Literal[".", ",", ""] = ""  # of a column in text: its decimal mark; empty if its cells decide
     derivative: bool = False  # of a speed in a column: whether it is the distance travelled, whose rate is the speed
     # of dates with slashes or dashes: ``dmy`` or ``mdy``; empty if the whole column decides
@@ -79,10 +82,17 @@ class TopicBinding:
         return bool(self.sources[0].topic)
 
     def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert scaled numbers: 1 for the modes in `values`, 0 for others, nan for nan; unchanged without modes."""
+        """Convert scaled numbers: of modes to 1 for those in `values`, else 0; of a direction to its way; nan stays."""
+        if self.ways is not None:
+            return self.ways.meant(numbers)
         if not self.values:
             return numbers
         return np.where(np.isnan(numbers), np.nan, np.isin(numbers, self.values).astype(float))
+
+    @property
+    def has_modes(self) -> bool:
+        """Whether numbers are names of modes, or ways of a direction, and have no unit."""
+        return bool(self.values) or self.ways is not None
 
     def brakes_from(self, values: NDArray[np.float64]) -> float:
         """Value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""

@@ -17,21 +17,26 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding, field_steps, message_type
+from trackres_ros.recording.directions import STANDARDS, WAYS, Ways, standard_of
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
 from trackres_ros.recording.roles import POSITION, ROLES, base_role, names_a_part
 
 KEYS = (
     "topic", "type", "field", "column", "channel", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
-    "unit", "kg_each", "threshold", "values", "decimal", "derivative", "sum",
+    "unit", "kg_each", "threshold", "values", "valid", "decimal", "derivative", "sum",
 )  # fmt: skip
 ONLY_FOR = {
     "sensor": ("belt",), "std_k": ("belt",), "delay_s": ("torque",), "kg_each": ("passengers",), "threshold": ("brake",),
-    "values": ("enable",), "derivative": ("speed",),
+    "values": ("enable", "direction"), "derivative": ("speed",),
 }  # fmt: skip
 """Keys that have a meaning for some roles alone."""
-OF_A_PART = ("topic", "type", "field", "stamp", "column", "channel", "unit", "scale", "offset", "decimal")
+OF_A_PART = ("topic", "type", "field", "stamp", "column", "channel", "unit", "scale", "offset", "decimal", "valid")
 """Keys of a part of a sum."""
-NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "channel", "unit", "decimal", "derivative", "values")
+NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "channel", "unit", "decimal", "derivative", "values", "valid")
+OF_VALIDITY = ("topic", "type", "field", "column", "channel", "values")
+"""Keys of a validity; a field alone is of the same message."""
+VALID_EXAMPLE = "speed: {channel: Speed, unit: km/h, valid: {channel: SpeedValid}}"
+DIRECTION_EXAMPLE = "direction: {channel: Gear, values: {forward: [1, 2], reverse: [-1], neutral: [0]}}"
 MOST_PARTS = 16
 SUM_EXAMPLE = "torque: {sum: [{column: left_nm}, {column: right_knm, scale: 1000.0}]}"
 OF_TIME = ("column", "channel", "unit", "scale", "offset", "decimal", "order")
@@ -152,7 +157,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         meant = ONLY_FOR.get(key)
         if meant and base_role(role) not in meant:
             raise InputError(f"{where}: key", key, f"{key} only for {', '.join(meant)}")
-        if "column" in line and key in ("topic", "type", "field", "stamp", "max_age_s"):
+        if "column" in line and key in ("topic", "type", "field", "stamp", *(() if role == "direction" else ("max_age_s",))):
             raise InputError(f"{where}: key", key, "either column, or topic with type and field")
         if "column" not in line and key in ("decimal", "derivative"):
             raise InputError(f"{where}: key", key, f"{key} only beside column")
@@ -176,7 +181,9 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         converts=_converts(line),
         kg_each=checks.number(line["kg_each"], f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg") if "kg_each" in line else None,
         threshold=_positive(line, "threshold", where),
-        values=_values(line["values"], f"{where}: values") if "values" in line else (),
+        values=_values(line["values"], f"{where}: values") if "values" in line and role != "direction" else (),
+        ways=_ways(line, texts, where) if role == "direction" else None,
+        valid=_validity(line, where) if "valid" in line else None,
         decimal=_choice(line, "decimal", (".", ","), where),
         derivative=derivative,
         parts=parts,
@@ -330,8 +337,44 @@ def _positive(line: Mapping[object, object], key: str, where: str) -> float | No
 
 def _values(given: object, where: str) -> tuple[float, ...]:
     if not isinstance(given, list) or not given:
-        raise InputError(where, given, "a list of numbers: the modes in which the feed-forward is wanted", "for example: [1, 2]")
+        raise InputError(where, given, "a list of numbers", "for example: [1, 2]")
     return tuple(_number({"value": number}, "value", 0.0, where) for number in given)
+
+
+def _ways(line: Mapping[object, object], texts: Mapping[str, str], where: str) -> Ways | None:
+    """What the values of a direction mean, by the line, or by the standard that a name is of; of a column the file may say it."""
+    given = line.get("values")
+    if given is None:
+        standard = standard_of(texts["column"] or texts["field"].rpartition(".")[2])
+        if not standard and texts["topic"]:
+            raise InputError(where, "no values", "values that mean forward and reverse", f"for example: {DIRECTION_EXAMPLE}")
+        return STANDARDS[standard] if standard else None
+    if isinstance(given, str):
+        return STANDARDS[checks.one_of(given, f"{where}: values", tuple(STANDARDS))]
+    if not isinstance(given, Mapping) or not {"forward", "reverse"} <= set(given) <= set(WAYS):
+        allowed = f"a mapping with {', '.join(WAYS)}, the last if need be, or one of {', '.join(STANDARDS)}"
+        raise InputError(f"{where}: values", given, allowed, f"for example: {DIRECTION_EXAMPLE}")
+    each = {way: some if isinstance(some, list) else [some] for way, some in given.items()}
+    found = Ways(**{way: _values(some, f"{where}: values: {way}") for way, some in each.items()})
+    every = [*found.forward, *found.reverse, *found.neutral]
+    if len(set(every)) < len(every):
+        raise InputError(f"{where}: values", given, "each value once")
+    return found
+
+
+def _validity(line: Mapping[object, object], where: str) -> TopicBinding:
+    """The source of a validity; its topic and type are by default those of the line."""
+    given = line["valid"]
+    if not isinstance(given, Mapping) or not set(given) <= set(OF_VALIDITY):
+        other = next((key for key in given if key not in OF_VALIDITY), given) if isinstance(given, Mapping) else given
+        raise InputError(f"{where}: valid", other, f"a mapping with {', '.join(OF_VALIDITY)}", f"for example: {VALID_EXAMPLE}")
+    same = {key: line[key] for key in ("topic", "type") if key in line} if "topic" not in given and "field" in given else {}
+    found = _binding("enable", {**same, **given}, f"{where}: valid")
+    if found.of_topics != ("topic" in line):
+        raise InputError(
+            f"{where}: valid", given, "a channel of a channel, or a field of a topic", f"for example: {VALID_EXAMPLE}"
+        )
+    return found
 
 
 def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], where: str) -> Any:

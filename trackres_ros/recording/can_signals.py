@@ -98,7 +98,7 @@ class CanSignals(ChannelFile):
         self._messages = [one for bus, file in files for one in _messages_of(bus, file)]
         signals = [(one, signal) for one in self._messages for signal in one.message.signals]
         self._signals = signals
-        self.channels = [Channel(signal.name, signal.unit or "", one.group) for one, signal in signals]
+        self.channels = [Channel(signal.name, signal.unit or "", one.group, _named(signal)) for one, signal in signals]
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose the signals to decode."""
@@ -252,6 +252,12 @@ def _pgn(number: int) -> int:
 def is_unavailable(name: str) -> bool:
     """Whether the name of a value says that there is none."""
     return bool(NOT_AVAILABLE.search(name.replace("_", " ")))
+
+
+def _named(signal: Any) -> tuple[tuple[float, str], ...]:
+    """Physical values that the database names, and their names."""
+    named = (signal.choices or {}).items()
+    return tuple((float(signal.scale) * float(raw) + float(signal.offset), str(name)) for raw, name in named)
 
 
 def _signal(column: int, signal: Any, j1939: bool) -> _Signal:

@@ -30,18 +30,21 @@ class Channel(NamedTuple):
         Unit in the file; empty without one.
     group
         Channels of one group have the same times; one name may be in several groups.
+    named
+        Values that the file gives names, and these.
     """
 
     name: str
     unit: str = ""
     group: str = ""
+    named: tuple[tuple[float, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenChannel:
     """A channel to read: its index among all channels, its name, and the role it feeds, with the conversion in its binding.
 
-    `dates_only`: a time without a unit in its name.
+    `dates_only`: a time without a unit in its name; `is_valid`: whether it says if the role's next channel counts.
     """
 
     place: int
@@ -49,6 +52,7 @@ class ChosenChannel:
     role: str
     binding: TopicBinding
     dates_only: bool = False
+    is_valid: bool = False
 
 
 class ChannelRows(NamedTuple):

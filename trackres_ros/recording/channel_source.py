@@ -19,6 +19,8 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
 from trackres_ros.recording.choosing import Choice, choose, listed_names
+from trackres_ros.recording.companions import Companions, Signs
+from trackres_ros.recording.directions import may_say_reverse
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import reading
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
@@ -58,7 +60,8 @@ class ChannelSource:
         self._file, choice, others = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
         self.roles = tuple(dict.fromkeys(one.role for one in channels))
-        of_role = {role: [one for one in channels if one.role == role] for role in self.roles}
+        of_role = {role: [one for one in channels if one.role == role and not one.is_valid] for role in self.roles}
+        self._validity = {one.name: one for one in channels if one.is_valid}
         self.bindings = {
             role: replace(topics[role], parts=tuple(one.binding for one in of)) if len(of) > 1 and topics else of[0].binding
             for role, of in of_role.items()
@@ -72,7 +75,9 @@ class ChannelSource:
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
         said = [self._note_of(of) for role, of in of_role.items() if role not in choice.guessed]
         unused = given.unused_notes(False, {line for one in files for line in one.uses}) if given else []
-        notes = [*unused, *others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
+        self._required = "direction" in (topics or ())
+        notes = [*unused, *others, *self._file.notes, *choice.notes, *said, *self._sums().notes, *self._companions().notes]
+        self._may_say_reverse = [] if "direction" in self.roles else may_say_reverse(name for _, name in ignored)
         if ignored:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")
         notes += note_of(self.torque_candidates, self.roles)
@@ -86,11 +91,28 @@ class ChannelSource:
         """
         self._of_sums_apart: dict[str, TopicBinding] = {}
         for role, of in of_role.items():
-            parts = tuple(replace(one.binding, topic=self._file.channels[one.place].group) for one in of)
-            apart = len({part.topic for part in parts}) > 1
-            self._of_sums_apart[role] = replace(self.bindings[role], parts=parts if apart else ())
+            parts = tuple(self._grouped(one) for one in of)
+            apart = len({part.topic for part in parts}) > 1 or (len(parts) > 1 and any(part.valid for part in parts))
+            whole = parts[0] if len(parts) == 1 else replace(self.bindings[role], parts=parts if apart else ())
+            self._of_sums_apart[role] = whole
         self._readings = readings_of(self.roles, self._of_sums_apart)
-        self._columns = [of_role[one.role] if one.part is None else [of_role[one.role][one.part]] for one in self._readings]
+        self._columns = [
+            [self._validity[one.binding.column]]
+            if one.is_valid
+            else of_role[one.role]
+            if one.part is None
+            else [of_role[one.role][one.part]]
+            for one in self._readings
+        ]
+
+    def _grouped(self, one: ChosenChannel) -> TopicBinding:
+        """The binding of a channel with its group as the topic, and so that of its validity."""
+        valid = one.binding.valid
+        return replace(
+            one.binding,
+            topic=self._file.channels[one.place].group,
+            valid=valid and replace(valid, topic=self._file.channels[self._validity[valid.column].place].group),
+        )
 
     def _note_of(self, columns: Sequence[ChosenChannel]) -> str:
         """Which column feeds a role, or which are added."""
@@ -99,6 +121,9 @@ class ChannelSource:
             return f"{role}: {'the change of ' if columns[0].binding.derivative else ''}column {columns[0].name}"
         in_rows = "" if self._of_sums_apart[role].parts else ", where a row has them all"
         return f"{role}: sum of the columns {', '.join(column.name for column in columns)}{in_rows}"
+
+    def _companions(self) -> Companions:
+        return Companions(self._readings, self._of_sums_apart, self._required)
 
     def _sums(self) -> Sums:
         return Sums(self._readings, self._of_sums_apart)
@@ -115,22 +140,24 @@ class ChannelSource:
         or a damaged file.
         """
         with self._reading():
-            sums = self._sums()
-            blocks: Iterator[SampleBlock] = (sums.added(block) for block in self._blocks(max_rows))
+            sums, companions, signs = self._sums(), self._companions(), Signs(self.roles)
+            blocks: Iterator[SampleBlock] = (sums.added(companions.kept(block)) for block in self._blocks(max_rows))
             for place, role in enumerate(self.roles):
                 blocks = _derived(blocks, place) if self.bindings[role].derivative else blocks
             for block in blocks:
-                yield self._position.in_radians(block, self.roles)
-            self.findings = (*self.findings, *sums.findings)
+                found = signs.seen(companions.with_signs(block, self.roles))
+                yield self._position.in_radians(found, self.roles)
+            lines = (f"direction: {{channel: {name}, values: {{forward: [0], reverse: [1]}}}}" for name in self._may_say_reverse)
+            self.findings = (*self.findings, *sums.findings, *companions.findings, *signs.findings(self._may_say_reverse, lines))
 
     def _reading(self) -> AbstractContextManager[None]:
         return reading(self._path, f"{self._kind} that is readable to its end")
 
     def _blocks(self, max_rows: int) -> Iterator[SampleBlock]:
         """Readings row by row, before parts with other times are added."""
-        whole = [self.bindings[one.role] if one.part is None else None for one in self._readings]
+        whole = [one.binding if one.is_valid or one.part is None else None for one in self._readings]
         delay_ns = np.array([binding.delay_ns if binding else 0 for binding in whole])
-        modes = {place: binding for place, binding in enumerate(whole) if binding and binding.values}
+        modes = {place: binding for place, binding in enumerate(whole) if binding and binding.has_modes}
         at_once = max(1, max_rows // len(self._readings))
         self._alone = [0] * len(self._readings)
         done = 0

@@ -12,9 +12,11 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import TIME, Topics, inside_unit
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
-from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line, words
+from trackres_ros.recording.directions import STANDARDS, Ways, named_ways, standard_of
+from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
 from trackres_ros.recording.roles import POSITION, ROLES, base_role, names_a_part
+from trackres_ros.text.names import words
 from trackres_ros.text.numbers import some_of
 
 TIME_S = "time_s"
@@ -50,7 +52,11 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     origin = topics.origin if topics else file.name
     notes = _left_out(file)
     of_file = [
-        names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
+        one
+        for role, binding in listed
+        if not binding.of_topics
+        for part in binding.sources
+        for one in names.with_validity(role, part, origin, notes)
     ]
     known = _known(file, frozenset(one.role for one in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
@@ -123,6 +129,13 @@ class _Names:
             remedy = f"put the group name before it: {listed_names(several)}" if len(set(groups)) == len(groups) else ""
             raise InputError(self._file.name, f"{len(places)} columns {name}", "each column once", remedy)
 
+    def with_validity(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> Iterator[ChosenChannel]:
+        """The channel that says whether the one of a line counts, if the line names it, and that one."""
+        if binding.valid:
+            valid = self.chosen("enable", binding.valid, f"{origin}: {role}: valid", notes)
+            yield replace(valid, role=role, is_valid=True)
+        yield self.chosen(role, binding, origin, notes)
+
     def chosen(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> ChosenChannel:
         """A channel that a line names, in the unit of its role."""
         if binding.column not in self._places:
@@ -132,12 +145,26 @@ class _Names:
                     raise InputError(where, binding.column, "a channel that can be read", why)
             raise InputError(where, binding.column, self.listed, nearest(binding.column, self._places))
         place = self._places[binding.column][0]
+        if role == "direction" and binding.ways is None:
+            binding = replace(binding, ways=_ways_of(self._file.channels[place], origin))
         return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
+
+
+def _ways_of(channel: Channel, origin: str) -> Ways:
+    """What the values of a direction mean, by the names that the file gives them, else by its own name.
+
+    Raises InputError if neither says it.
+    """
+    found = named_ways(channel.named) or STANDARDS.get(standard_of(channel.name))
+    if found is None:
+        remedy = f"for example: direction: {{channel: {channel.name}, values: {{forward: [1], reverse: [0]}}}}"
+        raise InputError(f"{origin}: direction", f"no values for {channel.name}", "values that mean forward and reverse", remedy)
+    return found
 
 
 def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
     """The binding with the unit of the file, if the line gives neither unit nor scale."""
-    if not channel.unit or binding.values:
+    if not channel.unit or binding.has_modes:
         return binding
     inside = inside_unit(role, binding.derivative)
     of_file = conversion(channel.unit, inside)
@@ -165,7 +192,7 @@ def _units_in_names(file: ChannelFile, topics: Topics, chosen: Sequence[ChosenCh
     for one in chosen:
         line = topics.time if one.role == TIME and topics.time else topics[one.role]
         found = UNIT_IN_BRACKETS.search(one.name) or UNIT_AT_THE_END.search(one.name)
-        given = file.channels[one.place].unit or line.converts or one.binding.converts or line.values
+        given = file.channels[one.place].unit or line.converts or one.binding.converts or line.has_modes or one.is_valid
         if not found or given or one.role in POSITION:  # the values of a position decide
             continue
         inside = inside_unit(one.role, line.derivative)
@@ -187,6 +214,8 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: lis
         about = ROLES[base_role(role)]
         if role in by_file or (slash and not (names_a_part(part) and about.parts)):
             continue
+        if role == "direction" and not file.is_number(place):  # yes and no, R and D
+            continue
         if role in columns:
             given = f"columns {columns[role].name} and {name}"
             raise InputError(file.name, given, f"one column for {role}", "give the right one in a topics file")
@@ -202,7 +231,8 @@ def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[st
     inside = inside_unit(role)
     by_name, of_file, share = (conversion(*one) for one in ((unit, inside), (channel.unit, inside), (channel.unit, "1")))
     assert by_name is not None
-    binding = TopicBinding(column=channel.name, scale=by_name.scale, unit=unit)
+    ways = _ways_of(channel, origin) if role == "direction" else None
+    binding = TopicBinding(column=channel.name, scale=by_name.scale, unit=unit, ways=ways)
     if of_file == by_name or share == (1.0, 0.0):  # the same, or none
         return binding
     if of_file and unit == "1":

@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.directions import as_said
 from trackres_ros.recording.guess import in_a_line
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.roles import base_role
@@ -55,6 +56,8 @@ def _said(binding: TopicBinding) -> dict[str, Any]:
     for item in fields(TopicBinding):
         value = getattr(binding, item.name)
         given = value != item.default or (item.name == "scale" and binding.converts)
-        if given and item.name not in ("parts", "unit", "converts"):
+        if given and item.name in ("ways", "valid"):
+            found |= {"values": as_said(value)} if item.name == "ways" else {"valid": _said(value)}
+        elif given and item.name not in ("parts", "unit", "converts"):
             found[item.name] = float(f"{value:.{FIGURES}g}") if isinstance(value, float) else value
     return found

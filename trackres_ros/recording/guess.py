@@ -15,8 +15,10 @@ from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
 from trackres_ros.recording.bindings import EXAMPLE, Topics, inside_unit
 from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.directions import STANDARDS, as_said, named_ways, standard_of
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
 from trackres_ros.recording.roles import POSITION, ROLES, Role, base_role
+from trackres_ros.text.names import words
 
 NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|req|requests?|requested|demands?|demanded|dmd|target|desired|set ?point|soll|reference|ref|goal|"
@@ -28,8 +30,8 @@ PREFERRED = {
     "ambient": re.compile(r"\b(ambient|outside|outdoor)\b"),
 }
 """By role: words of the preferred names."""
-WHEEL = re.compile(r"\bwheels?\b(?! based vehicle)")
-"""Of a channel: a wheel speed is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
+WHEEL = re.compile(r"\bwheels?\b(?! based (vehicle|machine))")
+"""Of a channel: a wheel speed is not that of the vehicle; wheel-based speeds of J1939 and ISO 11783 are."""
 ADDED = ("load", "torque")
 """Roles whose values are the sum of those of the parts of the vehicle."""
 PART = re.compile(r"\b(left|right|front|rear|axles?|[lr]|[lr]hs?|[fr][lr]|links|rechts|vorne?|hinten|[vh][lr])\d*\b")
@@ -161,7 +163,22 @@ def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> Guess
             found.others[role] = [one.name for one in whole[1:]]
         elif options:
             found.parts[role] = [_of_channel(role, one) for one in options]
+    _guess_direction(channels, there, found)
     return found
+
+
+def _guess_direction(channels: Sequence[Channel], there: Collection[str], found: Guesses) -> None:
+    """Guess the direction: a channel of a standard, first one in the message of the speed."""
+    options = [one for one in channels if standard_of(one.name) and not NOT_MEASURED.search(words(one.name))]
+    speed = found.bindings.get("speed")
+    if "direction" in there or not options or not speed:
+        return
+    group = next(one.group for one in channels if one.name == speed.column)
+    options.sort(key=lambda one: (one.group != group, "selected" in words(one.name), len(one.name), one.name))
+    best = options[0]
+    ways = named_ways(best.named) or STANDARDS[standard_of(best.name)]
+    found.bindings["direction"] = TopicBinding(column=best.name, ways=ways)
+    found.others["direction"] = [one.name for one in options[1:]]
 
 
 def _of_channel(role: str, channel: Channel) -> TopicBinding:
@@ -214,10 +231,12 @@ def topics_line(role: str, binding: TopicBinding) -> str:
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
     unit = next((name for name, one in UNITS[inside].items() if one == (binding.scale, binding.offset)), "")
-    if unit and not (role in POSITION and not binding.unit):
+    if unit and binding.ways is None and not (role in POSITION and not binding.unit):
         line["unit"] = unit
     elif (binding.scale, binding.offset) != (1.0, 0.0):
         line |= {"scale": binding.scale, "offset": binding.offset}
+    if binding.ways is not None:
+        line["values"] = as_said(binding.ways)
     if base_role(role) == "belt":  # as it is read now: that of a line without it is the surface
         line["sensor"] = binding.sensor or "mean"
     return f"{in_a_line([role])[1:-1]}: {in_a_line(line)}"
@@ -226,12 +245,6 @@ def topics_line(role: str, binding: TopicBinding) -> str:
 def in_a_line(content: object) -> str:
     """A list or mapping as YAML in one line."""
     return yaml.safe_dump(content, default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True).strip()
-
-
-def words(topic: str) -> str:
-    """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
-    spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
-    return " ".join(re.split(r"[^a-z0-9]+", spaced))
 
 
 def _is_part(role: str, name: str) -> bool:

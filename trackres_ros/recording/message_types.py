@@ -28,7 +28,23 @@ LENGTH_BYTES = 4
 """Of a string or sequence, before its content."""
 MAX_DEPTH = 50
 """Depth of nested messages; the deepest common one has 6."""
+CONTROL_MSGS = {
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
+    "control_msgs/msg/DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
+    "InterfaceValue[] interface_values",
+}
+"""Fields of the messages of control_msgs, which rosbags does not bring."""
 HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
+
+
+def add_control_msgs(store: Typestore) -> Typestore:
+    """A typestore with the ros2_control types of `CONTROL_MSGS` too."""
+    from rosbags.typesys import get_types_from_msg
+
+    for name, text in CONTROL_MSGS.items():
+        if name not in store.types:
+            store.register(get_types_from_msg(text, name))
+    return store
 
 
 @dataclass(frozen=True, slots=True)

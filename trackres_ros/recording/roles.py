@@ -47,6 +47,8 @@ ROLES: Mapping[str, Role] = MappingProxyType(
             lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
             not_words=NOT_VEHICLE + "|" + CRUISE + r"|\bset ?(speed|spd)\b|\bforward veh|\bpreceding\b|"
             r"\brelative\b(?! to ground)"),
+        "direction": Role("1", "the way a speed without a sign is driven: 1 forward, -1 backwards, 0 neutral",
+            columns={"reverse": "1", "travel_direction": "1"}),
         "load": Role("N", "weight carried by the tracks, total or of an axle or assembly",
             parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight",
             not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|^(?!.*\bpowered veh).*combination|"

@@ -23,6 +23,8 @@ from trackres_ros.recording.bag_opening import READABLE, is_ros1, messages, open
 from trackres_ros.recording.binding import NO_FIX, TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
+from trackres_ros.recording.companions import Companions, Signs
+from trackres_ros.recording.directions import may_say_reverse
 from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, stamp_path
 from trackres_ros.recording.position_units import PositionUnits
@@ -116,12 +118,16 @@ class BagSource:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
         self._readings = readings_of(self.roles, bindings)
-        self._of_speed = np.array([one.role == "speed" for one in self._readings])
+        self._of_speed = np.array([one.role == "speed" and not one.is_valid for one in self._readings])
+        read = {one.binding.topic for one in self._readings}
+        kinds = {one.topic: one.msgtype for _, ones in found for one in ones}
+        self._may_say_reverse = {} if "direction" in bindings else {t: kinds[t] for t in may_say_reverse(kinds) if t not in read}
         self._origin = topics.origin
         self._topics = self._bound(found)
         self._position = PositionUnits(bindings)
         candidates = note_of(self.torque_candidates, self.roles)
-        self._notes = tuple(map(one_line, (*said, *self._stamp_notes(), *Sums(self._readings, bindings).notes, *candidates)))
+        added = (*Sums(self._readings, bindings).notes, *Companions(self._readings, bindings).notes)
+        self._notes = tuple(map(one_line, (*said, *self._stamp_notes(), *added, *candidates)))
         self.findings: tuple[Finding, ...] = ()
 
     def _bound(self, found: Sequence[tuple[Path, list[Connection]]]) -> dict[tuple[Path, str], _Topic]:
@@ -189,16 +195,27 @@ class BagSource:
         Raises InputError for a bag that breaks off or is damaged.
         """
         tally, sums = _Tally(), Sums(self._readings, self.bindings)
+        companions, signs = Companions(self._readings, self.bindings), Signs(self.roles)
         held: list[SampleBlock] = []
+
+        def finished(blocks: Sequence[SampleBlock]) -> SampleBlock:
+            added = sums.added(companions.kept(_joined(blocks)))
+            return self._position.in_radians(signs.seen(companions.with_signs(added, self.roles)), self.roles)
+
         for path in self._paths:
             for block in self._batches(path, max_rows, tally):
                 if sum(map(len, held)) + len(block) > max_rows:
-                    yield self._position.in_radians(sums.added(_joined(held)), self.roles)
+                    yield finished(held)
                     held.clear()
                 held.append(block)
         if held:
-            yield self._position.in_radians(sums.added(_joined(held)), self.roles)
-        self.findings = (*self._found(tally), *sums.findings)
+            yield finished(held)
+        lines = (
+            f"direction: {{topic: {topic}, type: {kind}, field: data, values: {{forward: [0], reverse: [1]}}}}"
+            for topic, kind in self._may_say_reverse.items()
+        )
+        unsigned = signs.findings(list(self._may_say_reverse), lines)
+        self.findings = (*self._found(tally), *sums.findings, *companions.findings, *unsigned)
         speed = len(self._readings) - 1
         if not tally.speeds and speed in tally.events["absent"]:
             where, given = f"{self._origin}: speed: field", f"{self._field(speed)}, {self._lack(speed)}"

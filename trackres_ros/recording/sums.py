@@ -5,7 +5,7 @@
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,20 +25,25 @@ class Reading:
     role: str
     part: int | None
     binding: TopicBinding
+    is_valid: bool = False  # whether it says if the next reading, of the same role and part, counts
 
     @property
     def name(self) -> str:
         """For messages and notes."""
-        return self.role if self.part is None else f"{self.role}: sum: part {self.part + 1}"
+        name = self.role if self.part is None else f"{self.role}: sum: part {self.part + 1}"
+        return f"{name}: valid" if self.is_valid else name
 
 
 def readings_of(roles: Sequence[str], bindings: Mapping[str, TopicBinding]) -> tuple[Reading, ...]:
-    """Readings of some roles, in their order."""
-    return tuple(
-        Reading(role, number if bindings[role].parts else None, part)
-        for role in roles
-        for number, part in enumerate(bindings[role].sources)
-    )
+    """Readings of some roles, in their order; a validity comes before what it is about."""
+    found: list[Reading] = []
+    for role in roles:
+        for number, part in enumerate(bindings[role].sources):
+            of = number if bindings[role].parts else None
+            if part.valid:
+                found.append(Reading(role, of, part.valid, is_valid=True))
+            found.append(Reading(role, of, part))
+    return tuple(found)
 
 
 class Sums:
@@ -47,7 +52,7 @@ class Sums:
     def __init__(self, readings: Sequence[Reading], bindings: Mapping[str, TopicBinding]) -> None:
         roles = list(dict.fromkeys(one.role for one in readings))
         self._sums = {role: Sum(role, bindings[role]) for role in roles if bindings[role].parts}
-        self._readings = readings
+        self._readings, self._is_roles = readings, len(readings) == len(roles)
         self._role_of = np.array([roles.index(one.role) for one in readings], np.int16)
         self._is_part = np.array([one.part is not None for one in readings], np.bool_)
 
@@ -65,9 +70,9 @@ class Sums:
                 yield Finding(role, "part", one.alone, float("nan"), text)
 
     def added(self, block: SampleBlock) -> SampleBlock:
-        """A block of readings as one of roles: a sum replaces the part that completes it."""
+        """A block of readings, without validities, as one of roles: a sum replaces the part that completes it."""
         if not self._sums:
-            return block
+            return block if self._is_roles else replace(block, role=self._role_of[block.role])
         parts = np.flatnonzero(self._is_part[block.role])
         columns = (parts, block.role[parts], block.stamp_ns[parts], block.arrival_ns[parts], block.value[parts])
         rows, stamps, values = list[int](), list[int](), list[float]()

@@ -28,8 +28,9 @@ from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import MissingExtraError, one_line
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input, output_folder
-from trackres_ros.files.own_files import write
+from trackres_ros.files.own_files import remove, write
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.vehicle import AnyVehicle, load_any
@@ -141,7 +142,8 @@ class DiagnosisResult:
         """Write the files of `trackres diagnose -o`: report.json, report.html with pictures, vehicle.yaml, and
         surroundings.yaml if an effect belongs to the surroundings.
 
-        Page and pictures of an earlier report there are removed. Without jinja2 or matplotlib there is no page, only a warning.
+        They replace those of an earlier report together, at the end: after any failure all files are still the earlier ones. Page
+        and pictures that the new report does not have are removed. Without jinja2 or matplotlib there is no page, only a warning.
 
         Parameters
         ----------
@@ -159,23 +161,26 @@ class DiagnosisResult:
         ------
         InputError
             If a file of that folder is an input of the diagnosis.
+        OSError
+            If the files cannot be written, as on a full disk; those of an earlier report are then unchanged.
         """
         place = output_folder(folder, where="folder")
         for name in DATA_FILES:
             not_an_input(place / name, self._inputs, "folder")
-        place.mkdir(parents=True, exist_ok=True)
-        earlier = place / PAGE_FILE
-        if earlier.is_file() and "<title>Diagnosis of " in earlier.read_text(encoding="utf-8", errors="replace"):
-            for old in (earlier, *(picture for name in PICTURES for picture in place.glob(name))):
-                old.unlink()
-        file = place / REPORT_FILE
-        write(file, (json.dumps(self._content, indent=2, allow_nan=False) + "\n").encode())
-        self.written = (file, *self._write_vehicle(place))
-        if page:
-            try:
-                self.written += self._write_page(place)
-            except MissingExtraError as error:
-                warnings.warn(f"no page: {error}", stacklevel=2)
+        with file_set():
+            file = place / REPORT_FILE
+            write(file, (json.dumps(self._content, indent=2, allow_nan=False) + "\n").encode())
+            written = (file, *self._write_vehicle(place))
+            if page:
+                try:
+                    written += self._write_page(place)
+                except MissingExtraError as error:
+                    warnings.warn(f"no page: {error}", stacklevel=2)
+            earlier = place / PAGE_FILE
+            if earlier.is_file() and "<title>Diagnosis of " in earlier.read_text(encoding="utf-8", errors="replace"):
+                for old in {earlier, *(picture for name in PICTURES for picture in place.glob(name))}.difference(written):
+                    remove(old)
+        self.written = written
         return place
 
     def _write_page(self, place: Path) -> tuple[Path, ...]:

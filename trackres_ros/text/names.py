@@ -3,6 +3,7 @@
 
 """Writes names of files for people: no longer than it takes to tell them apart."""
 
+import re
 from collections.abc import Sequence
 from pathlib import PurePath
 
@@ -17,3 +18,9 @@ def told_apart(paths: Sequence[str]) -> list[str]:
         return str(PurePath(*parts[-next(lengths, len(parts)) :]))
 
     return [shortest(parts) for parts in every]
+
+
+def words(topic: str) -> str:
+    """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
+    spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
+    return " ".join(re.split(r"[^a-z0-9]+", spaced))

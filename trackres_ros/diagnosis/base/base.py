@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class BaseParameter:
     std: float  # its standard deviation: a Gaussian prior; infinite for an unknown value
     low: float  # bounds of a fit
     high: float
-    by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file; the bounds of a fit are wider
+    by_file: tuple[float, float] = (-np.inf, np.inf)  # range in the vehicle file, with a width; the bounds of a fit are wider
     of_file: float | None = None  # value of the vehicle file that it multiplies, in any unit; None if it is no factor
 
     def outside(self, value: float) -> bool:
@@ -46,9 +46,17 @@ class BaseParameter:
         return not low - rounding <= value <= high + rounding
 
     def inside(self) -> BaseParameter:
-        """The same parameter with the range of the vehicle file as bounds; a range without width is no bound."""
-        low, high = max(self.low, self.by_file[0]), min(self.high, self.by_file[1])
-        return replace(self, low=low, high=high) if low < high else self
+        """The same parameter with the range of the vehicle file as bounds."""
+        return replace(self, low=max(self.low, self.by_file[0]), high=min(self.high, self.by_file[1]))
+
+
+class RangedValue(NamedTuple):
+    """A value of a vehicle file with its range there."""
+
+    unit: str
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +92,11 @@ class Base(ABC):
     def nominal(self) -> dict[str, float]:
         """Values of `parameters` in the vehicle file."""
         return {q.name: q.nominal for q in self.parameters}
+
+    @property
+    def quantities(self) -> Mapping[str, RangedValue]:
+        """Values as they stand in the vehicle file, by their place there; `parameters` may be factors on several of them."""
+        return {q.name: RangedValue(q.unit, q.nominal, *q.by_file) for q in self.parameters}
 
     @property
     def acting(self) -> Sequence[Active]:

@@ -124,6 +124,8 @@ class OwnBase(Base):
                 rest_effects(*acting.table, memory, work, float(session.ambient[0]), session.gap)
             else:
                 memory = cooled(memory)
+                if session.first_drive:
+                    memory[DISTANCE] = far = 0.0
             true = replace(session, speed=acting.speed(session), accel=acting.accel(session))
             own = self._own(true, values) + acting.torque_by_place(session, i) * np.sign(true.speed)
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)

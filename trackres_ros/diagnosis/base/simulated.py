@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Acting, Base, Values
+from trackres_ros.diagnosis.base.base import Acting, Base, RangedValue, Values
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
@@ -32,6 +32,12 @@ class FileBase(Base):
     def __init__(self, vehicle: AnyVehicle) -> None:
         super().__init__()
         self.vehicle = vehicle
+
+    @property
+    def quantities(self) -> Mapping[str, RangedValue]:
+        """See `base.Base`."""
+        known = self.vehicle.parameters.items()
+        return {name: RangedValue(q.unit, q.value, q.low, q.high) for name, q in known if isinstance(q.value, float)}
 
     @property
     def alone(self) -> Self:
@@ -76,6 +82,8 @@ def simulated(
         ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
         if i == 0 or not np.isfinite(session.gap):
             COMPILED.start_belts(*arguments, *state, ambient, 0.0)
+            if session.first_drive:
+                state.effects[DISTANCE] = far = 0.0
         else:
             COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
         rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)

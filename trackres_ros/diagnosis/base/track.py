@@ -98,17 +98,20 @@ class TrackBase(FileBase):
         film_std = film.standard_deviation / film.value
         film_factors = _belt_factors(vehicle, FILMS, *PLAUSIBLE_FILM, by_file=False)
         films_by_file = _belt_factors(vehicle, FILMS, 0.0, np.inf, by_file=True)
-        self.parameters: tuple[BaseParameter, ...] = (
+        fitted = [
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
             BaseParameter(FILM, "1", 1.0, film_std, *film_factors, films_by_file, film.value),
             BaseParameter(CAPACITY, "1", 1.0, capacity_std, *within, by_file, heat_capacity(first.belt, vehicle.rubber)),
-        )
+        ]
         if vehicle.thermal == "core_surface":
             # Two nodes approximate a continuous temperature profile, so their positions are uncertain.
             of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
-            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, of_surface))
+            fitted += [known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, of_surface)]
+        self._by_default = {q.name: q.nominal for q in fitted}
+        # A value whose range in the file has no width is exact, and so is a factor on such a value.
+        self.parameters = tuple(q for q in fitted if q.by_file[0] < q.by_file[1])
 
     def _own_effects(self, _: Values) -> Sequence[Active]:
         return self.vehicle.active

@@ -97,6 +97,7 @@ class DriveSession:
     block: NDArray[np.int64]  # number of the lap, or of the piece, counted through all sessions
     gap: float = np.inf  # time off since the previous session [s]; infinite where the belt starts at ambient temperature
     after_unseen: bool = False  # whether the drive before is not among the recordings
+    first_drive: bool = False  # whether a start at ambient temperature is the vehicle's first one, without a saved state
     given: frozenset[str] = field(default_factory=frozenset)  # the known channels
     computed: frozenset[str] = field(default_factory=frozenset)  # from others, where a replay has less: see `results.diagnosis`
     torque_course: Cumulative | None = None  # the torque as measured, for delays of less than a step

@@ -22,6 +22,7 @@ from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.report.picture import Picture
 from trackres_ros.diagnosis.report.series import MOST_RECORDINGS
 from trackres_ros.diagnosis.report.tiles import by_file, headline, lights, stage_of, tiles
+from trackres_ros.files.file_sets import present
 from trackres_ros.files.own_files import write
 from trackres_ros.text.names import told_apart
 from trackres_ros.text.numbers import alike, decimals, figures
@@ -82,7 +83,7 @@ def write_page(
         no_plots=plots if isinstance(plots, str) else "",
         script=Path(__file__).with_name("page.js").read_text(encoding="utf-8"),
         provenance=provenance,
-        pictures=[(p, KINDS[p.path.suffix], base64.b64encode(p.path.read_bytes()).decode()) for p in pictures],
+        pictures=[(p, KINDS[p.path.suffix], base64.b64encode(present(p.path) or b"").decode()) for p in pictures],
     )
     write(path, page.encode())
 

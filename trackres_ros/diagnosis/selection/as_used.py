@@ -2,23 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Decides which results to write: each file is judged on the hold-out laps the way it is used. A controller runs vehicle.yaml
-alone, without surroundings and without sensor errors. So vehicle.yaml alone is compared with its original. The surroundings
-and the sensor lines are compared together with the written vehicle.yaml.
+alone, without surroundings and without sensor errors, from a first start without a saved state. So vehicle.yaml alone is
+compared with its original, each drive from a cold belt by itself, with the torque that was measured. The surroundings and the
+sensor lines are compared together with the written vehicle.yaml.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.base import Base, BaseParameter, Values
+from trackres_ros.diagnosis.base.base import Base, BaseParameter, RangedValue, Values
 from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
+from trackres_ros.diagnosis.selection.confirm import at_implausible_bounds
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.effects.effect import Active
@@ -27,6 +28,9 @@ from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 Bounds = Mapping[tuple[str, str], Interval]
+
+ROUNDING = 1e-5  # of a value that is written with few figures
+SHOWN = 4  # figures
 
 VEHICLE, SURROUNDINGS, SENSOR = "vehicle", "surroundings", "sensor"
 
@@ -40,49 +44,72 @@ class AsUsed:
     """Hold-out errors of files, each as it is used: in the given surroundings, and alone, as it was `recorded`."""
 
     def __init__(self, base: Base, sessions: Sequence[DriveSession], recorded: Sequence[DriveSession], laps: HeldOutLaps) -> None:
-        self._around = base, tuple(sessions)
+        self._sessions = tuple(sessions)
+        self._around = base, tuple(replace(s, first_drive=True) for s in sessions)
         self._alone = self._around
-        pairs = list(zip(sessions, recorded, strict=True))
+        pairs = list(zip(self._around[1], recorded, strict=True))
         if base.alone is not base or any(s.given != r.given or s.torque_by_place is not r.torque_by_place for s, r in pairs):
             plain = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
             self._alone = base.alone, tuple(plain)
         self._laps = laps
-        self._beside: tuple[Active, ...] = ()
+        self.distance = sum(float(np.abs(np.nan_to_num(s.speed)).sum()) * s.step for s in sessions)
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
 
-    def beside(self, terms: Sequence[Active]) -> AsUsed:
-        """The same evaluation with some terms of the clock acting in each error."""
-        found = copy.copy(self)
-        found._beside = tuple(terms)
-        return found
+    def written(self, effects: Sequence[Active]) -> tuple[Active, ...]:
+        """Effects for a file that is first used after the recordings, without those that have faded, as a belt runs in.
+
+        A fit counts the distance from the first recording, a replay and a live node from their own first start.
+        """
+        return tuple(a for a in (active.after(self.distance) for active in effects) if not a.does_nothing)
+
+    def recorded(self, values: Values | None, effects: Sequence[Active]) -> list[Array]:
+        """Sensed torque of each session [Nm], one after the other, from a file with other values, or with its own."""
+        base = self._with(values, alone=False)
+        return [p.torque for p in base.predict(self._sessions, base.nominal, effects)]
 
     def expected(self, values: Values | None, effects: Sequence[Active], alone: bool) -> list[Array]:
-        """Sensed torque of each session [Nm], from a file with other values, or with its own."""
-        base, sessions = self._alone if alone else self._around
-        if values is not None:
-            key = alone and self._alone is not self._around, tuple(values.values())
-            if key not in self._read:
-                self._read[key] = base.as_written(values)
-            base = self._read[key]
-        return [p.torque for p in base.predict(sessions, base.nominal, effects)]
+        """The same as the written file would have it: each drive by itself."""
+        base = self._with(values, alone)
+        _, sessions = self._alone if alone else self._around
+        return [p.torque for p in base.predict(sessions, base.nominal, self.written(effects))]
+
+    def outside(self, values: Values | None) -> dict[str, RangedValue]:
+        """Values of the written file outside their range in the present one, with that range, by their place in the file."""
+        now, written = (self._with(of, alone=True).quantities for of in (None, values))
+        found = {name: one._replace(value=written[name].value) for name, one in now.items()}
+        return {
+            name: q
+            for name, q in found.items()
+            if not q.low - ROUNDING * abs(q.low) <= q.value <= q.high + ROUNDING * abs(q.high)
+        }
+
+    def _with(self, values: Values | None, alone: bool) -> Base:
+        base, _ = self._alone if alone else self._around
+        if values is None:
+            return base
+        key = alone and self._alone is not self._around, tuple(values.values())
+        if key not in self._read:
+            self._read[key] = base.as_written(values)
+        return self._read[key]
 
     def error(self, values: Values | None, effects: Sequence[Active] = (), alone: bool = False) -> float:
         """Mean absolute error on hold-out laps [Nm]."""
-        expected = self.expected(values, [*effects, *self._beside], alone)
-        return float(np.abs(self._laps.measured - self._laps.of(expected)).mean())
+        return float(np.abs(self._laps.measured - self._laps.of(self.expected(values, effects, alone))).mean())
 
     def surely_better(self, after: Fit, before: Fit) -> bool:
         """Whether the error of one fit is significantly smaller, without surroundings."""
         base, sessions = self._alone
-        both = (base.predict(sessions, f.base_values, of_kind(f.effects, VEHICLE, SENSOR)) for f in (before, after))
+        written = (self.written(of_kind(f.effects, VEHICLE, SENSOR)) for f in (before, after))
+        both = (base.predict(sessions, f.base_values, of) for f, of in zip((before, after), written, strict=True))
         return self._laps.improvement(*([p.torque for p in one] for one in both)).grade == CONFIRMED
 
 
-def inside_ranges(found: Fit, use: AsUsed) -> Fit:
+def inside_ranges(found: Fit, use: AsUsed, fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
     """A fit with base values inside the ranges of the vehicle file, except values confirmed outside on hold-out laps.
 
-    The alternative to a value outside is the end of its range with a re-fit of the others. It is confirmed if vehicle.yaml
-    alone is significantly better with it. Further fits of the same problem keep to these ranges.
+    The alternative to a value outside is the end of its range with a re-fit of the others, and parameters `fixed` at a value. It
+    is confirmed if vehicle.yaml alone is significantly better with it, and it is not as far outside as is plausible: then it is
+    no estimate. Further fits of the same problem keep to these ranges.
     """
     names = {q.name for q in found.problem.base.parameters}
     held, confirmed = set[str](), set[str]()
@@ -91,8 +118,8 @@ def inside_ranges(found: Fit, use: AsUsed) -> Fit:
         if not outside:
             break
         name = outside[0].name
-        inside = with_levels(_within(found, names - held - {name}))
-        if use.surely_better(found, inside):
+        inside = with_levels(_within(found, names - held - {name}), (), fixed)
+        if name not in at_implausible_bounds(found) and use.surely_better(found, inside):
             confirmed.add(name)
         else:
             found = inside
@@ -150,56 +177,46 @@ def choose_written(
     `believed` are the names of the effects that may be written, `confirmed` those confirmed on hold-out laps. Confirmed sensor
     effects correct the torque for judging vehicle.yaml. `final` has all found effects, with the intervals `bounds`, and
     `refitted` none. A re-fit without `passing` terms, confirmed spells or a change of level, would average what is with and
-    without them. So values are fitted, and judged, together with them.
+    without them. So values are fitted together with them. No file has these terms, so they are not in any error.
     """
     written = tuple(a for a in final.effects if a.effect.name in believed and a.effect.acts_on != WATCHED)
-    terms = tuple(a for a in final.effects if a.effect.name in passing)
-    if terms:
-        use, refitted = use.beside(terms), _with_refitted_base((), final)
+    if any(a.effect.name in passing for a in final.effects):
+        refitted = _with_refitted_base((), final, use)
     first = ""
-    for option in _options(written, final, refitted):
-        why = _refused(option, confirmed, refitted, use)
+    for option in _options(written, final, refitted, use):
+        why = _refused(option, confirmed, use)
         if not why:
-            return _kept(option, final, confirmed, use, bounds, f"{_compared(terms)}{first}")
+            return _kept(option, final, confirmed, use, bounds, first)
         first = first or f"; not {option.text}, as {why}"
-    return _kept(_Option(None, ()), final, confirmed, use, bounds, f"{_compared(terms)}{first}")
+    return _kept(_Option(None, ()), final, confirmed, use, bounds, first)
 
 
-def _compared(terms: Sequence[Active]) -> str:
-    return f"; errors are compared with the torque without {', '.join(a.effect.name for a in terms)}" if terms else ""
-
-
-def _options(written: tuple[Active, ...], final: Fit, refitted: Fit) -> Iterator[_Option]:
+def _options(written: tuple[Active, ...], final: Fit, refitted: Fit, use: AsUsed) -> Iterator[_Option]:
     """Possible changes, best first: the found effects with fitted values; the same with the file's own values; the
     vehicle's effects alone; a re-fit without effects. Effects keep their parameters of `final`, as in the report.
     """
     if written:
-        yield _Option(_with_refitted_base(written, final), written)
+        yield _Option(_with_refitted_base(written, final, use), written)
         yield _Option(None, written)
     of_vehicle = of_kind(written, VEHICLE)
     if of_vehicle and len(of_vehicle) < len(written):
-        yield _Option(_with_refitted_base(of_vehicle, final), of_vehicle)
+        yield _Option(_with_refitted_base(of_vehicle, final, use), of_vehicle)
     yield _Option(refitted, ())
 
 
-def _with_refitted_base(written: Sequence[Active], final: Fit) -> Fit:
+def _with_refitted_base(written: Sequence[Active], final: Fit, use: AsUsed) -> Fit:
     """Re-fit of the base with some effects at their final parameters."""
     names = {a.effect.name for a in written}
     without = [a.effect.name for a in final.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
     if not without:
         return final
     held = {(a.effect.name, q.name): a.values[q.name] for a in written for q in a.effect.parameters if q.fitted}
-    return with_levels(final, without, held)
+    return inside_ranges(with_levels(final, without, held), use, held)
 
 
-def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: AsUsed) -> str:
+def _refused(option: _Option, confirmed: Collection[str], use: AsUsed) -> str:
     """Reason for not writing an option; empty if it may be written."""
     values, effects = option.values, option.effects
-    if option.fitted is not None and option.fitted is not refitted:
-        for q in _outside(option.fitted):
-            free = {p.name for p in option.fitted.problem.base.parameters} - {q.name}
-            if not use.surely_better(option.fitted, with_levels(_within(option.fitted, free))):
-                return f"{q.name} would leave its range in the file without confirmation"
     try:
         alone, before = _alone(option, confirmed, use)
     except InputError as error:  # a fit may be infeasible elsewhere: a belt that burns at its greatest speed
@@ -231,8 +248,8 @@ def _correcting(option: _Option, confirmed: Collection[str]) -> list[Active]:
 
 def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, not_first: str) -> FileChanges:
     """An option with its intervals and a text."""
-    names = {a.effect.name for a in option.effects}
-    spans = {key: one for key, one in bounds.items() if key[0] in names}
+    effects = use.written(option.effects)
+    spans = {key: one for active in option.effects for key, one in _after(active, bounds, use.distance).items()}
     if option.fitted is not None:
         of_base = bounds if option.fitted is final else intervals(option.fitted)
         spans |= {key: one for key, one in of_base.items() if not key[0]}
@@ -242,12 +259,39 @@ def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, 
     error += ", compared with the torque that the topics file corrects" if _correcting(option, confirmed) else ""
     if of_kind(option.effects, SURROUNDINGS):
         error += f", {figures(use.error(option.values, option.effects))} Nm with surroundings.yaml"
+    names = {a.effect.name for a in option.effects}
     doubted = [a.effect.name for a in final.effects if a.effect.acts_on != WATCHED and a.effect.name not in names]
     but = f"; not written: {', '.join(doubted)}" if doubted else ""
     return FileChanges(
         None if option.values is None else dict(option.values),
-        tuple(a for a in option.effects if not isinstance(a.effect, ByPlace)),
+        tuple(a for a in effects if not isinstance(a.effect, ByPlace)),
         spans,
-        f"written: {option.text}; {error}{but}{not_first}",
-        route=tuple(a.effect.learned(a.numbers[0]) for a in option.effects if isinstance(a.effect, ByPlace)),
+        f"written: {option.text}; {error}{_changed(option, effects, use)}{but}{not_first}",
+        route=tuple(a.effect.learned(a.numbers[0]) for a in effects if isinstance(a.effect, ByPlace)),
     )
+
+
+def _after(active: Active, bounds: Bounds, distance: float) -> dict[tuple[str, str], Interval]:
+    """Intervals of an effect's parameters from a first start that comes so much further [m], see `Effect.values_after`."""
+
+    def moved(q: str, value: float) -> float:
+        return active.effect.values_after({**active.values, q: value}, distance)[q]
+
+    of = {(name, q): one for (name, q), one in bounds.items() if name == active.effect.name}
+    return {key: replace(one, low=moved(key[1], one.low), high=moved(key[1], one.high)) for key, one in of.items()}
+
+
+def _changed(option: _Option, written: Sequence[Active], use: AsUsed) -> str:
+    """Text on values outside their range, and on effects that the file has otherwise than the report."""
+    found, left, km = "", {a.effect.name: a.values for a in written}, figures(use.distance / 1000.0)
+    for place, q in use.outside(option.values).items():
+        value, low, high = (figures(x, SHOWN) for x in q[1:])
+        unit = "" if q.unit == "1" else f" {q.unit}"
+        found += f"; {place} is {value}{unit}, outside its range from {low} to {high}{unit}: hold-out laps confirm it"
+    for active in option.effects:
+        name = active.effect.name
+        if name not in left:
+            found += f"; vehicle.yaml is without {name}, which has faded over the {km} km of the recordings"
+        elif left[name] != active.values:
+            found += f"; {name} is written as it is after the {km} km of the recordings"
+    return found

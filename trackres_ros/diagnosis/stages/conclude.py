@@ -36,8 +36,9 @@ def conclude(
     passing = [name for name in confirmed if chosen.term(name).chain is not None or chosen.term(name).change is not None]
     kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, passing)
     names = {name for kind in BELONGS_TO for name in kept.names_of(kind)}
-    written = [active for active in final.effects if active.effect.name in names]  # those by place too
-    expected = base.use.expected(kept.values, written, alone=False)
+    # Those by place too, and those that have faded since: a disturbance is what the file lacks.
+    written = [a for a in final.effects if a.effect.name in names or not base.use.written([a])]
+    expected = base.use.recorded(kept.values, written)
     old = prepared.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
     shown = (kept.values or {}).get("torque_scale", old) / old
     watched = [chosen.term(t.described.name) for t in judged.described if may_be_kept(t, judged.verdict, keep_suspected)]

@@ -14,6 +14,7 @@ import numpy as np
 from trackres_ros.estimator import columns as at
 from trackres_ros.evaluation.learned.cases import DRIVES, KINDS, SENSORS
 from trackres_ros.evaluation.processes import write_scores
+from trackres_ros.files.file_sets import file_set
 from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
 
 PICTURE = "learning.png"
@@ -34,6 +35,7 @@ SHORT = {
 }
 
 
+@file_set()
 def write_page(folder: Path, scores: dict[str, Any]) -> None:
     """Write scores, page and picture."""
     plain = [case for case in scores["cases"] if not case["hostile"]]

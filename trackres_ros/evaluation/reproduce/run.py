@@ -21,6 +21,8 @@ from trackres_ros.evaluation.reproduce.spectrum import spectrum
 from trackres_ros.evaluation.reproduce.speeds import SPEEDS_KMH, speeds
 from trackres_ros.evaluation.reproduce.trials import TRIALS, trials
 from trackres_ros.evaluation.reproduce.weights import WEIGHTS_KN, weights
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import write
 from trackres_ros.vehicle import load
 
 VEHICLE = "xgd24d"  # the paper's
@@ -31,6 +33,7 @@ INDEX, SUMMARY = "index.md", "summary.json"
 COMMAND = "trackres reproduce -o docs/reproduction --page docs/reproduction.md"
 
 
+@file_set()
 def reproduce(
     out_dir: Path,
     progress: Callable[[str, float], None] | None = None,
@@ -55,7 +58,6 @@ def reproduce(
         if progress:
             progress(text, min(done / RUNS, 1.0))
 
-    out_dir.mkdir(parents=True, exist_ok=True)
     bench = Bench(load(VEHICLE), dt, advance)
     sections: list[Section] = [
         indentation(bench, out_dir),
@@ -73,11 +75,11 @@ def reproduce(
         "text": _introduction(bench),
         "sections": [section.summary() for section in sections],
     }
-    (out_dir / SUMMARY).write_text(json.dumps(summary, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    (out_dir / INDEX).write_text(page_of(summary), encoding="utf-8")
+    write(out_dir / SUMMARY, (json.dumps(summary, indent=1, ensure_ascii=False) + "\n").encode())
+    write(out_dir / INDEX, page_of(summary).encode())
     if page is not None:
         folder = Path(os.path.relpath(out_dir, page.parent)).as_posix()
-        page.write_text(page_of(summary, f"{folder}/"), encoding="utf-8")
+        write(page, page_of(summary, f"{folder}/").encode())
     return summary
 
 

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trackres_ros.files.own_files import write
+
 HOLDS, FAILS, IN_PART, OPEN = "holds", "does not hold", "holds in part", "cannot be checked"
 INK = "#404040"
 UNEXPLAINED = "No reason is on file for this outcome: the model or the vehicle file has changed since the reasons were written."
@@ -93,7 +95,7 @@ def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(cell, row)) for row in rows)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write(path, ("\n".join(lines) + "\n").encode())
 
 
 def rounded(value: Any) -> Any:

@@ -8,14 +8,13 @@ The earlier version is a checkout, and is run by its own command line, with the 
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
-import sys
 import tempfile
 from functools import partial
 from pathlib import Path
 
+from trackres_ros.engine.interpreter import python
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.processes import each, unfinished
 
@@ -31,12 +30,10 @@ def main(cases: Path, results: Path, checkout: Path, first: int | None = None) -
 
 def _diagnose(results: Path, checkout: Path, folder: Path) -> None:
     with tempfile.TemporaryDirectory() as report:
-        drives = [str(path) for path in sorted(folder.glob("drive_*.csv"))]
-        command = [sys.executable, "-m", "trackres_ros", "diagnose", *drives, "--vehicle", str(folder / "vehicle.yaml")]
-        environment = {**os.environ, "PYTHONPATH": str(checkout)}
-        done = subprocess.run(
-            [*command, "--quick", "-o", report], env=environment, cwd=report, capture_output=True, text=True, check=False
-        )
+        drives = sorted(folder.glob("drive_*.csv"))
+        words = ("diagnose", *drives, "--vehicle", folder / "vehicle.yaml", "--quick", "-o", report)
+        earlier = python("trackres_ros", *words, PYTHONPATH=str(checkout))
+        done = subprocess.run(**earlier, cwd=report, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"{folder.name}: the earlier version ended with exit code {done.returncode}: {done.stderr[-500:]}")
         shutil.move(Path(report) / "report.json", results / f"{folder.name}.json")

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -23,6 +24,8 @@ from trackres_ros.evaluation.sealed.blind import diagnosed
 from trackres_ros.evaluation.sealed.cases import NOT_IN_CATALOGUE
 from trackres_ros.evaluation.sealed.discrepancy import BASE
 from trackres_ros.evaluation.sealed.scored import NO_WORSE, OURS, Scored, own_shares, shares, sizes, wilson
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import write
 from trackres_ros.output.style import picture
 
 TARGETS = {
@@ -50,6 +53,7 @@ CONFUSION = "confusion.png"
 UNITLESS = "(median)", "(mean)"  # how the names of scores end that are no shares
 
 
+@file_set()
 def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, drawn: int, cases: Path | None = None) -> None:
     """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md, and print the last."""
     kinds = mistakes(scored)
@@ -116,7 +120,6 @@ def write_case(folder: Path, cases: Path, s: Scored, path: Path) -> None:
     """The page that the diagnosis makes of a case."""
     found, paths = diagnosed(cases / s.case.name)
     into = folder / "pictures" / s.case.name
-    into.mkdir(parents=True, exist_ok=True)
     title = f"Case {s.case.name}; hidden: {s.case.title}"
     write_page(path, report(found, [Path(p.name) for p in paths]), draw_all(found, into), title)
 
@@ -236,17 +239,18 @@ def _target(name: str, value: float, shown: Callable[[float], str]) -> tuple[str
 
 
 def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        methods = [method for method in BASELINES if all(method in s.answers for s in scored)]
-        writer.writerow(["case", "level", "hidden", "said", "status", "identifiable", "oracle_gain", "mistake", *methods])
-        for s in sorted(scored, key=lambda s: (s.case.level, sorted(s.true))):
-            by_others = [_verdict_of(s.answers[method]) for method in methods]
-            plain = "yes" if s.known.identifiable else "no"
-            writer.writerow(
-                [s.case.name, s.case.level, "+".join(s.case.hidden), _verdict_of(s.answer), s.answer.status, plain,
-                 f"{s.known.gain:.1f}", s.wrong, *by_others]
-            )  # fmt: skip
+    rows = io.StringIO()
+    writer = csv.writer(rows)
+    methods = [method for method in BASELINES if all(method in s.answers for s in scored)]
+    writer.writerow(["case", "level", "hidden", "said", "status", "identifiable", "oracle_gain", "mistake", *methods])
+    for s in sorted(scored, key=lambda s: (s.case.level, sorted(s.true))):
+        by_others = [_verdict_of(s.answers[method]) for method in methods]
+        plain = "yes" if s.known.identifiable else "no"
+        writer.writerow(
+            [s.case.name, s.case.level, "+".join(s.case.hidden), _verdict_of(s.answer), s.answer.status, plain,
+             f"{s.known.gain:.1f}", s.wrong, *by_others]
+        )  # fmt: skip
+    write(path, rows.getvalue().encode())
 
 
 def _draw_confusion(path: Path, scored: Sequence[Scored]) -> None:

@@ -205,8 +205,8 @@ EXPORTED fmi3Status fmi3DoStep(
     (void)no_way_back;
     *event_needed = *terminate = *early_return = false;
     *last_time = time;
-    if (!(step > 0.0) || step_in_pieces(one, step) < 0) {
-        return failed(one, "a step that is no time");
+    if (!(step > 0.0 && step <= TRACKRES_LONGEST_STEP_S) || step_in_pieces(one, step) < 0) {
+        return failed(one, "a communication step is more than 0 s, and a week at most");
     }
     one->time = *last_time = time + step;
     return fmi3OK;

@@ -124,6 +124,7 @@ static int replay(FILE *file)
     static int uses[MOST_COLUMNS];
     static trackres_state state;
     trackres_inputs inputs;
+    trackres_inputs nothing;
     trackres_outputs outputs;
     int64_t last_ns = 0;
     int64_t first_ns = 0;
@@ -131,6 +132,7 @@ static int replay(FILE *file)
     int begun = 0;
     memset(&outputs, 0, sizeof outputs);
     trackres_init(&state);
+    trackres_no_inputs(&nothing);
     if (fgets(line, sizeof line, file) == NULL) {
         return wrong(1, "no line of names", "");
     }
@@ -153,9 +155,16 @@ static int replay(FILE *file)
             return 2;
         }
         const int64_t stamp_ns = (int64_t)llrint(time * 1e9);
-        const double dt = timed ? (double)(stamp_ns - last_ns) * 1e-9 : 0.0;
+        double dt = timed ? (double)(stamp_ns - last_ns) * 1e-9 : 0.0;
+        if (dt < 0.0) {
+            (void)fprintf(stderr, "trackres_replay: line %ld is earlier than the one before: not used\n", number);
+            continue;
+        }
         timed = 1;
         last_ns = stamp_ns;
+        for (; dt > TRACKRES_LONGEST_STEP_S; dt -= TRACKRES_LONGEST_STEP_S) { /* a pause in pieces */
+            (void)trackres_step(&state, &nothing, (trackres_real)TRACKRES_LONGEST_STEP_S, &outputs);
+        }
         if (trackres_step(&state, &inputs, (trackres_real)dt, &outputs) == TRACKRES_STEPPED) {
             first_ns = begun ? first_ns : stamp_ns;
             begun = 1;

@@ -11,7 +11,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from trackres_ros.files.own_files import write
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import remove, write
 from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.periods import verdicts
 from trackres_ros.fleet.task import NO_VEHICLE
@@ -30,8 +31,12 @@ SHOWN = (
 )  # fmt: skip
 
 
+@file_set()
 def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -> Path:
-    """Write index.html and vehicles/NAME.html alone; return the first path. Raises MissingExtraError without jinja2."""
+    """Write index.html and vehicles/NAME.html alone, and remove pages of others; return the first path.
+
+    Raises MissingExtraError without jinja2.
+    """
     environment = templates(
         "trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, decimals=decimals, percent=percent
     )
@@ -50,9 +55,8 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
         style=style, found=found, months=months, pages=pages, lines=sentences(found),
         shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
     )  # fmt: skip
-    (folder / VEHICLES).mkdir(exist_ok=True)
     for earlier in {*(folder / VEHICLES).glob("*.html")} - {folder / page for page in pages.values()}:
-        earlier.unlink()
+        remove(earlier)
     for name in names:
         vehicle = found["vehicles"].get(name)
         type_ = next((t for t in found["types"] if name in t["vehicles"]), None)

@@ -10,14 +10,12 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from trackres_ros.node.dds.participant import serialized
 from trackres_ros.node.dds.wire import known_type, typestore
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import UNUSABLE, Reasons, Status, stamp_ns
 from trackres_ros.output import bag
-from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
+from trackres_ros.output.topics import ESTIMATE_TOPIC, OutputTopic
 from trackres_ros.recording.binding import FIX, NO_FIX
 from trackres_ros.recording.cdr import FieldReader, MalformedError, Template, layout_of
 from trackres_ros.recording.message_types import definitions, message_fields
@@ -72,17 +70,8 @@ class DdsEstimate:
         return self._prepared.filled(stamp, values)
 
     def _with(self, reasons: Reasons) -> PreparedMessage:
-        types, topic = typestore().types, ESTIMATE_TOPIC
-        group = types["control_msgs/msg/InterfaceValue"]
-        message = types[topic.type](
-            header=bag.header(typestore(), self._frame_id),
-            interface_groups=[VEHICLE_GROUP, REASONS_GROUP],
-            interface_values=[
-                group(interface_names=list(topic.names), values=np.zeros(len(topic.names))),
-                group(interface_names=[name for name, _ in reasons], values=np.array([float(level) for _, level in reasons])),
-            ],
-        )
-        return PreparedMessage(topic, message, [f"interface_values[0].values[{i}]" for i in range(len(topic.names))])
+        message = bag.estimate_message(typestore(), self._frame_id, reasons)
+        return PreparedMessage(ESTIMATE_TOPIC, message, bag.number_fields(ESTIMATE_TOPIC))
 
 
 def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> bytes:

@@ -16,11 +16,22 @@ from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.background import Background, ErrorLines
 from trackres_ros.node.clock import Arrival
-from trackres_ros.node.dds.messages import CdrInput, Fill, clock_ns, diagnostic_array, prepared
-from trackres_ros.node.dds.participant import Participant, Publication, TopicReader
+from trackres_ros.node.dds.messages import CdrInput, clock_ns, diagnostic_array, prepared
+from trackres_ros.node.dds.participant import Participant, Publication, Taken, TopicReader, Writer
 from trackres_ros.node.dds.wire import type_hash, typestore
-from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
+from trackres_ros.node.endpoints import (
+    DISCOVERY_NS,
+    TORQUES,
+    InputTopic,
+    Quality,
+    full_name,
+    input_name,
+    input_quality,
+    latched_quality,
+    output_quality,
+)
 from trackres_ros.node.inbox import Inbox
+from trackres_ros.node.message_handler import Sent
 from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
 from trackres_ros.node.parameters import Parameters, Value
 from trackres_ros.node.service_manager import ServiceManager
@@ -47,18 +58,19 @@ class DdsNode:
         self.application = application = Application(parameters, self, node, namespace)
         self._input_readers = [CdrInput(given, application.topics.origin) for given in application.inputs]
         self._participant = Participant(node, namespace)
-        self._fills: list[Fill | None] = []
-        self._writers = []
-        for topic in application.outputs:
-            name = full_name(topic.name, node, namespace)
-            self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
-            self._fills.append(None if topic.kind == "status" else prepared(topic, self._frame_id))
+        self._began_ns = time.monotonic_ns()
+        self._output_names = [full_name(topic.name, node, namespace) for topic in application.outputs]
+        self._torques = {full_name(name, node, namespace) for name in TORQUES}
+        self._fills = [None if topic.kind == "status" else prepared(topic, self._frame_id) for topic in application.outputs]
+        self._writers: dict[int, Writer] = {}
+        self._open(shared=True)
         self._input_names = [self.topic_name(given.name) for given in application.inputs]
-        self._quality = input_quality(parameters)
+        self._quality, self._latched_quality = input_quality(parameters), latched_quality(parameters)
         self._readers = [
             self._participant.reader(name, given.type, self._quality)
             for name, given in zip(self._input_names, application.inputs, strict=True)
         ]
+        self._latched: dict[int, TopicReader] = {}
         self._kept: list[tuple[int, TopicReader]] = []
         self._clock: TopicReader | None = None
         self._sim_ns = 0
@@ -67,7 +79,7 @@ class DdsNode:
         self._participant.announce()
         guard = application.guard
         self._inbox = Inbox(
-            [guard.taking(f"reading {name}", reader.take) for name, reader in zip(self._input_names, self._readers, strict=True)],
+            [guard.taking(f"reading {name}", partial(self._take, index)) for index, name in enumerate(self._input_names)],
             self._hand,
             application.clock.arrival,
             application.messages.dropped,
@@ -96,11 +108,47 @@ class DdsNode:
 
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers on the topic of an input."""
-        if index == 0:  # the first of a round
-            self._publications = list(self._participant.publications())
         connected, name, kind = self._readers[index].connected, self._input_names[index], self.application.inputs[index].type
-        there = [found for found in self._publications if found.topic == name]
-        return [Peer(found.type, found.handle in connected, found.type != kind or _is_ours(kind, found)) for found in there]
+        return [
+            Peer(
+                found.type,
+                found.handle in connected,
+                found.type != kind or _is_ours(kind, found),
+                self._participant.node_of(found),
+                found.handle,
+                found.latched,
+            )
+            for found in self._participant.publications()
+            if found.topic == name
+        ]
+
+    def latch(self, index: int) -> None:
+        """Receive what the publishers of an input keep, too."""
+        kind = self.application.inputs[index].type
+        self._latched[index] = self._participant.reader(self._input_names[index], kind, self._latched_quality)
+        self._participant.announce()
+
+    def rivals(self) -> Sequence[str] | None:
+        """The nodes of other publishers on our topics with the feed-forward."""
+        if time.monotonic_ns() - self._began_ns < DISCOVERY_NS:
+            return None
+        there = [found for found in self._participant.publications() if found.topic in self._torques]
+        return [
+            f"{self._participant.node_of(found) or 'a publisher without a node name'} on {found.topic}"
+            for found in there
+            if not self._participant.is_own(found)
+        ]
+
+    def open_outputs(self) -> None:
+        """Open the topics below the node's own name."""
+        self._open(shared=False)
+        self._participant.announce()
+
+    def _open(self, shared: bool) -> None:
+        for output, (name, topic) in enumerate(zip(self._output_names, self.application.outputs, strict=True)):
+            if topic.shared is shared:
+                quality = output_quality(self.application.parameters, topic)
+                self._writers[output] = self._participant.writer(name, topic.type, quality)
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""
@@ -152,15 +200,20 @@ class DdsNode:
                 guard("the parameter file", self._follow, watched)
 
     def _take_clock(self, clock: TopicReader) -> None:
-        for raw, _ in clock.take():
+        for taken in clock.take():
             with suppress(MalformedError):
-                before, self._sim_ns = self._sim_ns, clock_ns(raw)
+                before, self._sim_ns = self._sim_ns, clock_ns(taken.raw)
                 self.application.time_went_back(before - self._sim_ns)
+
+    def _take(self, index: int) -> list[Taken]:
+        """The messages that wait at an input."""
+        latched = self._latched.get(index)
+        return [*(latched.take() if latched else ()), *self._readers[index].take()]
 
     def _take_kept(self) -> None:
         for index, kept in self._kept:
-            for raw, _ in kept.take():
-                self.application.messages.keep(index, raw)
+            for taken in kept.take():
+                self.application.messages.keep(index, taken.raw)
 
     def _carry_out(self, requests: SignalRequests) -> None:
         for level, text in requests.carry_out(self.application):
@@ -189,14 +242,14 @@ class DdsNode:
         except BaseException as error:  # raised in the loop, which handles it
             self._looked = error
 
-    def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
-        raw, sent_ns = message
+    def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
+        sent = Sent(message.sent_ns, message.source, message.latched)
         try:
-            stamp, values = self._input_readers[index].read(raw)
+            stamp, values = self._input_readers[index].read(message.raw)
         except Exception:  # no bytes, whatever they are, end the node
-            self.application.messages.receive_undecodable(index, sent_ns, arrived, raw)
+            self.application.messages.receive_undecodable(index, sent, arrived, message.raw)
         else:
-            self.application.messages.receive_values(index, stamp, values, sent_ns, arrived, raw)
+            self.application.messages.receive_values(index, stamp, values, sent, arrived, message.raw)
 
     def _tick_if_due(self) -> None:
         now = time.monotonic_ns()

@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from cyclonedds._clayer import ddspy_take, ddspy_write
@@ -33,7 +33,8 @@ from trackres_ros.node.dds.wire import (
 from trackres_ros.node.endpoints import Quality
 
 GRAPH_TOPIC, GRAPH_TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
-GRAPH_QUALITY = Quality(reliable=True, depth=1, deadline_s=0.0)
+GRAPH_QUALITY = Quality(reliable=True, depth=1, deadline_s=0.0, latched=True)
+NODES_QUALITY = Quality(reliable=True, depth=1000, deadline_s=0.0, latched=True)  # of all participants together: it has no key
 EVERY_SAMPLE = SampleState.Any | ViewState.Any | InstanceState.Any
 WAITING = SampleState.NotRead | ViewState.Any | InstanceState.Any
 MOST_TAKEN = 1000
@@ -46,8 +47,24 @@ class Publication:
 
     topic: str
     type: str
-    handle: int  # as in `TopicReader.connected`
+    handle: int  # as in `TopicReader.connected` and `Taken`
     user_data: bytes  # from ROS 2 as of `wire.type_hash`
+    gid: bytes = b""
+    latched: bool = False  # keeps its last messages for those who join later: reliable and transient local
+
+    @property
+    def process(self) -> bytes:
+        """What all endpoints of one participant share: the GUID's prefix (DDSI-RTPS 2.5, 9.3.1.5)."""
+        return self.gid[:12]
+
+
+class Taken(NamedTuple):
+    """A serialised message."""
+
+    raw: bytes
+    sent_ns: int  # by its publisher's clock
+    source: int  # handle of its publisher
+    latched: bool  # whether it came by an endpoint that also gets what publishers keep
 
 
 class Writer:
@@ -77,17 +94,20 @@ class TopicReader:
         topic = Topic(participant.entity, TOPIC_PREFIX + name.lstrip("/"), idl_struct(kind))
         self.entity = DataReader(participant.subscriber, topic, qos=qos(quality, type_hash(kind)))
         self.condition = ReadCondition(self.entity, WAITING)
-        self._reference = self.entity._ref
+        self._reference, self._latched = self.entity._ref, quality.latched
 
     @property
     def connected(self) -> list[int]:
         """The writers whose messages come: quality of service and definition of the type fit."""
         return [handle % 2**64 for handle in self.entity.get_matched_publications()]  # the binding reads them with a sign
 
-    def take(self) -> list[tuple[bytes, int]]:
-        """Take all waiting messages in order of arrival, each with its sending time [ns]."""
+    def take(self) -> list[Taken]:
+        """Take all waiting messages in order of arrival."""
         found = ddspy_take(self._reference, EVERY_SAMPLE, MOST_TAKEN)
-        return [(raw, about.source_timestamp) for raw, about in found if about.valid_data] if isinstance(found, list) else []
+        if not isinstance(found, list):
+            return []
+        latched = self._latched
+        return [Taken(raw, about.source_timestamp, about.publication_handle, latched) for raw, about in found if about.valid_data]
 
 
 class Participant:
@@ -109,11 +129,14 @@ class Participant:
             raise InputError("environment CYCLONEDDS_URI", given, allowed, "its own messages above give the cause") from error
         self.publisher, self.subscriber = Publisher(self.entity), Subscriber(self.entity)
         graph = Topic(self.entity, GRAPH_TOPIC, idl_struct(GRAPH_TYPE))
-        self._graph = DataWriter(self.publisher, graph, qos=qos(GRAPH_QUALITY, type_hash(GRAPH_TYPE), transient=True))
+        self._graph = DataWriter(self.publisher, graph, qos=qos(GRAPH_QUALITY, type_hash(GRAPH_TYPE)))
+        self._nodes = DataReader(self.subscriber, graph, qos=qos(NODES_QUALITY, type_hash(GRAPH_TYPE)))
+        self._entities: dict[bytes, Mapping[bytes, str]] = {}  # by participant: its writers, and the node of each
         self._others = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
         self._known: dict[int, Publication] = {}
         self._writers: list[Writer] = []
         self._readers: list[TopicReader] = []
+        self._waits: WaitSet | None = None
 
     def writer(self, name: str, kind: str, quality: Quality) -> Writer:
         """A writer on a topic by its full name; visible to others after `announce`."""
@@ -123,6 +146,8 @@ class Participant:
     def reader(self, name: str, kind: str, quality: Quality) -> TopicReader:
         """A reader of a topic by its full name; visible to others after `announce`."""
         self._readers.append(TopicReader(self, name, kind, quality))
+        if self._waits is not None:
+            self._waits.attach(self._readers[-1].condition)
         return self._readers[-1]
 
     def announce(self) -> None:
@@ -139,11 +164,28 @@ class Participant:
 
     def waiter(self) -> Callable[[int], object]:
         """A function that waits [ns] until a message waits at any reader, or the time is over."""
-        waits = WaitSet(self.entity)
+        self._waits = WaitSet(self.entity)
         for reader in self._readers:
-            waits.attach(reader.condition)
-        wait: Callable[[int], object] = waits.wait
+            self._waits.attach(reader.condition)
+        wait: Callable[[int], object] = self._waits.wait
         return wait
+
+    def node_of(self, publication: Publication) -> str:
+        """Full name of the node that announces a writer as its own; empty if none does."""
+        found = ddspy_take(self._nodes._ref, EVERY_SAMPLE, MOST_TAKEN)
+        for raw, about in found if isinstance(found, list) else ():
+            if about.valid_data:
+                message: Any = typestore().deserialize_cdr(raw, GRAPH_TYPE)
+                self._entities[bytes(message.gid.data)[:12]] = {
+                    bytes(gid.data): f"{node.node_namespace.rstrip('/')}/{node.node_name}"
+                    for node in message.node_entities_info_seq
+                    for gid in node.writer_gid_seq
+                }
+        return self._entities.get(publication.process, {}).get(publication.gid, "")
+
+    def is_own(self, publication: Publication) -> bool:
+        """Whether it is a writer of this participant."""
+        return publication.process == bytes(self.entity.guid.bytes[:12])
 
     def publications(self) -> Iterator[Publication]:
         """All present writers of ROS topics, including our own."""
@@ -153,7 +195,10 @@ class Participant:
                 self._known.pop(handle, None)
             elif found.topic_name.startswith(TOPIC_PREFIX):
                 name, kind = "/" + found.topic_name.removeprefix(TOPIC_PREFIX), ros_type_name(found.type_name)
-                self._known[handle] = Publication(name, kind, handle, getattr(found.qos[Policy.Userdata], "data", b""))
+                user_data = getattr(found.qos[Policy.Userdata], "data", b"")
+                reliable = isinstance(found.qos[Policy.Reliability], Policy.Reliability.Reliable)
+                latched = reliable and found.qos[Policy.Durability] != Policy.Durability.Volatile
+                self._known[handle] = Publication(name, kind, handle, user_data, found.key.bytes, latched)
         yield from self._known.values()
 
     def close(self) -> None:

@@ -19,11 +19,11 @@ from cyclonedds.core import Policy, Qos
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
 from cyclonedds.util import duration
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import Quality
-from trackres_ros.recording.message_types import message_fields
+from trackres_ros.recording.message_types import add_control_msgs, message_fields
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -32,12 +32,6 @@ TOPIC_PREFIX = "rt/"
 MOST_DOMAIN = 232
 OTHERWISE = {"bool": bool, "byte": idl.uint8, "char": idl.uint8, "octet": idl.uint8}
 """Numbers with another name in the binding of Cyclone, or of another type on the wire."""
-CONTROL_MSGS = {
-    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
-    "control_msgs/msg/DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
-    "InterfaceValue[] interface_values",
-}
-"""Fields of the messages of control_msgs, which rosbags does not bring."""
 LOOPBACK = """<CycloneDDS><Domain>
 <General><AllowMulticast>false</AllowMulticast><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>
 <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex>
@@ -53,9 +47,7 @@ def typestore() -> Typestore:
 
     rosidl hashes a `char` of a .msg file as uint8, rosbags as char. So it becomes uint8 here, which is the same on the wire.
     """
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name, text in CONTROL_MSGS.items():
-        store.register(get_types_from_msg(text, name))
+    store = add_control_msgs(get_typestore(Stores.ROS2_JAZZY))
     fields: Any = message_fields(store)
     for name, (constants, described) in list(fields.items()):
         fields[name] = (constants, [(field, _without_char(kind)) for field, kind in described])
@@ -123,19 +115,19 @@ def _idl_field(kind: Any) -> Any:
     return of.sequence[_idl_field(element), bound] if bound else of.sequence[_idl_field(element)]
 
 
-def qos(quality: Quality, user_data: bytes, transient: bool = False) -> Any:
+def qos(quality: Quality, user_data: bytes) -> Any:
     """Quality of service of an endpoint."""
     policies = [
         Policy.Reliability.Reliable(duration(seconds=0.1)) if quality.reliable else Policy.Reliability.BestEffort,
         Policy.History.KeepLast(quality.depth),
-        Policy.Durability.TransientLocal if transient else Policy.Durability.Volatile,
+        Policy.Durability.TransientLocal if quality.latched else Policy.Durability.Volatile,
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.WriterDataLifecycle(autodispose=False),
         Policy.Userdata(user_data),
     ]
     if quality.deadline_s > 0.0:
         policies.append(Policy.Deadline(duration(seconds=quality.deadline_s)))
-    if transient:
+    if quality.latched:  # of a writer: what it keeps
         policies.append(Policy.DurabilityService(duration(seconds=0), Policy.History.KeepLast(quality.depth), -1, -1, -1))
     return Qos(*policies)
 

@@ -18,15 +18,17 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.clock import Arrival
-from trackres_ros.node.endpoints import InputTopic, input_quality, output_quality
+from trackres_ros.node.endpoints import DISCOVERY_NS, TORQUES, InputTopic, input_quality, latched_quality, output_quality
 from trackres_ros.node.inbox import Inbox
+from trackres_ros.node.message_handler import Sent
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
 from trackres_ros.node.ros.callback_group import OneAtATime
@@ -40,8 +42,10 @@ COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold the messages
 
 MOST_COLLECTED = 1000  # of a topic at a time
 
-Taken = tuple[Any, dict[str, int]]
-"""A message and its middleware information."""
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of a publisher that no node announces, see rmw/get_topic_endpoint_info.h
+
+Taken = tuple[Any, dict[str, int], bool]
+"""A message, its middleware information, and whether it came by a subscription that also gets what publishers keep."""
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -62,6 +66,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.failure = ""
         self.refused: InputError | None = None  # refusal of the last transition
         self._clear()
+        self._made_ns = time.monotonic_ns()
         super().__init__(node, **arguments)
         self.add_pre_set_parameters_callback(ros_parameters.in_own_type)
         self.add_on_set_parameters_callback(self._check)
@@ -75,12 +80,14 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _clear(self) -> None:
         """Before configuration or after cleanup."""
         self._fills: list[Fill | None] = []
-        self._outputs: list[Any] = []  # None where the type of a topic is not installed
+        self._outputs: dict[int, Any] = {}  # without those whose type is not installed
+        self._latched: dict[int, Any] = {}
         self._inputs: list[Any] = []
         self._group.inputs = self._inputs
         self._kept: list[Any] = []
         self._offered: list[Any] = []
         self._jumps: Any = None
+        self._refused_ns = 0  # last time of /clock before 0, while there is no later one
         self._ticker: Any = None
         self._recording = False
 
@@ -130,13 +137,19 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         application = Application(parameters, self, self.get_name(), self.get_namespace())
         kinds = [input_type(given, application.topics.origin) for given in application.inputs]
         self.application = application
-        for topic in application.outputs:
-            self._open_output(topic, parameters)
+        self._fills = [None if topic.kind == "status" else self._fill(topic) for topic in application.outputs]
+        self._open(shared=True)
+        time.sleep(max(0, self._made_ns + DISCOVERY_NS - time.monotonic_ns()) / SECOND_NS)
+        if not self.rivals():
+            self._open(shared=False)
         self._input_profile = profile_of(input_quality(parameters))
         for given, kind in zip(application.inputs, kinds, strict=True):
             self._open_input(given.name, kind, profile_of(input_quality(parameters)))  # its own: overrides are written into it
         self._inbox = Inbox(
-            [application.guard.taking(f"reading {given.topic_name}", partial(_come, given)) for given in self._inputs],
+            [
+                application.guard.taking(f"reading {given.topic_name}", partial(self._come, index))
+                for index, given in enumerate(self._inputs)
+            ],
             self._hand,
             application.clock.arrival,
             application.messages.dropped,
@@ -154,28 +167,31 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         if self.configured:
             self.configured(application)
 
-    def _open_output(self, topic: OutputTopic, parameters: Parameters) -> None:
-        self._fills.append(None if topic.kind == "status" else self._fill(topic))
-        if topic is ESTIMATE_TOPIC and self._fills[-1] is None:
-            self._outputs.append(None)
-            return
-        name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
+    def _open(self, shared: bool) -> None:
+        """Open the outputs on topics that nodes share, or those below the node's own name; each once."""
+        assert self.application
+        for output, topic in enumerate(self.application.outputs):
+            lacks_type = topic is ESTIMATE_TOPIC and self._fills[output] is None
+            if topic.shared is shared and output not in self._outputs and not lacks_type:
+                self._outputs[output] = self._publisher_of(topic, self.application.parameters)
+
+    def _publisher_of(self, topic: OutputTopic, parameters: Parameters) -> Any:
+        name = _relative(topic)
         profile = profile_of(output_quality(parameters, topic))
         events = PublisherEventCallbacks(
             incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
         )
         kind = installed_type(topic.type, f"topic {name}")
         with overridden(self, name):
-            made = self.create_lifecycle_publisher(
+            return self.create_lifecycle_publisher(
                 kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE
             )
-        self._outputs.append(made)
 
     def _open_input(self, name: str, kind: Any, profile: QoSProfile) -> None:
         events = SubscriptionEventCallbacks(
             incompatible_qos=self._reporter(f"a publisher of {self.topic_name(name)}"), use_default_callbacks=False
         )
-        take = self._taker(len(self._inputs))
+        take = self._taker(len(self._inputs), latched=False)
         with overridden(self, name):
             made = self.create_subscription(kind, name, take, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE)
         self._inputs.append(made)
@@ -189,8 +205,24 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             application.guard.essential("the clock", application.time_went_back, -jump.delta.nanoseconds)
 
         self._jumps = self.get_clock().create_jump_callback(any_back, post_callback=jumped)
+        for given in self.subscriptions:
+            if given.msg_type is ClockMessage:
+                given.callback = self._from_zero(given.callback)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady)
+
+    def _from_zero(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        """The callback of /clock, without the times before 0 at which rclpy raises."""
+
+        def come(message: Any) -> None:
+            time_ns = message.clock.sec * SECOND_NS + message.clock.nanosec
+            if time_ns < 0 and not self._refused_ns and self.application:
+                self.application.time_went_back(self.now_ns())
+            self._refused_ns = min(0, time_ns)
+            if time_ns >= 0:
+                take(message)
+
+        return come
 
     def _activate(self, state: LifecycleState) -> None:
         super().on_activate(state)
@@ -218,9 +250,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self._jumps.unregister()
         if self._ticker:
             self.destroy_timer(self._ticker)
-        for given in (*self._inputs, *self._kept):
+        for given in (*self._inputs, *self._latched.values(), *self._kept):
             self.destroy_subscription(given)
-        for output in filter(None, self._outputs):
+        for output in self._outputs.values():
             self.destroy_lifecycle_publisher(output)
         for service in self._offered:
             self.destroy_service(service)
@@ -245,7 +277,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def now_ns(self) -> int:
         """The node's time, simulated where use_sim_time is set."""
-        return int(self.get_clock().now().nanoseconds)
+        return self._refused_ns or int(self.get_clock().now().nanoseconds)
 
     def publish(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
         """Publish a message of numbers, where its type is installed."""
@@ -269,9 +301,42 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 found.topic_type,
                 qos_check_compatible(found.qos_profile, given.qos_profile)[0] != QoSCompatibility.ERROR,
                 found.topic_type_hash.version <= 0 or found.topic_type_hash == ours.get(found.topic_type, found.topic_type_hash),
+                _node_of(found),
+                latched=_keeps(found.qos_profile),
             )
             for found in self.get_publishers_info_by_topic(given.topic_name)
         ]
+
+    def latch(self, index: int) -> None:
+        """Receive what the publishers of an input keep, too; those that keep nothing have the other subscription."""
+        assert self.application
+        given = self._inputs[index]
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        profile = profile_of(latched_quality(self.application.parameters))
+        take = self._taker(index, latched=True)
+        self._latched[index] = self.create_subscription(given.msg_type, given.topic_name, take, profile, event_callbacks=events)
+
+    def rivals(self) -> Sequence[str] | None:
+        """The nodes of other publishers on our topics with the feed-forward."""
+        if time.monotonic_ns() - self._made_ns < DISCOVERY_NS:
+            return None
+        assert self.application
+        found: list[str] = []
+        for output, topic in enumerate(self.application.outputs):
+            name = self.resolve_topic_name(_relative(topic))
+            if topic.name in TORQUES and self.count_publishers(name) > (output in self._outputs):
+                nodes = [_node_of(there) for there in self.get_publishers_info_by_topic(name)]
+                if output in self._outputs and self.get_fully_qualified_name() in nodes:
+                    nodes.remove(self.get_fully_qualified_name())
+                found += [f"{node or 'a publisher without a node name'} on {name}" for node in nodes]
+        return found
+
+    def open_outputs(self) -> None:
+        """Open the topics below the node's own name, if they are not open yet."""
+        before = set(self._outputs)
+        self._open(shared=False)
+        for output in self._outputs.keys() - before:
+            self._outputs[output].on_activate(None)
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""
@@ -301,11 +366,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     # Called by ROS
 
-    def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
+    def _taker(self, index: int, latched: bool) -> Callable[[Any, dict[str, int]], None]:
         def take(message: Any, about: dict[str, int]) -> None:
             self._group.serves = False
             if self.application:
-                self._inbox.put(index, (message, about))
+                self._inbox.put(index, (message, about, latched))
                 self._collect()
 
         return take
@@ -331,10 +396,18 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._inbox.collect()
         self._inbox.work_off(self._tick_if_due, collecting=not self.application.parameters.sim_time)
 
+    def _come(self, index: int) -> Iterator[Taken]:
+        """Take the messages that wait at an input."""
+        if latched := self._latched.get(index):
+            yield from ((*taken, True) for taken in _waiting(latched))
+        yield from ((*taken, False) for taken in _waiting(self._inputs[index]))
+
     def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
-            raw = self.application.guard("recording", serialize_message, message[0]) if self._recording else None
-            self.application.messages.receive(index, message[0], message[1]["source_timestamp"], arrived, raw)
+            content, about, latched = message
+            raw = self.application.guard("recording", serialize_message, content) if self._recording else None
+            sent = Sent(about["source_timestamp"], latched=latched)  # rclpy does not tell who sent it
+            self.application.messages.receive(index, content, sent, arrived, raw)
 
     def _keep(self, index: int, raw: bytes) -> None:
         if self.application:
@@ -399,7 +472,21 @@ def _answering(change_state: Callable[[Any, Any], Any]) -> Callable[[Any, Any], 
     return serve
 
 
-def _come(given: Any) -> Iterator[Taken]:
+def _relative(topic: OutputTopic) -> str:
+    return topic.name if topic.shared else f"~/{topic.name}"
+
+
+def _node_of(found: Any) -> str:
+    """Full name of the node of an endpoint; empty where none announces it."""
+    return "" if found.node_name == UNKNOWN else f"{found.node_namespace.rstrip('/')}/{found.node_name}"
+
+
+def _keeps(profile: QoSProfile) -> bool:
+    """Whether a publisher keeps messages for those who join later."""
+    return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL and profile.reliability == ReliabilityPolicy.RELIABLE)
+
+
+def _waiting(given: Any) -> Iterator[tuple[Any, dict[str, int]]]:
     """Take the waiting messages of a subscription."""
     with given.handle:
         for _ in range(MOST_COLLECTED):

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from trackres_ros.errors import InputError
@@ -41,7 +41,8 @@ def overridden(node: Node, topic: str) -> Iterator[None]:
 def profile_of(quality: Quality) -> QoSProfile:
     """Quality of service as a ROS profile."""
     reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
-    profile = QoSProfile(depth=quality.depth, reliability=reliability)
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if quality.latched else DurabilityPolicy.VOLATILE
+    profile = QoSProfile(depth=quality.depth, reliability=reliability, durability=durability)
     if quality.deadline_s > 0.0:
         profile.deadline = Duration(seconds=quality.deadline_s)
     return profile

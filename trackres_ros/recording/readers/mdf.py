@@ -164,7 +164,7 @@ class MdfChannels(ChannelFile):
             lacks = groups.lacks_times(number)
             for index, channel in enumerate(group.channels):
                 if index != groups.mdf.masters_db.get(number) and number not in groups.of_a_bus and _is_numeric(group, index):
-                    one = Channel(channel.name, _unit(channel), label)
+                    one = Channel(channel.name, _unit(channel), label, _named(channel.conversion))
                     if lacks:
                         self.left_out[one] = lacks
                         continue
@@ -212,6 +212,16 @@ class MdfChannels(ChannelFile):
 
 def _unit(channel: Any) -> str:
     return (channel.conversion and channel.conversion.unit) or channel.unit or ""
+
+
+def _named(conversion: Any) -> tuple[tuple[float, str], ...]:
+    """Values that an enumeration names, and their names."""
+    if conversion is None or conversion.conversion_type != TABLES_OF_TEXTS[0]:
+        return ()
+    texts = {key: part for key, part in conversion.referenced_blocks.items() if key != REST and isinstance(part, bytes)}
+    return tuple(
+        (float(getattr(conversion, key.replace("text", "val"))), part.decode("utf-8", "replace")) for key, part in texts.items()
+    )
 
 
 def _is_numeric(group: Any, index: int) -> bool:

@@ -16,7 +16,8 @@ from typing import Any
 
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
-from trackres_ros.files.own_files import write
+from trackres_ros.files.file_sets import file_set, is_free, present
+from trackres_ros.files.own_files import remove, write
 from trackres_ros.files.small_files import read_text
 from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 from trackres_ros.route.learned import RouteMap
@@ -42,6 +43,7 @@ FIGURES = 6
 Range = tuple[float, float] | None
 
 
+@file_set()
 def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
     """Write a track vehicle with the accepted changes, and what a diagnosis found of the surroundings; return all its files.
 
@@ -59,6 +61,7 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: s
     return [*files, path.parent / rubber]
 
 
+@file_set()
 def write_road_vehicle(vehicle: RoadVehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
     """The same of a vehicle on wheels."""
     document = opened(vehicle.source)
@@ -80,14 +83,18 @@ def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float
     ):
         if name in values:
             put((section, name), values[name], kept.range_of(name), limits)
-    capacity = [_heat_capacity(vehicle, scale) for scale in (values["capacity_scale"], *(kept.range_of("capacity_scale") or ()))]
+
+    def scaled(name: str, old: float) -> list[float]:  # its value, and the ends of its interval
+        return [old * scale for scale in (values.get(name, 1.0), *(kept.range_of(name) or ()))]
+
+    capacity = [_heat_capacity(vehicle, scale) for scale in scaled("capacity_scale", 1.0)]
     put(("rubber", "heat_capacity"), capacity[0], _range(capacity[1:]), RUBBER)
     first = vehicle.track_of(vehicle.assemblies[0]).belt
     for name, track in vehicle.tracks.items():
         belt, over_first = ("tracks", name, "belt"), track.belt.surface_share / first.surface_share
         for film, old in (("film_offset", track.belt.film_offset), ("film_slope", track.belt.film_slope)):
-            scaled = [old * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
-            put((*belt, film), scaled[0], _range(scaled[1:] if old else ()), BELT)  # 0 stays as uncertain as it is
+            value, *ends = scaled("film_scale", old)
+            put((*belt, film), value, _range(ends if old else ()), BELT)  # 0 stays as uncertain as it is
         if "surface_share" in values:
             share, *ends = (over_first * x for x in (values["surface_share"], *(kept.range_of("surface_share") or ())))
             put((*belt, "surface_share"), share, _range(ends), BELT)
@@ -195,9 +202,9 @@ def finish(
     if not around and not route:
         earlier = _text(site_file)
         if DIAGNOSED in earlier:
-            site_file.unlink()  # of an earlier diagnosis: it would look like this one's
+            remove(site_file)  # of an earlier diagnosis: it would look like this one's
             if f"route: {route_file.name}\n" in earlier:
-                route_file.unlink(missing_ok=True)
+                remove(route_file)
         return [path, *copies]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
     files = _named(sources_of(around), names)
@@ -217,13 +224,13 @@ def _free_places(path: Path) -> tuple[Path, Path]:
         site, route = (path.with_name(_numbered(Path(name), count).name) for name in (SURROUNDINGS_FILE, ROUTE_FILE))
         earlier = _text(site)
         ours = DIAGNOSED in earlier
-        if (ours or not site.exists()) and ((ours and f"route: {route.name}\n" in earlier) or not route.exists()):
+        if (ours or is_free(site)) and ((ours and f"route: {route.name}\n" in earlier) or is_free(route)):
             break
     return site, route
 
 
 def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    return (present(path) or b"").decode(errors="replace")
 
 
 def _numbered(path: Path, count: int) -> Path:
@@ -292,10 +299,10 @@ def write_numbered(path: Path, content: bytes) -> Path:
     """
     for count in itertools.count(1):
         place = _numbered(path, count)
-        if not place.exists():
-            place.parent.mkdir(parents=True, exist_ok=True)
-            write(place, content)
+        if is_free(place):
+            with file_set():
+                write(place, content)
             break
-        if place.is_file() and place.read_bytes() == content:
+        if present(place) == content:
             break
     return place

@@ -32,17 +32,14 @@ public:
     trackres_inputs inputs;
     trackres_no_inputs(&inputs);
     inputs.speed_mps = static_cast<trackres_real>(speed_mps);
-    inputs.enable = static_cast<trackres_real>(enabled ? 1.0 : 0.0);  // so that the step says DISABLED
-    const int done = trackres_step(&state_, &inputs, static_cast<trackres_real>(elapsed_s), &outputs_);
-    now_s_ += elapsed_s;
-    Sample sample;  // not usable, until the step says otherwise
-    sample.stamp_s = now_s_;
-    if (done >= 0 && enabled) {
-      sample.torque_nm = static_cast<double>(outputs_.feedforward_torque_nm);
-      sample.std_nm = static_cast<double>(outputs_.resistance_std_nm);
-      sample.level = outputs_.level;
-    }
-    return feedforward_.torque(sample, now_s_, elapsed_s);
+    inputs.enable = static_cast<trackres_real>(enabled ? 1.0 : 0.0);
+    if (trackres_step(&state_, &inputs, static_cast<trackres_real>(elapsed_s), &outputs_) >= 0) {
+      sample_.torque_nm = static_cast<double>(outputs_.feedforward_torque_nm);
+      sample_.std_nm = static_cast<double>(outputs_.resistance_std_nm);
+      sample_.level = outputs_.level;
+      ++sample_.count;
+    }  // else nothing has come: a step that refuses its time, or its state
+    return feedforward_.torque(sample_, 0.0, elapsed_s);
   }
 
   /// What the last step gave: resistance, temperatures, standard deviation, level and reasons.
@@ -55,14 +52,13 @@ public:
     feedforward_.reset();
     outputs_ = trackres_outputs{};
     outputs_.level = TRACKRES_STALE;
-    now_s_ = 0.0;
   }
 
 private:
   trackres_state state_;
   trackres_outputs outputs_;
   Feedforward feedforward_;
-  double now_s_ = 0.0;  // since the reset
+  Sample sample_{0.0};  // stamped with the time that it is asked for: what the step gives is of now
 };
 
 }  // namespace trackres_feedforward

@@ -1,0 +1,30 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Starts this Python again as a process of its own, which finds the modules of this one and none in the current folder."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = str(Path(__file__).resolve().parents[2])
+
+SAFE = {"PYTHONSAFEPATH": "1"}
+"""Variables for what any library starts: it cannot be given `-P`, by which `-c` and `-m` leave out the current folder."""
+
+
+def python(module: str, *words: object, **variables: str) -> dict[str, Any]:
+    """Arguments of `subprocess` that run a module with some words: `args`, and `env` with further variables.
+
+    With `-m` alone, Python looks for every module in the current folder first, and that may be a folder of unpacked recordings.
+    What `multiprocessing` starts there has `-P` too.
+    """
+    found = [place for place in sys.path if place]  # "" is the current folder
+    path = os.pathsep.join(found if ROOT in found else [*found, ROOT])
+    return {
+        "args": [sys.executable, "-P", "-m", module, *map(str, words)],
+        "env": {**os.environ, "PYTHONPATH": path, **variables},
+    }
