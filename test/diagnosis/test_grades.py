@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.selection.confirm import Graded, displaced, on_bounds
+from trackres_ros.diagnosis.selection.grade import Graded, displaced, on_bounds
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.effects.effect import Active, Parameter
 

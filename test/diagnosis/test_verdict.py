@@ -22,7 +22,7 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
 from trackres_ros.diagnosis.report.content import _why
-from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
+from trackres_ros.diagnosis.selection.grade import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.diagnosis.stages.conclude import believed_in

@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
-from trackres_ros.diagnosis.selection.confirm import at_implausible_bounds
+from trackres_ros.diagnosis.selection.grade import at_implausible_bounds
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.effects.effect import Active
