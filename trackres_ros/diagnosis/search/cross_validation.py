@@ -65,10 +65,10 @@ class CrossValidation:
         self._step, self._rng = sessions[0].step, rng
         self._draws: dict[int, Array] = {}
 
-    def score(self, found: Fit) -> Score:
-        """Score a fit by `levels.with_levels`."""
+    def score(self, found: Fit, columns: Array | None = None) -> Score:
+        """Score a fit by `levels.with_levels`; `columns` are its derivatives, where they are known."""
         problem = found.problem
-        columns = base_columns(found)
+        columns = base_columns(found) if columns is None else columns
         white = np.concatenate(problem.white(problem.split(columns), found.noises))
         weights = np.nan_to_num(found.weights)
         slopes = weights * np.nan_to_num(np.concatenate(found.white))

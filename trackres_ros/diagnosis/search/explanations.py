@@ -15,8 +15,9 @@ from dataclasses import dataclass, field, replace
 
 from trackres_ros.diagnosis.empirical.finders import Term, find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
-from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.inference.fitting import Fit, first_look, fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
 from trackres_ros.diagnosis.search.proposals import Proposals, Proposer
 from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared
@@ -26,7 +27,6 @@ from trackres_ros.progress import counted
 Key = frozenset[str]
 
 EXPANDED = (2, 1)  # best explanations with one term, and then with any number
-FIRST_STEPS = 5  # of a fit under the noise of the explanation before, for a first look at a candidate
 MOST_TERMS = 3
 
 
@@ -99,7 +99,7 @@ class Search:
         known = self.known[explanation.key]
         if known.settled:
             return known
-        found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {}, settle=True)
+        found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {})
         score = self.validation.score(found)
         more = self.validation.gain(known.score, score)
         self.known[known.key] = replace(known, fit=found, score=score, worth=known.worth + more, settled=True)
@@ -117,11 +117,10 @@ class Search:
         best = [p for p in found.best if not (by_place and p.effect.name in SLOPES)]
         self.rounds[explanation.key] = found
         for proposal in counted(best, "fits of candidate effects", len(best)):
-            start = {(proposal.effect.name, q): value for q, value in proposal.start.items()}
-            fitted = self._fitted(current, [*(a.effect for a in current.effects), proposal.effect], start)
-            s = proposal.sensitivity
-            candidate = compared(current, fitted, proposal.effect.name, 0.0, s.kept, s.d_prime)
-            self._add(explanation, candidate, None, self.cost)
+            s, effect = proposal.sensitivity, proposal.effect
+            fitted, columns = first_look(current, found.own, effect, s.columns, proposal.start, SHORT_ROOT)
+            candidate = compared(current, fitted, effect.name, 0.0, s.kept, s.d_prime)
+            self._add(explanation, candidate, None, self.cost, columns)
         return found
 
     @property
@@ -142,15 +141,14 @@ class Search:
             fitted = self._fitted(current, [*effects, effect], term.candidate.fit.at)
             self._add(explanation, replace(term.candidate, fit=fitted), term, 0.0)
 
-    def _fitted(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float], settle: bool = False) -> Fit:
+    def _fitted(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
         """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
-        problem, at = self.nothing.fit.problem, {**current.at, **start}
-        if settle:
-            return fit(problem, effects, at, current.noises, largest_root=SHORT_ROOT)
-        return fit(problem, effects, at, current.noises, rounds=1, largest_root=SHORT_ROOT, steps=FIRST_STEPS)
+        return fit(self.nothing.fit.problem, effects, {**current.at, **start}, current.noises, largest_root=SHORT_ROOT)
 
-    def _add(self, explanation: Explanation, candidate: Candidate, term: Term | None, cost: float) -> None:
-        score = self.validation.score(candidate.fit)
+    def _add(
+        self, explanation: Explanation, candidate: Candidate, term: Term | None, cost: float, columns: Array | None = None
+    ) -> None:
+        score = self.validation.score(candidate.fit, columns)
         candidate = replace(candidate, level=self.validation.gain(explanation.score, score))
         terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
         added = {**explanation.candidates, candidate.name: candidate}
@@ -164,7 +162,7 @@ class Search:
         key = explanation.key - {name}
         if key not in self.known:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
-            found = self._fitted(explanation.fit, effects, {}, settle=True)
+            found = self._fitted(explanation.fit, effects, {})
             score = self.validation.score(found)
             lost = self.validation.gain(explanation.score, score)
             kept = {n: c for n, c in explanation.candidates.items() if n != name}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class Proposal:
 
     effect: Effect
     start: Mapping[str, float]
-    sensitivity: EffectSensitivity  # of its most visible start
+    sensitivity: EffectSensitivity  # about the start of these
     level: float  # gain by the level of the torque, in log-likelihood of block means left out
     fast: float  # gain by the whitened residual
 
@@ -54,6 +54,7 @@ class Proposals:
     """The proposals for one explanation, and how many terms they were chosen from."""
 
     best: tuple[Proposal, ...]
+    own: Array = field(default_factory=lambda: np.empty((0, 0)))  # derivatives of the fit's own parameters
     every: Mapping[str, Proposal] = field(default_factory=dict)  # by name
     separability: Separability = field(default_factory=lambda: Separability((), (), (), np.empty((0, 0))))
 
@@ -84,7 +85,7 @@ class Proposer:
         by_level = sorted(every.values(), key=lambda p: -p.level)[:BEST]
         by_white = sorted(every.values(), key=lambda p: -p.fast)[:BEST]
         best = tuple({p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > least}.values())
-        return Proposals(best, every, seen)
+        return Proposals(best, own, every, seen)
 
     def _scanned(self, current: Fit, levels: Levels) -> dict[str, Effect]:
         """Forms whose thresholds depend on the residual."""
@@ -103,9 +104,7 @@ class Proposer:
 def _stronger(one: Proposal, other: Proposal) -> Proposal:
     """The start with the larger gain; each list has the best of both."""
     better = max(one, other, key=lambda p: max(p.level, p.fast))
-    strongest = max(one, other, key=lambda p: p.sensitivity.d_prime).sensitivity
-    level, fast = max(one.level, other.level), max(one.fast, other.fast)
-    return Proposal(better.effect, better.start, strongest, level, fast)
+    return replace(better, level=max(one.level, other.level), fast=max(one.fast, other.fast))
 
 
 def _proposal(s: EffectSensitivity, levels: Levels) -> Proposal:
