@@ -15,7 +15,7 @@ import click
 from trackres_ros import InputError
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Commands, emit, needs, output_folder
-from trackres_ros.engine.interpreter import python
+from trackres_ros.files.interpreter import python
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0

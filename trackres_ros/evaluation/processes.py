@@ -21,8 +21,8 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from trackres_ros.engine.interpreter import python
 from trackres_ros.errors import InputError
+from trackres_ros.files.interpreter import python
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
