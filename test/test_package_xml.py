@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from trackres_ros.errors import MissingExtraError
 
@@ -73,7 +74,7 @@ def installed_with(keys):
     known, waiting = set(), [name for key in keys if (name := key.removeprefix("python3-")) and name != "yaml"]
     waiting += ["PyYAML", "setuptools", "packaging"]  # Python's own tools, which pytest needs too
     while waiting:
-        name = re.sub("[-_.]+", "-", waiting.pop()).lower()
+        name = canonicalize_name(waiting.pop())
         if name in known:
             continue
         try:
@@ -82,11 +83,7 @@ def installed_with(keys):
             continue
         known.add(name)
         waiting += [one.name for one in needed if one.marker is None or one.marker.evaluate({"extra": ""})]
-    return {
-        module
-        for module, brought_by in packages_distributions().items()
-        if known & {re.sub("[-_.]+", "-", one).lower() for one in brought_by}
-    }
+    return {module for module, brought_by in packages_distributions().items() if known & set(map(canonicalize_name, brought_by))}
 
 
 @pytest.mark.long
@@ -137,3 +134,13 @@ def test_nothing_stands_in_the_way_of_a_release(repository, package, depended):
     assert settings["settings"]["python_source"] == package.find("name").text
     version = re.search(r'version="([^"]+)"', (repository / "setup.py").read_text(encoding="utf-8"))
     assert package.find("version").text == version[1]
+
+
+def test_make_installs_a_tested_version_of_each_library(repository):
+    lines = [one for one in (repository / "constraints.txt").read_text(encoding="utf-8").splitlines() if not one.startswith("#")]
+    tested = {canonicalize_name(name): version for name, version in (one.split("==") for one in lines)}
+    assert len(tested) == len(lines)
+    for required in map(Requirement, requires("trackres_ros") or ()):
+        if required.marker is None or any(required.marker.evaluate({"extra": extra}) for extra in ("", "test")):
+            assert required.specifier.contains(tested[canonicalize_name(required.name)]), required
+    assert "--constraint constraints.txt" in (repository / "Makefile").read_text(encoding="utf-8")
