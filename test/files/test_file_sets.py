@@ -240,7 +240,7 @@ def test_a_real_process_killed_at_random_times_leaves_one_set(tmp_path):
             one.stdout.close()
         found = set(settled(tmp_path).values())
         assert len(found) <= 1, kills
-    replace_all(tmp_path, {name: b"end" for name in ("top.txt", *(f"{one}/file.txt" for one in "abcdefg"))}, ())
+    replace_all(tmp_path, dict.fromkeys(("top.txt", *(f"{one}/file.txt" for one in "abcdefg")), b"end"), ())
     assert set(contents(tmp_path).values()) == {b"end"}
     assert len(contents(tmp_path)) == 8
 
