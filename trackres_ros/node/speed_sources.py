@@ -33,8 +33,8 @@ class SpeedSources:
     came at different times may also differ by what the vehicle gains in between. While two disagree, and for 2 s after they last
     differed, none is used.
 
-    A middleware that does not tell publishers apart passes all as one. Where there are several (`mixed`), a speed that differs from
-    the last one used is of another publisher.
+    A middleware that does not tell publishers apart passes all as one. Where there are several (`mixed`), a speed that differs
+    from the last one used is of another publisher.
     """
 
     def __init__(self, max_acceleration: float, max_age_s: Callable[[], float]) -> None:
