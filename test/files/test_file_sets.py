@@ -22,7 +22,18 @@ from faults import Faults, child, contents, shown
 
 import trackres_ros as tr
 from trackres_ros.files import own_files
-from trackres_ros.files.file_sets import BACK, FORMAT, FORWARD, Member, RepairWarning, file_set, is_free, present, settle
+from trackres_ros.files.file_sets import (
+    BACK,
+    FORMAT,
+    FORWARD,
+    Member,
+    RepairWarning,
+    file_set,
+    is_free,
+    present,
+    settle,
+    trial_folder,
+)
 
 OLD = {"a.txt": b"old a", "sub/b.txt": b"old b", "gone.txt": b"old c"}
 NEW = {"a.txt": b"new a, longer", "sub/b.txt": b"new b", "other/d.txt": b"new d"}
@@ -374,3 +385,14 @@ def test_a_damaged_journal_is_refused_with_a_remedy(tmp_path, refused):
         line = refused("layouts", "--vehicle", "xgd24d", "-o", tmp_path)
         assert f"or delete {tmp_path / FORWARD}" in line
         (tmp_path / FORWARD).unlink()
+
+
+def test_a_trial_within_a_set_is_read_at_once(tmp_path):
+    with file_set():
+        own_files.write(tmp_path / "kept.txt", b"kept")
+        with trial_folder() as folder:
+            own_files.write(folder / "trial.txt", b"trial")
+            assert (folder / "trial.txt").read_bytes() == b"trial"
+        assert not (tmp_path / "kept.txt").exists()
+    assert (tmp_path / "kept.txt").read_bytes() == b"kept"
+    assert not folder.exists()

@@ -26,6 +26,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 FORWARD, BACK = ".trackres-set.json", ".trackres-set-undone.json"
@@ -131,6 +132,17 @@ def file_set() -> Iterator[FileSet]:
     finally:
         _open.reset(token)
     files.commit()
+
+
+@contextmanager
+def trial_folder() -> Iterator[Path]:
+    """A folder whose files are written at once, to be read again, and go at the end of the block: they belong to no set."""
+    token = _open.set(None)
+    try:
+        with TemporaryDirectory() as folder:
+            yield Path(folder)
+    finally:
+        _open.reset(token)
 
 
 def open_set() -> FileSet | None:
