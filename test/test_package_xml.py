@@ -20,18 +20,6 @@ from trackres_ros.errors import MissingExtraError
 
 KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
 """Keys that are neither the module nor ``python3-`` before it; llvmlite comes with numba."""
-NAMED_ALIKE = (
-    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy rosbags threadpoolctl "
-    "xarray"
-)
-EXTRAS = {
-    **{name: name for name in NAMED_ALIKE.split()},
-    "can": "python-can",
-    "lz4": "rosbags",
-    "sklearn": "scikit-learn",
-    "zstandard": "rosbags",
-}
-"""Modules that extras bring, each with the requirement in setup.py by which they come."""
 FOR_DEVELOPERS = {"test", "mutation", "docs", "release", "coverage"}
 MESSAGE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv)/[A-Z]")
 
@@ -58,13 +46,13 @@ def imported(path):
             yield node.module.partition(".")[0]
 
 
-def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depended):
+def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depended, extras):
     required = (repository / "setup.py").read_text(encoding="utf-8")
     found = {name for path in sources(repository) for name in imported(path)} - sys.stdlib_module_names - {"trackres_ros"}
     assert {"rclpy", "ament_index_python", "rosbag2_py", "numpy"} <= found
     for name in sorted(found):
-        if name in EXTRAS:
-            assert re.search(rf'"{EXTRAS[name]}[^\w-]', required), f"{name}: no requirement {EXTRAS[name]} in setup.py"
+        if name in extras:
+            assert re.search(rf'"{extras[name]}[^\w-]', required), f"{name}: no requirement {extras[name]} in setup.py"
         else:
             assert depended & {name, f"python3-{name}", KEYS.get(name)}, f"{name} is imported, and package.xml does not say so"
 
@@ -99,9 +87,9 @@ def test_tests_load_where_only_the_keys_of_package_xml_are(repository, package, 
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr
 
 
-def test_what_an_error_says_to_install_brings_the_module():
+def test_what_an_error_says_to_install_brings_the_module(extras):
     """Some names of modules are those of other people's packages."""
-    own = {module: name for module, name in EXTRAS.items() if name != "rosbags"}
+    own = {module: name for module, name in extras.items() if name != "rosbags"}
     for module, name in own.items():
         assert f"pip install {name} (" in MissingExtraError("this", module, "extra").remedy
 
