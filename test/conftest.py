@@ -4,6 +4,7 @@
 import gc
 import importlib.util
 import io
+import os
 import pickle
 import re
 import shutil
@@ -52,6 +53,14 @@ class Squeak(Effect):
     def terms(self, at, p):
         return Terms(torque=p.torque * at.direction)
 """
+
+
+@pytest.fixture(autouse=True)
+def environment_of_commands(monkeypatch):
+    """What a command run in this process sets for what it starts goes with the test."""
+    if "PYTHONSAFEPATH" not in os.environ:
+        monkeypatch.setenv("PYTHONSAFEPATH", "")
+        monkeypatch.delenv("PYTHONSAFEPATH")
 
 
 @pytest.hookimpl(wrapper=True)
