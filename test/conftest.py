@@ -56,11 +56,12 @@ class Squeak(Effect):
 
 
 @pytest.fixture(autouse=True)
-def environment_of_commands(monkeypatch):
+def environment_of_commands():
     """What a command run in this process sets for what it starts goes with the test."""
-    if "PYTHONSAFEPATH" not in os.environ:
-        monkeypatch.setenv("PYTHONSAFEPATH", "")
-        monkeypatch.delenv("PYTHONSAFEPATH")
+    before = os.environ.get("PYTHONSAFEPATH")
+    yield
+    if before is None:
+        os.environ.pop("PYTHONSAFEPATH", None)
 
 
 @pytest.hookimpl(wrapper=True)
