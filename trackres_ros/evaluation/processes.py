@@ -21,9 +21,9 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from trackres_ros.engine.interpreter import python
 from trackres_ros.errors import InputError
 from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.interpreter import python
 from trackres_ros.files.own_files import write
 
 Task = TypeVar("Task")

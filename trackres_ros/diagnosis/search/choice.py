@@ -211,7 +211,8 @@ class Choice:
         error must fall by more than the square of a tenth of the names' torque.
         """
         more_forms = one.without_a_name > other.without_a_name
-        if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
+        once = any(term.change is not None for name, term in one.terms.items() if name not in other.key)
+        if self._validation.least_gain(other.score, one.score, once) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
         names = [name for name in names_of(other) if name not in one.key]
         by_form = sum(float((self._beyond_base(other.fit.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2
