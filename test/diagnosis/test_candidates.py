@@ -9,10 +9,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from trackres_ros.diagnosis.selection.naming import Step
 from worlds import LAP, LAPS, Kind, Model, World, candidate
 
 from trackres_ros.diagnosis.selection import naming
-from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.effects.learned import OPEN, SPEED, Curve
 
 # Gain of a candidate

@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
+from trackres_ros.diagnosis.selection.screening import Gain, Screened
 from worlds import LAP, LAPS, MOVED, QUIET, TORQUE_NM, Kind, Model, World
 
 from trackres_ros.diagnosis.selection import naming
-from trackres_ros.diagnosis.selection.screening import Gain, Screened
 from trackres_ros.diagnosis.selection.visibility import Separability
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.effects.learned import OPEN, SPEED, Curve

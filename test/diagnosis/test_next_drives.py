@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from trackres_ros.diagnosis.selection.naming import Step, compared
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
@@ -16,7 +17,6 @@ from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, ap
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.split import lap_name, split
-from trackres_ros.diagnosis.selection.naming import Step, compared
 from trackres_ros.errors import InputError
 
 FASTEST_MPS = 14.0

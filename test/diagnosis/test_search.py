@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
+from trackres_ros.diagnosis.selection.naming import Pool, compared, one_round
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
@@ -22,7 +23,6 @@ from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, ScoredExpl
 from trackres_ros.diagnosis.search.cross_validation import FOLDS, CrossValidation
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
-from trackres_ros.diagnosis.selection.naming import Pool, compared, one_round
 from trackres_ros.diagnosis.selection.visibility import EffectColumns
 from trackres_ros.diagnosis.stages import refit as refit_stage
 from trackres_ros.diagnosis.stages.options import BY_DEFAULT

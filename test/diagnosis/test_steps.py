@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from trackres_ros.diagnosis.selection.form_error import FORM_ERROR, other_forms
+from trackres_ros.diagnosis.selection.screening import screen
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.findings import change_points as level_changes
@@ -25,9 +27,7 @@ from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock
 from trackres_ros.diagnosis.selection import screening
-from trackres_ros.diagnosis.selection.form_error import FORM_ERROR, other_forms
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
-from trackres_ros.diagnosis.selection.screening import screen
 from trackres_ros.diagnosis.selection.visibility import separability
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError

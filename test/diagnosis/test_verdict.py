@@ -11,6 +11,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from trackres_ros.diagnosis.selection.naming import Candidate, Step
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
@@ -24,7 +25,6 @@ from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, 
 from trackres_ros.diagnosis.report.content import _why
 from trackres_ros.diagnosis.selection.grade import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
-from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.diagnosis.stages.conclude import believed_in
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active, Parameter

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
-
 from trackres_ros.diagnosis.selection.naming import Candidate
 from trackres_ros.diagnosis.selection.screening import Gain, Screened
+
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, Separability
 from trackres_ros.effects.effect import Parameter
 

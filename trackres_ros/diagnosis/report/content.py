@@ -222,6 +222,7 @@ def _effect(f: NamedEffect, belongs_to: str) -> dict[str, Any]:
         "evidence": {
             "delta_loglik": chosen.gain,
             "level_score": chosen.level,
+            "bic_gain": chosen.bic_gain,
             "stability": f.step.stability,
             "kept": chosen.kept,
             "d_prime": chosen.d_prime,

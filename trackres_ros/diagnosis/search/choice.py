@@ -252,7 +252,7 @@ class Choice:
         return self.graded(explanation, name).confirmed and self._is_confirmed(explanation)
 
     def _shares(self, judged: Sequence[Explanation], chosen: Key) -> dict[str, float]:
-        """Probability of each name: the shares of the explanations that have it, or that lack only forms. The rest has no name."""
+        """Probability of each name, and of no name: shares of the explanations that have it."""
         shares = self._validation.shares([e.score for e in judged])
         found: dict[str, float] = {}
         for explanation, share in zip(judged, shares.tolist(), strict=True):

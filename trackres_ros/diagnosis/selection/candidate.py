@@ -42,8 +42,14 @@ class Candidate:
         return next(a.effect for a in self.fit.effects if a.effect.name == self.name)
 
     @property
+    def bic_gain(self) -> float:
+        """Twice the gain, less the cost of its parameters by the Bayesian information criterion."""
+        samples = sum(int(mask.sum()) for mask in self.fit.problem.masks)
+        return 2.0 * self.gain - math.log(samples) * sum(q.fitted for q in self.effect.parameters)
+
+    @property
     def kind(self) -> int:
-        """`NAME` of the catalogue, `FORM` over a variable or a place, or `CLOCK`: known from the time or earlier torques alone."""
+        """`NAME` of the catalogue, `FORM` over a variable or a place, or `CLOCK`: known from time or earlier torques."""
         if isinstance(self.effect, ResidualPattern):
             return FORM if isinstance(self.effect, ByPlace) else CLOCK
         return FORM if isinstance(self.effect, EmpiricalEffect) else NAME

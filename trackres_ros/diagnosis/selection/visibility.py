@@ -95,7 +95,7 @@ def infeasible(effect: Effect, fit: Fit) -> str:
 def separability(
     effects: Mapping[str, Effect], fit: Fit, own: Array | None = None, columns_of: EffectColumns | None = None
 ) -> Separability:
-    """Linearise all effects about a fit, and compare them with its own parameters, whose columns are `own`, and with each other."""
+    """Linearise all effects about a fit; compare them with its own parameters, with columns `own`, and with each other."""
     columns_of = columns_of or EffectColumns(fit)
     own = base_columns(fit) if own is None else own
     others = [effect for effect in effects.values() if effect.name not in fit.effect_names]
