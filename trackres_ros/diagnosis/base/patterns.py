@@ -13,6 +13,7 @@ from trackres_ros.effects.learned import CORNERS, height
 from trackres_ros.route.learned import RouteMap
 
 WATCHED = "watched"
+FADE = len(CORNERS)  # beside the kinds of corners: a torque that fades with the variable
 STEEPEST = 0.3  # rise over run, as of the catalogue's slopes
 
 
@@ -47,10 +48,15 @@ class ClockTerm(ResidualPattern):
     def __init__(
         self, variable: str, kind: int, threshold: float, ends: tuple[float, float], shape: Sequence[Array], size: float
     ) -> None:
-        form = {**CORNERS, len(CORNERS): "fade_over"}[kind]
+        form = {**CORNERS, FADE: "fade_over"}[kind]
         name = f"{form}_{variable.replace(' ', '_')}"
         super().__init__(name, f"a torque that follows the {variable}", shape, size)
         self.variable, self.kind, self.threshold, self.ends = variable, kind, threshold, ends
+
+    @property
+    def text_of_variable(self) -> str:
+        """Beginning of the variable, in words after a value of it."""
+        return "of distance" if self.variable == "distance" else f"after {self.variable.removeprefix('time since ')}"
 
 
 class ByPlace(ResidualPattern):

@@ -172,7 +172,7 @@ class Choice:
         first = judged[0] if judged else nothing
         doubted = tuple(g for g in self._all_graded(first).values() if not g.confirmed and g.name not in best.key)
         graded = self._all_graded(best)
-        shares = self._shares([e for e in confirmed if _competes(e, best)] or [nothing], best.key)
+        shares = self._shares([e for e in confirmed if _competes(e, best)] or [nothing])
         if keep_suspected and not best.key:
             best, doubted, graded = first, (), self._all_graded(first)
         steps = {name: self._round_of(best, name) for name in best.candidates}
@@ -251,7 +251,7 @@ class Choice:
         """Whether a replacement would be confirmed itself."""
         return self.graded(explanation, name).confirmed and self._is_confirmed(explanation)
 
-    def _shares(self, judged: Sequence[Explanation], chosen: Key) -> dict[str, float]:
+    def _shares(self, judged: Sequence[Explanation]) -> dict[str, float]:
         """Probability of each name, and of no name: shares of the explanations that have it."""
         shares = self._validation.shares([e.score for e in judged])
         found: dict[str, float] = {}
