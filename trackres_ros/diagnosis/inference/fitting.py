@@ -379,26 +379,30 @@ def fit(
 
 
 def first_look(
-    current: Fit, own: Array, effect: Effect, columns: Array, start: Mapping[str, float], largest_root: float
+    current: Fit,
+    effects: Sequence[Effect],
+    known: Mapping[tuple[str, str], Array],
+    start: Mapping[tuple[str, str], float],
+    largest_root: float,
 ) -> tuple[Fit, Array]:
-    """A fit with one more effect by a few Gauss-Newton steps along known derivatives, and these, shape (n, parameters).
+    """A fit with other effects by a few Gauss-Newton steps along known derivatives, and these, shape (n, parameters).
 
     Parameters
     ----------
-    own, columns
-        Derivatives of the fit's own parameters, and of the effect's amplitudes in the order of its parameters.
+    known
+        Derivatives of the predictions by parameter, each of shape (n,). An effect's parameter without them stays as it starts.
     start
-        Values of the effect; those that are no amplitude stay.
+        Values, by (effect or "", parameter), where they differ from those of the current fit.
     """
-    problem, names = current.problem, (*current.effect_names, effect.name)
+    problem, names = current.problem, [e.name for e in effects]
     sensed = tuple(e for e in instrument(problem.base) if e.name not in names)
-    shape = {(effect.name, q.name): start[q.name] for q in effect.parameters if q.fitted and q.off is None}
-    p = _Parameters(problem, (*sensed, *(a.effect for a in current.effects), effect), shape)
-    amplitudes = [(effect.name, q.name) for q in effect.parameters if q.off is not None]
-    known = dict(zip([f.key for f in current.free], own.T, strict=True)) | dict(zip(amplitudes, columns.T, strict=True))
+    held = {(a.effect.name, q): value for a in current.acting for q, value in a.values.items()}
+    begin = {**current.at, **held, **start}
+    keys = [(e.name, q.name) for e in effects for q in e.parameters if q.fitted]
+    p = _Parameters(problem, (*sensed, *effects), {key: begin[key] for key in keys if key not in known})
     derivatives = np.stack([known[f.key] for f in p.free], axis=1)
     white = valid_rows(problem.white(problem.split(derivatives), current.noises)) * p.scale
-    point = p.start({**current.at, **{(effect.name, q): value for q, value in start.items()}})
+    point = p.start(begin)
     rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
     for _ in range(FIRST_STEPS):
         left = problem.white(problem.residuals(problem.predict(*p.model(point))), current.noises)

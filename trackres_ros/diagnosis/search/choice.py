@@ -11,7 +11,7 @@ of the rest, the one with the fewest unnamed terms is chosen, then the one with 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from trackres_ros.diagnosis.empirical.finders import SURE, Term
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.search.explanations import Explanation, Key, Search, names_of
+from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
+from trackres_ros.diagnosis.search.proposals import TIED
 from trackres_ros.diagnosis.search.stability import unstable
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, NAME
@@ -181,7 +182,8 @@ class Choice:
     def _judged(self) -> list[Explanation]:
         """The explanations with the highest worth and all with a term by place, and each without some of its terms."""
         known = self._search.known
-        found = sorted((e for e in known.values() if e.key and e.worth > 0.0), key=lambda e: -e.worth)
+        room = (e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0)
+        found = sorted(room, key=lambda e: -e.worth)
         queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or any(map(e.goes_by_place, e.key))]
         judged: dict[Key, Explanation] = {}
         while queue:
@@ -222,7 +224,13 @@ class Choice:
         """The round from an explanation, with the fitted candidates."""
         proposals = self._search.rounds.get(explanation.key) or self._search.rounds[frozenset()]
         children = [e for key, e in self._search.known.items() if len(key - explanation.key) == 1 and explanation.key < key]
-        added = [next(c for name, c in e.candidates.items() if name not in explanation.key) for e in children]
+        added = [
+            replace(
+                next(c for name, c in e.candidates.items() if name not in explanation.key),
+                level=self._validation.gain(explanation.score, e.score),
+            )
+            for e in children
+        ]
         ordered = tuple(sorted(added, key=lambda c: -c.level))
         graded = self._graded_beyond(explanation.key)
         return Step(explanation.fit, proposals.separability, ordered, self._search.cost, graded=graded)
@@ -233,8 +241,7 @@ class Choice:
         step, chosen = self._step(without), best.candidates[name]
         near = [c for c in step.candidates if c.is_name == chosen.is_name and c.level > chosen.level - NEAR]
         rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in near}
-        rivals = {other: e for other, e in rivals.items() if other == name or (e.worth > 0.0 and self._rivals(e, other))}
-        rivals[name] = best
+        rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._rivals(e, other, name)} | {name: best}
         worse = {other for other, e in rivals.items() if e is not best and self._beats(best, e)}
         shares = dict(zip(rivals, self._validation.shares([e.score for e in rivals.values()]).tolist(), strict=True))
         alike = set(step.separability.alike(name)) & rivals.keys() if name in step.separability.names else {name}
@@ -247,9 +254,9 @@ class Choice:
             tuple(sorted(worse)), step.graded,
         )  # fmt: skip
 
-    def _rivals(self, explanation: Explanation, name: str) -> bool:
-        """Whether a replacement would be confirmed itself."""
-        return self.graded(explanation, name).confirmed and self._is_confirmed(explanation)
+    def _rivals(self, explanation: Explanation, name: str, chosen: str) -> bool:
+        """Whether a replacement of a chosen term would be confirmed itself, or these drives hardly separate the two."""
+        return {name, chosen} <= set(TIED) or (self.graded(explanation, name).confirmed and self._is_confirmed(explanation))
 
     def _shares(self, judged: Sequence[Explanation]) -> dict[str, float]:
         """Probability of each name, and of no name: shares of the explanations that have it."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, numbered
@@ -79,8 +79,8 @@ class CrossValidation:
         whole = (x * weights[:, np.newaxis]).T @ x + prior
         ridge = 1e-9 * max(float(np.trace(whole)), 1e-300) / len(whole) * np.eye(len(whole))
         low, high = (np.array([getattr(f, side) for f in found.free]) for side in ("low", "high"))
+        of_laps, session = self.rows(problem)
         torques = np.concatenate([np.full(len(g.measured), g.kind == "torque") for g in problem.segments])
-        session = np.concatenate([np.full(len(g.measured), g.session) for g in problem.segments])
         by_session = problem.split(columns)  # torques come first
 
         def left_out(folds: Sequence[NDArray[np.int64]], rows_of: Callable[[int], Mask], count: int) -> list[Array]:
@@ -95,9 +95,6 @@ class CrossValidation:
                     expected[i][at == fold] += by_session[i][at == fold] @ moved
             return expected
 
-        of_laps = np.concatenate([
-            self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments
-        ])  # fmt: skip
         expected = left_out(self._fold, lambda fold: of_laps == fold, FOLDS)
         count, unseen = len(problem.sessions), math.nan
         if count >= FEWEST_RECORDINGS:
@@ -125,6 +122,12 @@ class CrossValidation:
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
             self._sum(errors) / self._count, unseen,
         )  # fmt: skip
+
+    def rows(self, problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Number of the fold of each row, -1 where it is never left out, and of its recording, both of shape (n,)."""
+        of_laps = [self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments]
+        recording = [np.full(len(g.measured), g.session) for g in problem.segments]
+        return np.concatenate(of_laps), np.concatenate(recording)
 
     def _replace_by_forecast(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
         """Replace a series learned from all laps by its forecast."""

@@ -19,14 +19,17 @@ from trackres_ros.diagnosis.inference.fitting import Fit, first_look, fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
+from trackres_ros.diagnosis.search.linear_sets import Columns, LinearSets
 from trackres_ros.diagnosis.search.proposals import Proposals, Proposer
 from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared
+from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns
 from trackres_ros.effects.effect import Effect
 from trackres_ros.progress import counted
 
 Key = frozenset[str]
 
-EXPANDED = (2, 1)  # best explanations with one term, and then with any number
+EXPANDED = 2  # best explanations
+SETS = 3  # of each number of terms, the best to first order
 MOST_TERMS = 3
 
 
@@ -75,18 +78,42 @@ class Search:
         self.nothing = Explanation(base, validation.score(base), settled=True)
         self.known: dict[Key, Explanation] = {self.nothing.key: self.nothing}
         self.rounds: dict[Key, Proposals] = {}
+        self._linear: tuple[Fit, Mapping[tuple[str, str], Array]] | None = None
 
     def run(self) -> None:
         """Explore the promising explanations: names and forms first, then the clock for what they leave."""
-        self.expand(self.nothing)
-        for count in EXPANDED:
-            for explanation in self._best_unexpanded(count):
-                self._swap(self.polished(explanation))
+        self._add_sets(self.expand(self.nothing))
+        for explanation in self._best_unexpanded(EXPANDED):
+            self._swap(self.polished(explanation))
         best = self._best_known()
         for explanation in {best.key: best, frozenset(): self.nothing}.values():
             self._follow_clock(explanation)
         for explanation in self._best_unexpanded(1):
             self._swap(self.polished(explanation))
+
+    def _add_sets(self, proposals: Proposals) -> None:
+        """Fit the sets of proposals that predict laps and recordings left out best to first order."""
+        base = self.nothing.fit
+        terms = {}
+        for name, p in proposals.every.items():
+            low, high = amplitude_bounds(p.effect)
+            terms[name] = Columns(p.sensitivity.columns * amplitude_spans(p.effect), low, high)
+        sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
+        own = _by_parameter(base, proposals.own)
+        for names in sets.best(SETS, MOST_TERMS, self.cost):
+            chosen = [proposals.every[name] for name in names]
+            known, start = dict(own), {}
+            for p in chosen:
+                known |= p.derivatives
+                start |= {(p.effect.name, q): value for q, value in p.start.items()}
+            found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
+            score = self.validation.score(found, columns)
+            level = self.validation.gain(self.nothing.score, score)
+            candidates = {
+                p.effect.name: compared(base, found, p.effect.name, 0.0, p.sensitivity.kept, p.sensitivity.d_prime)
+                for p in chosen
+            }
+            self._keep(Explanation(found, score, level - len(names) * self.cost, candidates))
 
     def _swap(self, explanation: Explanation) -> None:
         """Expand an explanation, and look at what it is without each of its terms."""
@@ -116,9 +143,12 @@ class Search:
         by_place = any(map(explanation.goes_by_place, explanation.key))
         best = [p for p in found.best if not (by_place and p.effect.name in SLOPES)]
         self.rounds[explanation.key] = found
+        own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
         for proposal in counted(best, "fits of candidate effects", len(best)):
             s, effect = proposal.sensitivity, proposal.effect
-            fitted, columns = first_look(current, found.own, effect, s.columns, proposal.start, SHORT_ROOT)
+            known = own | proposal.derivatives
+            start = {(effect.name, q): value for q, value in proposal.start.items()}
+            fitted, columns = first_look(current, [*effects, effect], known, start, SHORT_ROOT)
             candidate = compared(current, fitted, effect.name, 0.0, s.kept, s.d_prime)
             self._add(explanation, candidate, None, self.cost, columns)
         return found
@@ -153,22 +183,32 @@ class Search:
         terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
         added = {**explanation.candidates, candidate.name: candidate}
         known = Explanation(candidate.fit, score, explanation.worth + candidate.level - cost, added, terms)
-        same = self.known.get(known.key)
-        if same is None or (known.worth > same.worth and not same.settled):
-            self.known[known.key] = known
+        self._keep(known)
+
+    def _keep(self, explanation: Explanation) -> None:
+        """Keep the better one of two ways to the same set."""
+        same = self.known.get(explanation.key)
+        if same is None or (explanation.worth > same.worth and not same.settled):
+            self.known[explanation.key] = explanation
 
     def without(self, explanation: Explanation, name: str) -> Explanation:
         """An explanation without one of its terms."""
         key = explanation.key - {name}
         if key not in self.known:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
-            found = self._fitted(explanation.fit, effects, {})
-            score = self.validation.score(found)
+            found, columns = first_look(explanation.fit, effects, self._derivatives(explanation), {}, SHORT_ROOT)
+            score = self.validation.score(found, columns)
             lost = self.validation.gain(explanation.score, score)
             kept = {n: c for n, c in explanation.candidates.items() if n != name}
             terms = {n: t for n, t in explanation.terms.items() if n != name}
-            self.known[key] = Explanation(found, score, explanation.worth + lost, kept, terms, settled=True)
+            self.known[key] = Explanation(found, score, explanation.worth + lost, kept, terms)
         return self.known[key]
+
+    def _derivatives(self, explanation: Explanation) -> Mapping[tuple[str, str], Array]:
+        """Derivatives of the predictions of an explanation by its parameters; kept for the last one."""
+        if self._linear is None or self._linear[0] is not explanation.fit:
+            self._linear = explanation.fit, _by_parameter(explanation.fit, base_columns(explanation.fit))
+        return self._linear[1]
 
     def _best_known(self) -> Explanation:
         return max(self.known.values(), key=lambda e: e.worth)
@@ -177,6 +217,10 @@ class Search:
         """The best explanations with room for a term; not those that are worth less than the base alone."""
         room = [e for key, e in self.known.items() if key not in self.rounds and 0 < len(key) < MOST_TERMS and e.worth > 0.0]
         return sorted(room, key=lambda e: -e.worth)[:count]
+
+
+def _by_parameter(found: Fit, columns: Array) -> dict[tuple[str, str], Array]:
+    return dict(zip([f.key for f in found.free], columns.T, strict=True))
 
 
 def names_of(explanation: Explanation) -> list[str]:

@@ -34,6 +34,8 @@ from trackres_ros.effects.learned import EmpiricalEffect, sized
 from trackres_ros.progress import counted
 
 BEST = 4  # of each list
+TIED = ("torque_gain", "speed_scale", "rotating_inertia", "drivetrain_efficiency", "grade")
+"""Names that most drives hardly separate: where one is proposed, the others are, too."""
 LEAST_BEGUN = 0.05  # of the typical size: at zero, the shape of a term has no influence
 BEGUN_WITHIN = 20.0  # typical sizes
 
@@ -47,6 +49,12 @@ class Proposal:
     sensitivity: EffectSensitivity  # about the start of these
     level: float  # gain by the level of the torque, in log-likelihood of block means left out
     fast: float  # gain by the whitened residual
+
+    @property
+    def derivatives(self) -> dict[tuple[str, str], Array]:
+        """Derivatives of the predictions by the amplitudes, each of shape (n,)."""
+        amplitudes = [(self.effect.name, q.name) for q in self.effect.parameters if q.off is not None]
+        return dict(zip(amplitudes, self.sensitivity.columns.T, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +92,10 @@ class Proposer:
         least = math.log(max(len(every), 1))  # the best of as many gains that by chance
         by_level = sorted(every.values(), key=lambda p: -p.level)[:BEST]
         by_white = sorted(every.values(), key=lambda p: -p.fast)[:BEST]
-        best = tuple({p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > least}.values())
-        return Proposals(best, own, every, seen)
+        best = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > least}
+        if not best.keys().isdisjoint(TIED):
+            best |= {name: every[name] for name in TIED if name in every}
+        return Proposals(tuple(best.values()), own, every, seen)
 
     def _scanned(self, current: Fit, levels: Levels) -> dict[str, Effect]:
         """Forms whose thresholds depend on the residual."""
