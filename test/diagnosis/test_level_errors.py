@@ -45,7 +45,7 @@ def as_candidate(levels, found, of, low=-math.inf, high=math.inf):
 
 def by_force(found, own, extra):
     """Gain of a column by fits without each fold, from the samples: ridge and Huber's weights, one fold after another."""
-    blocks = moving_means(found, np.concatenate([r for r in found.residuals]), 15.0, scored(found))
+    blocks = moving_means(found, np.concatenate(found.residuals), 15.0, scored(found))
     y = np.array(list(blocks.values()))
     unit = 1.4826 * np.median(np.abs(y))
     x = np.array(list(moving_means(found, own, 15.0, scored(found)).values()))
