@@ -209,8 +209,6 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
         denied = f"{upper(LEFT_OUT)} do not confirm {graded.name}: their mean error"
         if graded.fault:
             found.append(f"{graded.name} {graded.fault}")
-        elif i.grade == CONFIRMED and graded.of_unconfirmed:
-            found.append(f"{upper(LEFT_OUT)} do not confirm these terms together")
         elif i.less_likely:
             found.append(f"{denied} falls {error}, but their likelihood falls too")
         else:

@@ -81,7 +81,7 @@ def judge(
     later = only_later(base.refitted, worth.mae["refitted"])
     drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
-    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked, ()))
+    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked))
     spread = find_spread(final)
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
