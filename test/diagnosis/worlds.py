@@ -50,7 +50,7 @@ def named() -> dict[str, Effect]:
 
 def driven(
     gain: float | Series = 1.0, adds: Series | None = None, held_out_gain: float | None = None, laps: int = LAPS, count: int = 2,
-    phi: float = NOISE_PHI, changed: Callable | None = None, belt_noise: float | None = None,
+    phi: float = NOISE_PHI, changed: Callable | None = None, belt_noise: float | None = None, shows: Sequence = (),
 ) -> Fit:  # fmt: skip
     """The base fitted to laps of drives with a torque of another scale and more torque; the last laps of each are held out.
 
@@ -64,11 +64,13 @@ def driven(
         A session from that of a drive, before anything is simulated.
     belt_noise
         Of measured belt temperatures [K]; by default none are measured.
+    shows
+        Effects that act, with their values.
     """
     rng = np.random.default_rng(1)
     sessions = drives(base(), MOST_SPEED_MPS, count, laps * LAP_S / 60.0, rng, step=1.0)
     sessions = [s if changed is None else changed(s) for s in sessions]
-    predicted = base().predict(sessions, base().nominal, ())
+    predicted = base().predict(sessions, base().nominal, shows)
     shown, masks = [], []
     for i, (session, bare) in enumerate(zip(sessions, predicted, strict=True)):
         lap = (session.time // LAP_S).astype(np.int64)
