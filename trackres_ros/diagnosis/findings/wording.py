@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.prepare.unit_checks import SPEED_OFF
 from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.grade import Graded
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
+from trackres_ros.diagnosis.selection.held_out import REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.speed_scale import SpeedScale

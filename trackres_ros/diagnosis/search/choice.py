@@ -30,6 +30,7 @@ from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.text.numbers import figures
 
 MOST_JUDGED = 5  # explanations, those with the highest worth
+MOST_NAMED = 2  # explanations by names alone: forms bend to the data
 ALIKE_WITHIN = 3.0  # in log-likelihood: a smaller difference decides nothing
 MOVES = 0.2  # of the most: with a smaller spread in a recording, a term does not act there
 NEAR = 100.0  # in level score: no rival further behind is as good
@@ -184,7 +185,8 @@ class Choice:
         known = self._search.known
         room = (e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0)
         found = sorted(room, key=lambda e: -e.worth)
-        queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or any(map(e.goes_by_place, e.key))]
+        named = [e for e in found if not e.without_a_name][:MOST_NAMED]
+        queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or e in named or any(map(e.goes_by_place, e.key))]
         judged: dict[Key, Explanation] = {}
         while queue:
             explanation = queue.pop(0)
@@ -209,15 +211,15 @@ class Choice:
     def _beats(self, one: Explanation, other: Explanation) -> bool:
         """Whether one explanation predicts significantly better than another.
 
-        A form that replaces a name needs a larger margin, because a named function is accurate to about 10 %: the mean square
-        error must fall by more than the square of a tenth of the names' torque.
+        A form beside a name, or in its place, needs a larger margin, because a named function is accurate to about 10 %: the
+        mean square error must fall by more than the square of a tenth of the names' torque.
         """
         more_forms = one.without_a_name > other.without_a_name
         once = any(term.change is not None for name, term in one.terms.items() if name not in other.key)
         if self._validation.least_gain(other.score, one.score, once) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
-        names = [name for name in names_of(other) if name not in one.key]
-        by_form = sum(float((self._beyond_base(other.fit.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2
+        torques = [self._beyond_base(other.fit.contribution(name)) for name in names_of(other)]
+        by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2
         return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
 
     def _step(self, explanation: Explanation) -> Step:

@@ -22,14 +22,14 @@ from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Scor
 from trackres_ros.diagnosis.search.linear_sets import Columns, LinearSets
 from trackres_ros.diagnosis.search.proposals import Proposals, Proposer
 from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared
-from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns
+from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns, is_name
 from trackres_ros.effects.effect import Effect
 from trackres_ros.progress import counted
 
 Key = frozenset[str]
 
 EXPANDED = 2  # best explanations
-SETS = 3  # of each number of terms, the best to first order
+SETS = 2  # of each number of terms, the best to first order: of all terms, and of names
 MOST_TERMS = 3
 
 
@@ -94,13 +94,17 @@ class Search:
     def _add_sets(self, proposals: Proposals) -> None:
         """Fit the sets of proposals that predict laps and recordings left out best to first order."""
         base = self.nothing.fit
-        terms = {}
+        terms, sensed = {}, {a.effect.name for a in base.instrument}  # an error of the sensors is free in the base already
         for name, p in proposals.every.items():
+            if name in sensed:
+                continue
             low, high = amplitude_bounds(p.effect)
             terms[name] = Columns(p.sensitivity.columns * amplitude_spans(p.effect), low, high)
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
         own = _by_parameter(base, proposals.own)
-        for names in sets.best(SETS, MOST_TERMS, self.cost):
+        catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
+        best = [names for among in (terms, catalogue) for names in sets.best(among, SETS, MOST_TERMS, self.cost)]
+        for names in dict.fromkeys(best):
             chosen = [proposals.every[name] for name in names]
             known, start = dict(own), {}
             for p in chosen:

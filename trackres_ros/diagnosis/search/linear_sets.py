@@ -114,13 +114,13 @@ class LinearSets:
             )
         return found
 
-    def best(self, count: int, most_terms: int, cost: float) -> list[Names]:
-        """The `count` sets of each size with the highest gain less a `cost` for each term, best first."""
+    def best(self, among: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
+        """The `count` sets of each size of some terms with the highest gain less a `cost` for each term, best first."""
         beam: list[Names] = [()]
         found: dict[frozenset[str], float] = {}
         chosen: list[Names] = []
         for size in range(1, most_terms + 1):
-            sets = {frozenset((*names, name)) for names in beam for name in self._at if name not in names}
+            sets = {frozenset((*names, name)) for names in beam for name in among if name not in names}
             gains = {key: self.gain(key) - cost * size for key in sets}
             found |= gains
             ordered = sorted(gains, key=lambda key: -gains[key])
