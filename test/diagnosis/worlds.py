@@ -12,6 +12,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
@@ -31,14 +33,27 @@ LAP_S, LAPS = 75.0, 8  # of each drive
 HELD_OUT_EVERY = 4  # so many laps of a drive leave one that is not fitted
 NOISE_NM, NOISE_PHI = 20.0, 0.4
 MOST_SPEED_MPS = 15.0
+MASS_KG = 6000.0  # of the machine, on a wheel of 1 m
 
 Series = Callable  # of a session and its number: a torque against travel [Nm], or a value, of shape (n,)
 
 
 @cache
 def base():
-    """The base of all these drives."""
+    """A track vehicle, the base of these drives where none is given."""
     return load_base("xgd24d").base
+
+
+@cache
+def machine():
+    """A base that is simulated in no time: a function of the speed and the acceleration."""
+
+    def torque(inputs, p):
+        speed = np.abs(inputs.speed)
+        return np.sign(inputs.speed) * (p["rolling"] + p["air"] * speed**2) + MASS_KG * inputs.accel
+
+    parameters = {"rolling": (1500.0, 1450.0, 1550.0, "Nm"), "air": (6.0, 5.8, 6.2, "Nm/(m/s)^2")}
+    return OwnBase(OwnModel("machine", torque, parameters, MOST_SPEED_MPS, MASS_KG))
 
 
 @cache
@@ -51,6 +66,7 @@ def named() -> dict[str, Effect]:
 def driven(
     gain: float | Series = 1.0, adds: Series | None = None, held_out_gain: float | None = None, laps: int = LAPS, count: int = 2,
     phi: float = NOISE_PHI, changed: Callable | None = None, belt_noise: float | None = None, shows: Sequence = (),
+    of: Base | None = None,
 ) -> Fit:  # fmt: skip
     """The base fitted to laps of drives with a torque of another scale and more torque; the last laps of each are held out.
 
@@ -66,11 +82,13 @@ def driven(
         Of measured belt temperatures [K]; by default none are measured.
     shows
         Effects that act, with their values.
+    of
+        The base.
     """
-    rng = np.random.default_rng(1)
-    sessions = drives(base(), MOST_SPEED_MPS, count, laps * LAP_S / 60.0, rng, step=1.0)
+    vehicle, rng = of or base(), np.random.default_rng(1)
+    sessions = drives(vehicle, MOST_SPEED_MPS, count, laps * LAP_S / 60.0, rng, step=1.0)
     sessions = [s if changed is None else changed(s) for s in sessions]
-    predicted = base().predict(sessions, base().nominal, shows)
+    predicted = vehicle.predict(sessions, vehicle.nominal, shows)
     shown, masks = [], []
     for i, (session, bare) in enumerate(zip(sessions, predicted, strict=True)):
         lap = (session.time // LAP_S).astype(np.int64)
@@ -86,7 +104,7 @@ def driven(
             belt = bare.belt + rng.normal(0.0, belt_noise, len(session))
             shown[-1] = replace(shown[-1], belt=belt, given=session.given | {"belt"})
         masks.append(moves & fitted)
-    return with_levels(fit(Problem(base(), tuple(shown), tuple(masks))))
+    return with_levels(fit(Problem(vehicle, tuple(shown), tuple(masks))))
 
 
 def scored(found: Fit) -> list:
@@ -112,7 +130,8 @@ def form(effect: EmpiricalEffect) -> EmpiricalEffect:
 
 def series(found: Fit, of: Series, ahead: float | None = None, name: str = "series") -> ResidualPattern:
     """A term that follows the clock, of a torque against travel over that of 1 Nm; known `ahead` by such a share."""
-    facts, problem = base().facts, found.problem
+    problem = found.problem
+    facts = problem.base.facts
     shape = [of(s, i) * np.sign(s.speed) for i, s in enumerate(problem.sessions)]
     known = shape if ahead is None else [ahead * x for x in shape]
     shape = [np.where(m, x, a) for m, x, a in zip(problem.masks, shape, known, strict=True)]
