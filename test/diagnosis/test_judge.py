@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import driven, explained, form, graded, judging, named, series
+from worlds import driven, explained, form, graded, judging, machine, named, series
 
 from trackres_ros.diagnosis.base.patterns import ClockTerm
 from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of, _competes
@@ -22,15 +22,88 @@ from trackres_ros.effects.learned import AMBIENT, SPEED, STEP, Corner
 GAIN, LEVEL_NM, SIZE_NM = 1.1, 200.0, 150.0
 
 
+# Rules, without a drive
+
+
+@given(st.dictionaries(st.sampled_from("abcdef"), st.floats(0.001, 1.0), min_size=1), st.data())
+def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
+    shares = {name: w / sum(weights.values()) for name, w in weights.items()}
+    name = data.draw(st.sampled_from(sorted(shares)))
+    alike = data.draw(st.sets(st.sampled_from(sorted(shares))))
+    members = _class_of(name, shares, alike)
+    assert members[0] == name
+    assert len(members) == len(set(members))
+    assert alike <= set(members)
+    assert sum(shares[m] for m in members) >= 0.8 - 1e-9 or set(members) == set(shares)
+    by_share = [m for m in members if m not in alike | {name}]
+    left = [shares[m] for m in shares if m not in members]
+    assert max(left, default=0.0) <= min((shares[m] for m in by_share), default=1.0)
+    # And no more than that: without the smallest of those it would hold less.
+    needed = {name, *by_share}
+    if by_share:
+        assert sum(shares[m] for m in needed) - min(shares[m] for m in by_share) < 0.8
+
+
+def of_kinds(kinds, **given):
+    candidates = {name: SimpleNamespace(kind=kind) for name, kind in kinds.items()}
+    return Explanation(None, None, 0.0, candidates, **given)
+
+
+def test_shares_are_of_names_and_forms_have_none():
+    explanations = [of_kinds({"a": 0}), of_kinds({"b": 0, "form": 1}), of_kinds({"form": 1})]
+    choice = Choice.__new__(Choice)
+    choice._validation = SimpleNamespace(shares=lambda _: np.array([0.5, 0.3, 0.2]))
+    scored_by = [replace(e, score=SimpleNamespace()) for e in explanations]
+    found = choice._shares(scored_by)
+    assert found == pytest.approx({"a": 0.5, "b": 0.3, "none of these": 0.2})
+    assert list(found) == ["a", "b", "none of these"]
+
+
+def test_an_explanation_with_more_forms_casts_no_doubt():
+    name, form_alone, on_clock = of_kinds({"a": 0}), of_kinds({"x": 1}), of_kinds({"x": 2})
+    assert (_competes(name, form_alone), _competes(form_alone, name)) == (True, False)
+    assert _competes(form_alone, on_clock)
+    assert not _competes(on_clock, form_alone)
+    assert _competes(name, of_kinds({"b": 0}))
+
+
+@pytest.mark.parametrize(("fallen", "beaten"), [(0.9, False), (1.1, True)])
+def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
+    """It surely predicts better; its mean square error falls by so many times the square of a tenth of what the name adds."""
+    adds, samples = 300.0, 100
+
+    def judged(kinds, square):
+        fit = SimpleNamespace(contribution=lambda _: np.full(samples, adds))
+        return replace(of_kinds(kinds), fit=fit, score=SimpleNamespace(square=np.array([square])))
+
+    choice = SimpleNamespace(_validation=SimpleNamespace(least_gain=lambda *_: 100.0), _beyond_base=lambda x: x)
+    name = judged({"scrub": 0}, 1e6)
+    by_form = judged({"form": 1}, 1e6 - fallen * samples * (0.1 * adds) ** 2)
+    assert Choice._beats(choice, by_form, name) == beaten
+    assert Choice._beats(choice, judged({"other": 0}, 1e6), name)  # a name needs no more than to be surely better
+
+
+@pytest.mark.parametrize(("gain", "by_name", "by_form"), [(2.9, False, False), (3.1, True, False), (10.1, True, True)])
+def test_a_form_needs_a_larger_margin_than_a_name(gain, by_name, by_form):
+    choice = SimpleNamespace(_validation=SimpleNamespace(least_gain=lambda *_: gain), _beyond_base=lambda x: x)
+    fit, score = SimpleNamespace(contribution=lambda _: np.zeros(1)), [SimpleNamespace(square=np.array([x])) for x in (9.0, 1.0)]
+    name = replace(of_kinds({"a": 0}), fit=fit, score=score[0])
+    others = [replace(of_kinds(kinds), fit=fit, score=score[1]) for kinds in ({"b": 0}, {"x": 1})]
+    assert [Choice._beats(choice, other, name) for other in others] == [by_name, by_form]
+
+
+# On drives
+
+
 @pytest.fixture(scope="module")
 def by_gain():
     """A torque of another scale, and what judges its explanations."""
-    return judging(driven(GAIN), {name: named()[name] for name in ("torque_gain", "torque_offset")})
+    return judging(driven(GAIN, of=machine()), {name: named()[name] for name in ("torque_gain", "torque_offset")})
 
 
 @pytest.fixture(scope="module")
 def chosen(by_gain):
-    by_gain.search.run()
+    by_gain.search.expand(by_gain.search.nothing)
     return by_gain.choice.best()
 
 
@@ -91,7 +164,7 @@ def test_what_held_out_laps_or_the_file_refute_is_not_confirmed(by_gain):
     of = judging(by_gain.refitted, {})
     of.choice._by_file = 1.0
     assert not graded(of, effect)[1]
-    assert not graded(judging(driven(GAIN, held_out_gain=1.0), {}), effect)[1]
+    assert not graded(judging(driven(GAIN, held_out_gain=1.0, of=machine()), {}), effect)[1]
 
 
 def test_a_name_on_a_bound_is_at_best_suspected(by_gain):
@@ -113,7 +186,7 @@ def against(session, _):
 
 def test_terms_that_cancel_each_other_are_not_confirmed():
     """Two large series that differ little: what they add together is a tenth of either."""
-    found = driven(adds=lambda s, i: wave(s, i) + against(s, i))
+    found = driven(of=machine(), adds=lambda s, i: wave(s, i) + against(s, i))
     terms, confirmed = graded(judging(found, {}), series(found, wave, name="one"), series(found, against, name="other"))
     assert all(g.improvement.grade == CONFIRMED for g in terms.values())  # each helps the other
     assert not confirmed
@@ -125,7 +198,7 @@ def comes_and_goes(session):
 
 def helping(count, elsewhere):
     """Grade of a torque that is there in the first of four recordings, by a term that is also somewhat in the others."""
-    found = driven(adds=lambda s, i: comes_and_goes(s) * (i < count), count=4)
+    found = driven(of=machine(), adds=lambda s, i: comes_and_goes(s) * (i < count), count=4)
     term = series(found, lambda s, i: comes_and_goes(s) * (1.0 if i < count else elsewhere))
     return graded(judging(found, {}), term)[0]["series"]
 
@@ -154,7 +227,7 @@ def judged_with(of, explanation, name, **changed):
 def hidden():
     """Three recordings with more torque above a speed, explained by that form."""
     effect = form(Corner(SPEED, STEP, 0.5, 6.0, 12.0))
-    of = judging(driven(adds=lambda s, _: SIZE_NM * (np.abs(s.speed) > 6.0), count=3), {})
+    of = judging(driven(of=machine(), adds=lambda s, _: SIZE_NM * (np.abs(s.speed) > 6.0), count=3), {})
     return of, explained(of, effect), effect.name
 
 
@@ -220,7 +293,7 @@ def warm(session, _):
 
 def with_rivals(changed):
     """Explanations of a step over the ambient temperature by that and by one over the clock."""
-    found = driven(adds=warm, count=3, changed=changed)
+    found = driven(of=machine(), adds=warm, count=3, changed=changed)
     of = judging(found, {})
     facts, sessions = found.problem.base.facts, found.problem.sessions
     half = sessions[0].time[-1] / 2.0
@@ -271,73 +344,3 @@ def test_each_class_has_what_was_chosen_and_weights_of_one(chosen):
         assert sum(step.weights.values()) == pytest.approx(1.0)
         assert step.stability >= CLASS_SHARE or len(step.members) > 1
         assert not set(step.worse) & set(step.members) - {name}
-
-
-@given(st.dictionaries(st.sampled_from("abcdef"), st.floats(0.001, 1.0), min_size=1), st.data())
-def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
-    shares = {name: w / sum(weights.values()) for name, w in weights.items()}
-    name = data.draw(st.sampled_from(sorted(shares)))
-    alike = data.draw(st.sets(st.sampled_from(sorted(shares))))
-    members = _class_of(name, shares, alike)
-    assert members[0] == name
-    assert len(members) == len(set(members))
-    assert alike <= set(members)
-    assert sum(shares[m] for m in members) >= 0.8 - 1e-9 or set(members) == set(shares)
-    by_share = [m for m in members if m not in alike | {name}]
-    left = [shares[m] for m in shares if m not in members]
-    assert max(left, default=0.0) <= min((shares[m] for m in by_share), default=1.0)
-    # And no more than that: without the smallest of those it would hold less.
-    needed = {name, *by_share}
-    if by_share:
-        assert sum(shares[m] for m in needed) - min(shares[m] for m in by_share) < 0.8
-
-
-def of_kinds(kinds, **given):
-    candidates = {name: SimpleNamespace(kind=kind) for name, kind in kinds.items()}
-    return Explanation(None, None, 0.0, candidates, **given)
-
-
-def test_shares_are_of_names_and_forms_have_none():
-    explanations = [of_kinds({"a": 0}), of_kinds({"b": 0, "form": 1}), of_kinds({"form": 1})]
-    choice = Choice.__new__(Choice)
-    choice._validation = SimpleNamespace(shares=lambda _: np.array([0.5, 0.3, 0.2]))
-    scored_by = [replace(e, score=SimpleNamespace()) for e in explanations]
-    found = choice._shares(scored_by)
-    assert found == pytest.approx({"a": 0.5, "b": 0.3, "none of these": 0.2})
-    assert list(found) == ["a", "b", "none of these"]
-
-
-def test_an_explanation_with_more_forms_casts_no_doubt():
-    name, form_alone, on_clock = of_kinds({"a": 0}), of_kinds({"x": 1}), of_kinds({"x": 2})
-    assert (_competes(name, form_alone), _competes(form_alone, name)) == (True, False)
-    assert _competes(form_alone, on_clock)
-    assert not _competes(on_clock, form_alone)
-    assert _competes(name, of_kinds({"b": 0}))
-
-
-# A form in place of a name
-
-
-@pytest.mark.parametrize(("fallen", "beaten"), [(0.9, False), (1.1, True)])
-def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
-    """It surely predicts better; its mean square error falls by so many times the square of a tenth of what the name adds."""
-    adds, samples = 300.0, 100
-
-    def judged(kinds, square):
-        fit = SimpleNamespace(contribution=lambda _: np.full(samples, adds))
-        return replace(of_kinds(kinds), fit=fit, score=SimpleNamespace(square=np.array([square])))
-
-    choice = SimpleNamespace(_validation=SimpleNamespace(least_gain=lambda *_: 100.0), _beyond_base=lambda x: x)
-    name = judged({"scrub": 0}, 1e6)
-    by_form = judged({"form": 1}, 1e6 - fallen * samples * (0.1 * adds) ** 2)
-    assert Choice._beats(choice, by_form, name) == beaten
-    assert Choice._beats(choice, judged({"other": 0}, 1e6), name)  # a name needs no more than to be surely better
-
-
-@pytest.mark.parametrize(("gain", "by_name", "by_form"), [(2.9, False, False), (3.1, True, False), (10.1, True, True)])
-def test_a_form_needs_a_larger_margin_than_a_name(gain, by_name, by_form):
-    choice = SimpleNamespace(_validation=SimpleNamespace(least_gain=lambda *_: gain), _beyond_base=lambda x: x)
-    fit, score = SimpleNamespace(contribution=lambda _: np.zeros(1)), [SimpleNamespace(square=np.array([x])) for x in (9.0, 1.0)]
-    name = replace(of_kinds({"a": 0}), fit=fit, score=score[0])
-    others = [replace(of_kinds(kinds), fit=fit, score=score[1]) for kinds in ({"b": 0}, {"x": 1})]
-    assert [Choice._beats(choice, other, name) for other in others] == [by_name, by_form]
