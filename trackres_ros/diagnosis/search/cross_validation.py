@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.inference.bounded import bounded
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
@@ -77,8 +78,11 @@ class CrossValidation:
         x = np.where(valid[:, np.newaxis], np.nan_to_num(white) * scale, 0.0)
         prior = np.diag([(f.scale / f.std) ** 2 if np.isfinite(f.std) else 0.0 for f in found.free])
         whole = (x * weights[:, np.newaxis]).T @ x + prior
+        nominal = np.array([f.nominal for f in found.free])
+        # Zero at an optimum within the bounds; a parameter at a bound is pushed against it.
+        push = x.T @ slopes + np.diag(prior) * np.nan_to_num((nominal - found.point) / scale)
         ridge = 1e-9 * max(float(np.trace(whole)), 1e-300) / len(whole) * np.eye(len(whole))
-        low, high = (np.array([getattr(f, side) for f in found.free]) for side in ("low", "high"))
+        low, high = ((np.array([getattr(f, side) for f in found.free]) - found.point) / scale for side in ("low", "high"))
         of_laps, session = self.rows(problem)
         torques = np.concatenate([np.full(len(g.measured), g.kind == "torque") for g in problem.segments])
         by_session = problem.split(columns)  # torques come first
@@ -89,8 +93,7 @@ class CrossValidation:
             for fold in range(count):
                 rows = rows_of(fold)
                 own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
-                moved = np.linalg.solve(whole - own + ridge, -x[rows].T @ slopes[rows])
-                moved = np.clip(found.point + scale * moved, low, high) - found.point
+                moved = scale * bounded(whole - own + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
                 for i, at in enumerate(folds):
                     expected[i][at == fold] += by_session[i][at == fold] @ moved
             return expected

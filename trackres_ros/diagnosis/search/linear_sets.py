@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.inference.bounded import bounded
 from trackres_ros.diagnosis.inference.fitting import Fit, valid_rows
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.level_errors import PRIOR, RIDGE
@@ -22,7 +23,6 @@ Names = tuple[str, ...]
 
 EXPANDED = 8  # best sets of each size that get a further term
 FEWEST_RECORDINGS = 3  # to leave whole ones out
-TURNS = 4  # of the parameters that stay at a bound
 
 
 class Columns(NamedTuple):
@@ -98,7 +98,7 @@ class LinearSets:
         information, right = self._information[:, at[:, np.newaxis], at], self._right[:, at]
         prior, pull = self._prior[square], self._pull[at]
         whole, all_right = information.sum(axis=0) + prior, right.sum(axis=0) + pull
-        values, free = _bounded(whole, all_right, self._low[at], self._high[at])
+        values, free = bounded(whole, all_right, self._low[at], self._high[at])
         held = np.where(free, 0.0, values)
         found = []
         for folds in self._folds:
@@ -128,15 +128,3 @@ class LinearSets:
             chosen += beam[:count]
         return sorted(chosen, key=lambda names: -found[frozenset(names)])
 
-
-def _bounded(matrix: Array, right: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Solution of a positive definite system within bounds, and which values are free: those that hit a bound stay there."""
-    free, values = np.ones(len(right), dtype=bool), np.zeros(len(right))
-    for _ in range(TURNS):
-        values[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free] - matrix[np.ix_(free, ~free)] @ values[~free])
-        outside = (values < low) | (values > high)
-        values = np.clip(values, low, high)
-        if not outside[free].any():
-            break
-        free &= ~outside
-    return values, free
