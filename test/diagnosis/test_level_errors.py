@@ -138,6 +138,14 @@ def test_every_block_is_left_out_once_each_way(levels):
     assert all(np.isfinite(error).all() for error in levels.nothing)
 
 
+def test_the_fall_of_a_column_is_that_of_the_errors_without_it(stepped, levels):
+    adds = np.concatenate([step(s, 0) * np.sign(s.speed) for s in stepped.problem.sessions])
+    before, after = (np.abs(levels.errors(c).pieces).mean() for c in (None, as_candidate(levels, stepped, step)))
+    assert levels.falls(adds) == pytest.approx(1.0 - after / before)
+    assert levels.falls(adds) > 0.2
+    assert levels.falls(np.zeros_like(adds)) == pytest.approx(0.0, abs=1e-9)
+
+
 def test_with_two_recordings_only_pieces_are_left_out():
     found = driven(adds=step)
     levels = Levels(found, base_columns(found), scored(found))

@@ -42,7 +42,7 @@ def test_no_explanation_is_grown_beyond_three_terms(both):
     assert all(len(key) < MOST_TERMS for key in both.search.rounds)
 
 
-def test_a_level_score_is_that_over_the_explanation_it_was_added_to(both):
+def test_a_worth_is_the_level_score_less_the_cost_of_a_term(both):
     search, validation = both.search, both.validation
     proposed = [frozenset({p.effect.name}) for p in search.rounds[frozenset()].best]
     assert len(proposed) >= 3
@@ -95,7 +95,7 @@ def test_without_a_term_the_others_are_fitted_anew(both):
         search.known[single.key] = single
 
 
-def test_a_polished_explanation_is_a_settled_fit_with_its_own_score(both):
+def test_a_polished_explanation_has_a_settled_fit_and_its_score(both):
     search = both.search
     rough = next(e for e in search.known.values() if not e.settled)
     worth = rough.worth

@@ -83,12 +83,21 @@ def test_a_size_that_changes_with_a_condition_is_told_with_it(over, where, share
 def test_a_change_is_sure_and_more_than_an_error_of_a_function(monkeypatch, stable, change, std, told):
     """Beyond two and a half standard deviations it is still a fifth of the size."""
     monkeypatch.setattr(Levels, "change_of", lambda *_: (change, std))
+    monkeypatch.setattr(Levels, "falls", lambda *_: 1.0)
+    assert bool(unstable(stable, NAME, scored(stable))) == told
+
+
+@pytest.mark.parametrize(("falls", "told"), [(0.06, True), (0.04, False)])
+def test_a_changing_size_must_predict_left_out_pieces_better(monkeypatch, stable, falls, told):
+    monkeypatch.setattr(Levels, "change_of", lambda *_: (0.7, 0.1))
+    monkeypatch.setattr(Levels, "falls", lambda *_: falls)
     assert bool(unstable(stable, NAME, scored(stable))) == told
 
 
 def test_the_surest_change_is_told(monkeypatch, stable):
     changes = iter([(0.5, 0.1), (0.6, 0.1), (0.9, 0.25), (0.5, 0.09)])
     monkeypatch.setattr(Levels, "change_of", lambda *_: next(changes))
+    monkeypatch.setattr(Levels, "falls", lambda *_: 1.0)
     assert unstable(stable, NAME, scored(stable)) == ["has no constant size: it is larger with hot belts than cold"]
 
 
