@@ -25,7 +25,7 @@ def candidate(name="x", level=10.0, share=0.1, effect=None):
     return Candidate(name, fit, gain=level, evidence=level, share=share, level=level)
 
 
-def fitted(torque=100.0, added=0.0, log_likelihood=0.0, log_evidence=0.0, noise=SimpleNamespace(dc_gain=0.5, std=2.0)):
+def fitted(torque=100.0, added=0.0, log_likelihood=0.0, log_evidence=0.0, dc_gain=0.5, std=2.0):
     mask = np.arange(SAMPLES) >= 100  # what is not used is far off, and must not count
     session = SimpleNamespace(torque=np.where(mask, torque, 1e9))
     return SimpleNamespace(
@@ -33,7 +33,7 @@ def fitted(torque=100.0, added=0.0, log_likelihood=0.0, log_evidence=0.0, noise=
         contribution=lambda name: [np.where(mask, added, 1e9)],
         log_likelihood=log_likelihood,
         log_evidence=log_evidence,
-        noise=noise,
+        noise=SimpleNamespace(dc_gain=dc_gain, std=std),
     )
 
 
@@ -60,8 +60,8 @@ def test_the_models_own_error_gains_more_in_longer_and_quieter_drives():
     half = fitted()
     half.problem.masks = (half.problem.masks[0] & (np.arange(SAMPLES) % 2 == 0),)
     assert spurious_gain(half) == pytest.approx(0.5 * whole)
-    assert spurious_gain(fitted(noise=SimpleNamespace(dc_gain=0.5, std=4.0))) == pytest.approx(0.25 * whole)
-    assert spurious_gain(fitted(noise=SimpleNamespace(dc_gain=1.0, std=2.0))) == pytest.approx(4.0 * whole)
+    assert spurious_gain(fitted(std=4.0)) == pytest.approx(0.25 * whole)
+    assert spurious_gain(fitted(dc_gain=1.0)) == pytest.approx(4.0 * whole)
     assert spurious_gain(fitted(torque=200.0)) == pytest.approx(4.0 * whole)
 
 
