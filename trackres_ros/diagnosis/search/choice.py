@@ -15,10 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS, LEAST_WITHIN, varies
 from trackres_ros.diagnosis.empirical.finders import SURE, Term
 from trackres_ros.diagnosis.empirical.routes import Route
+from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
 from trackres_ros.diagnosis.search.proposals import TIED
 from trackres_ros.diagnosis.search.stability import unstable
@@ -113,6 +116,8 @@ class Choice:
             found.append(f"hardly reduces the error: {shows}")
         moves = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
         acts = moves > MOVES * moves.max()
+        if len(moves) < FEWEST_SESSIONS and self._only_between(explanation, name):
+            found.append(f"differs only between these {len(moves)} recordings, as other things may")
         gained = validation.by_recording(explanation.score.density - without.score.density)[acts]
         if len(gained) > 1 and np.mean(gained > 0.0) <= 0.5:
             found.append(f"helps in {int((gained > 0.0).sum())} of the {len(gained)} recordings in which it acts")
@@ -124,6 +129,19 @@ class Choice:
         if candidate.kind != NAME and not found:
             found += self._clock_rivals(explanation, name, without)
         return found
+
+    @staticmethod
+    def _only_between(explanation: Explanation, name: str) -> bool:
+        """Whether the torque of a term hardly varies within recordings, but varies between them."""
+        problem = explanation.fit.problem
+        resists = against_travel(problem.sessions, explanation.fit.contribution(name))
+        moving = [
+            x[m & np.isfinite(x) & (np.abs(s.speed) > SLOWEST_MPS)]
+            for x, m, s in zip(resists, problem.masks, problem.sessions, strict=True)
+        ]
+        every = np.concatenate(moving)
+        within = sum(len(x) * float(np.var(x)) for x in moving if len(x)) / len(every)
+        return varies(every) and within < (LEAST_WITHIN * float(np.std(every))) ** 2
 
     def _clock_rivals(self, explanation: Explanation, name: str, without: Explanation) -> list[str]:
         """A form over a channel and one over the clock that laps left out do not separate."""
