@@ -115,10 +115,10 @@ class Choice:
         if small and not validation.level_falls(without.score, explanation.score):
             found.append(f"hardly reduces the error: {shows}")
         moves = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
-        acts = moves > MOVES * moves.max()
+        acts = (moves > MOVES * moves.max()) & (validation.by_recording(np.ones_like(without.score.error)) > 0.0)
         if len(moves) < FEWEST_SESSIONS and self._only_between(explanation, name):
             found.append(f"differs only between these {len(moves)} recordings, as other things may")
-        gained = validation.by_recording(explanation.score.density - without.score.density)[acts]
+        gained = validation.by_recording(without.score.error - explanation.score.error)[acts]
         if len(gained) > 1 and np.mean(gained > 0.0) <= 0.5:
             found.append(f"helps in {int((gained > 0.0).sum())} of the {len(gained)} recordings in which it acts")
         before, after = without.score.unseen, explanation.score.unseen
@@ -194,7 +194,7 @@ class Choice:
         graded = self._all_graded(best)
         shares = self._shares([e for e in confirmed if _competes(e, best)] or [nothing])
         if keep_suspected and not best.key:
-            best, doubted, graded = first, (), self._all_graded(first)
+            best, doubted, graded = first, (), {name: g.of_unconfirmed() for name, g in self._all_graded(first).items()}
         steps = {name: self._round_of(best, name) for name in best.candidates}
         return Chosen(best, graded, self._step(nothing), steps, self._step(best), doubted, shares)
 
@@ -258,7 +258,8 @@ class Choice:
     def _round_of(self, best: Explanation, name: str) -> Step:
         """The round without a term, with its class: the term and the replacements of its kind that it does not surely beat."""
         without = self._search.without(best, name)
-        step, chosen = self._step(without), best.candidates[name]
+        step = self._step(without)
+        chosen = replace(best.candidates[name], level=self._validation.gain(without.score, best.score))
         near = [c for c in step.candidates if c.is_name == chosen.is_name and c.level > chosen.level - NEAR]
         rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in near}
         rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._rivals(e, other, name)} | {name: best}

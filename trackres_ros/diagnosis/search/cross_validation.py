@@ -155,7 +155,7 @@ class CrossValidation:
 
     def by_recording(self, of_pieces: Array) -> Array:
         """Sums of each recording, of values of the pieces."""
-        return np.bincount(self._session, weights=of_pieces, minlength=int(self._session.max()) + 1)
+        return np.asarray(np.bincount(self._session, weights=of_pieces, minlength=len(self.scored)), dtype=np.float64)
 
     def level_falls(self, before: Score, after: Score) -> bool:
         """Whether the mean error of the pieces' levels falls by at least `LEAST_LEVEL`."""

@@ -39,7 +39,7 @@ class Explanation:
 
     fit: Fit
     score: Score
-    worth: float = 0.0  # level score over the base alone, less the logarithm of the number of terms that each was chosen from
+    worth: float = 0.0  # level score over the base alone, less the logarithm of the number of proposals for each one of them
     candidates: Mapping[str, Candidate] = field(default_factory=dict)  # each term, as added
     terms: Mapping[str, Term] = field(default_factory=dict)  # properties outside the fit of terms by clock or place
     settled: bool = False  # whether fit and noise were alternated until they settled
@@ -106,18 +106,14 @@ class Search:
         best = [names for among in (terms, catalogue) for names in sets.best(among, SETS, MOST_TERMS, self.cost)]
         for names in dict.fromkeys(best):
             chosen = [proposals.every[name] for name in names]
-            known, start = dict(own), {}
+            known, start = dict(own), dict[tuple[str, str], float]()
             for p in chosen:
                 known |= p.derivatives
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
             found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
-            score = self.validation.score(found, columns)
-            level = self.validation.gain(self.nothing.score, score)
-            candidates = {
-                p.effect.name: compared(base, found, p.effect.name, 0.0, p.sensitivity.kept, p.sensitivity.d_prime)
-                for p in chosen
-            }
-            self._keep(Explanation(found, score, level - len(names) * self.cost, candidates))
+            seen = {p.effect.name: p.sensitivity for p in chosen}
+            candidates = {name: compared(base, found, name, 0.0, s.kept, s.d_prime) for name, s in seen.items()}
+            self._keep(self._explained(found, self.validation.score(found, columns), candidates, {}))
 
     def _swap(self, explanation: Explanation) -> None:
         """Expand an explanation, and look at what it is without each of its terms."""
@@ -131,10 +127,13 @@ class Search:
         if known.settled:
             return known
         found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {})
-        score = self.validation.score(found)
-        more = self.validation.gain(known.score, score)
-        self.known[known.key] = replace(known, fit=found, score=score, worth=known.worth + more, settled=True)
+        explained = self._explained(found, self.validation.score(found), known.candidates, known.terms)
+        self.known[known.key] = replace(explained, settled=True)
         return self.known[known.key]
+
+    def _explained(self, found: Fit, score: Score, candidates: Mapping[str, Candidate], terms: Mapping[str, Term]) -> Explanation:
+        worth = self.validation.gain(self.nothing.score, score) - self.cost * len(candidates.keys() - terms.keys())
+        return Explanation(found, score, worth, candidates, terms)
 
     def expand(self, explanation: Explanation) -> Proposals:
         """Add each proposal for the remaining residual, one at a time."""
@@ -154,7 +153,7 @@ class Search:
             start = {(effect.name, q): value for q, value in proposal.start.items()}
             fitted, columns = first_look(current, [*effects, effect], known, start, SHORT_ROOT)
             candidate = compared(current, fitted, effect.name, 0.0, s.kept, s.d_prime)
-            self._add(explanation, candidate, None, self.cost, columns)
+            self._add(explanation, candidate, None, columns)
         return found
 
     @property
@@ -173,21 +172,18 @@ class Search:
         for term in find_terms(tested, self._roads, self._kinds, routes, waves=not explanation.key):
             effect = term.candidate.effect
             fitted = self._fitted(current, [*effects, effect], term.candidate.fit.at)
-            self._add(explanation, replace(term.candidate, fit=fitted), term, 0.0)
+            self._add(explanation, replace(term.candidate, fit=fitted), term)
 
     def _fitted(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
         """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
         return fit(self.nothing.fit.problem, effects, {**current.at, **start}, current.noises, largest_root=SHORT_ROOT)
 
-    def _add(
-        self, explanation: Explanation, candidate: Candidate, term: Term | None, cost: float, columns: Array | None = None
-    ) -> None:
+    def _add(self, explanation: Explanation, candidate: Candidate, term: Term | None, columns: Array | None = None) -> None:
         score = self.validation.score(candidate.fit, columns)
         candidate = replace(candidate, level=self.validation.gain(explanation.score, score))
         terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
         added = {**explanation.candidates, candidate.name: candidate}
-        known = Explanation(candidate.fit, score, explanation.worth + candidate.level - cost, added, terms)
-        self._keep(known)
+        self._keep(self._explained(candidate.fit, score, added, terms))
 
     def _keep(self, explanation: Explanation) -> None:
         """Keep the better one of two ways to the same set."""
@@ -201,11 +197,9 @@ class Search:
         if key not in self.known:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
             found, columns = first_look(explanation.fit, effects, self._derivatives(explanation), {}, SHORT_ROOT)
-            score = self.validation.score(found, columns)
-            lost = self.validation.gain(explanation.score, score)
             kept = {n: c for n, c in explanation.candidates.items() if n != name}
             terms = {n: t for n, t in explanation.terms.items() if n != name}
-            self.known[key] = Explanation(found, score, explanation.worth + lost, kept, terms)
+            self.known[key] = self._explained(found, self.validation.score(found, columns), kept, terms)
         return self.known[key]
 
     def _derivatives(self, explanation: Explanation) -> Mapping[tuple[str, str], Array]:

@@ -127,4 +127,3 @@ class LinearSets:
             beam = [tuple(sorted(key)) for key in ordered[:EXPANDED]]
             chosen += beam[:count]
         return sorted(chosen, key=lambda names: -found[frozenset(names)])
-

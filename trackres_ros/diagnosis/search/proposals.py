@@ -132,7 +132,9 @@ def _begin(s: EffectSensitivity, moved: Array) -> dict[str, float]:
     amplitudes = [q for q in s.effect.parameters if q.off is not None]
     moved = np.clip(moved, -BEGUN_WITHIN, BEGUN_WITHIN)
     if len(moved) == 1 and abs(moved[0]) < LEAST_BEGUN:
-        moved = np.copysign(LEAST_BEGUN, moved)
+        low, high = amplitude_bounds(s.effect)
+        begun = np.copysign(LEAST_BEGUN, moved)
+        moved = np.where((begun < low) | (begun > high), -begun, begun)
     for q, share in zip(amplitudes, moved.tolist(), strict=True):
         assert q.off is not None
         values[q.name] = float(np.clip(q.off + share * (q.start - q.off), q.low, q.high))

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,10 @@ class Graded:
     faults: tuple[str, ...] = ()  # why it is at best suspected, in words after its name
     on_bounds: tuple[str, ...] = ()  # parameters on a bound other than the value without effect
     displaces: tuple[str, ...] = ()
+
+    def of_unconfirmed(self) -> Graded:
+        """The same of an explanation that is not confirmed as a whole."""
+        return replace(self, faults=("is part of an explanation that laps left out do not confirm as a whole", *self.faults))
 
     @property
     def grade(self) -> str:

@@ -142,7 +142,7 @@ class Levels:
     def start(self, candidate: Amplitudes) -> Array:
         """The amplitudes over their typical ones that fit all blocks best."""
         _, amplitudes = self._solved(candidate, np.ones((1, self.blocks), dtype=bool))
-        return amplitudes[0]
+        return np.asarray(amplitudes[0])
 
     def _solved(self, candidate: Amplitudes | None, used: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Prediction of all blocks by each fold's fit, shape (folds, blocks), and its amplitudes."""
