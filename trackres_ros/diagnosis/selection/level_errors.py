@@ -171,7 +171,7 @@ class Levels:
         """
         pairs = zip(self.nothing, self.errors(candidate), strict=True)
         gains = [log_likelihood(after) - log_likelihood(before) for before, after in pairs if np.isfinite(before).any()]
-        return float(np.mean(gains)) - (candidate.columns.shape[1] - 1)
+        return float(np.mean(gains) - (candidate.columns.shape[1] - 1))
 
     def falls(self, more: Array) -> float:
         """Share by which a column of all torques lowers the mean error of the blocks that are predicted without their piece."""
