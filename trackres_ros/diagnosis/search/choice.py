@@ -36,6 +36,7 @@ MOST_JUDGED = 5  # explanations, those with the highest worth
 MOST_NAMED = 2  # explanations by names alone: forms bend to the data
 ALIKE_WITHIN = 3.0  # in log-likelihood: a smaller difference decides nothing
 MOVES = 0.2  # of the most: with a smaller spread in a recording, a term does not act there
+LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: with a smaller fall of the error, it cancels another term
 NEAR = 100.0  # in level score: no rival further behind is as good
 CLASS_SHARE = 0.8
 
@@ -114,6 +115,9 @@ class Choice:
         small = improvement.before - improvement.after < SMALL_SHARE * improvement.before
         if small and not validation.level_falls(without.score, explanation.score):
             found.append(f"hardly reduces the error: {shows}")
+        fallen = float((without.score.square - explanation.score.square).sum())
+        if fallen < LEAST_OF_SIZE * float((self._beyond_base(explanation.fit.contribution(name)) ** 2).sum()):
+            found.append("mostly cancels another term")
         moves = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
         acts = (moves > MOVES * moves.max()) & (validation.by_recording(np.ones_like(without.score.error)) > 0.0)
         if len(moves) < FEWEST_SESSIONS and self._only_between(explanation, name):
