@@ -5,7 +5,7 @@
 
 import json
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -133,6 +133,15 @@ def test_sizes_make_programs_as_plain_as_was_drawn():
         as_drawn = q["d_prime"] == pytest.approx(case.hidden[PROGRAM]["d_prime"], rel=0.2)
         assert as_drawn or q["size"] == pytest.approx(largest)
         assert LEAST <= q["d_prime"] < 1.2 * D_PRIME[1]
+
+
+def test_an_undetectable_kind_gives_way_to_another(sheet, one):
+    """Without a long stop no parking brake drags. A seal, which is seen, stays one."""
+    for name, stays in (("parking brake", False), ("seal", True)):
+        hidden = {PROGRAM: {"seed": float(TURNS.index(name)), "d_prime": 60.0}}
+        found = sized(Case("a", "outside", hidden, asdict(Build()), False, False, False, True, 4), SHEET, [one])
+        assert (found.program["kind"] == name) == stays
+        assert found.hidden[PROGRAM]["d_prime"] >= LEAST
 
 
 def test_each_source_is_drawn_the_last_only_with_speeds_given():

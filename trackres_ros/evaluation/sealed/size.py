@@ -18,12 +18,14 @@ from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 
 SLOW_NM, SLOW_S, WHITE_NM = 50.0, 6.0, 15.0  # a torque's noise over a second: a road that no one measured, and white
 CHANGE = 0.03  # of each value of the build, to find the part absorbed by a re-fit
-ROUNDS, TRIES = 3, 20
+ROUNDS, TRIES, TRIES_OF_KIND = 3, 20, 5
 LEAST = 20.0  # of d'
 
 
 def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
-    """The case with the size of its program and its detectability; an undetectable program is replaced by another of its kind."""
+    """The case with the size of its program and its detectability; an undetectable program is replaced by another, if possible
+    of its kind.
+    """
     if PROGRAM not in case.hidden:
         return case
     build, wanted = Build(**case.build), case.hidden[PROGRAM]["d_prime"]
@@ -37,7 +39,9 @@ def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
         added = whitened([run.added[PROGRAM] for run in runs], drives)
         return float(np.linalg.norm(added - taken @ (taken.T @ added)))
 
-    for seed in case.hidden[PROGRAM]["seed"] + len(TURNS) * np.arange(TRIES):  # of the same kind
+    # Drives without a long stop show no parking brake, whatever its size: then the next kind has its turn.
+    others_of_kind = len(TURNS) * np.arange(TRIES_OF_KIND)
+    for seed in case.hidden[PROGRAM]["seed"] + np.append(others_of_kind, np.arange(1, TRIES)):
         program, size = draw_program(int(seed)), 1.0
         for _ in range(ROUNDS):
             most = ENTRIES[program.entry].largest
