@@ -136,8 +136,8 @@ def test_sizes_make_programs_as_plain_as_was_drawn():
 
 
 def test_an_undetectable_kind_gives_way_to_another(sheet, one):
-    """Without a long stop no parking brake drags. A seal, which is seen, stays one."""
-    for name, stays in (("parking brake", False), ("seal", True)):
+    """Without a long stop no parking brake drags. A winding, which is seen, stays one."""
+    for name, stays in (("parking brake", False), ("winding", True)):
         hidden = {PROGRAM: {"seed": float(TURNS.index(name)), "d_prime": 60.0}}
         found = sized(Case("a", "outside", hidden, asdict(Build()), False, False, False, True, 4), SHEET, [one])
         assert (found.program["kind"] == name) == stays

@@ -69,8 +69,8 @@ class Snow:
 
 
 HIDDEN: dict[str, Callable[[Groomer, SealedDrive, float], Array]] = {
-    "cold": lambda g, d, _: g.size * (0.5 - 0.5 * np.tanh((d.ambient - g.at) / SOFT_K)),
-    "cool": lambda g, d, _: g.size * PER_K * np.maximum(g.at - d.ambient, 0.0),
+    "cold": lambda g, d, _: np.asarray(g.size * (0.5 - 0.5 * np.tanh((d.ambient - g.at) / SOFT_K))),
+    "cool": lambda g, d, _: np.asarray(g.size * PER_K * np.maximum(g.at - d.ambient, 0.0)),
     "load": lambda g, d, mass: np.full(len(d), g.size * (mass > HEAVY_T)),
     "late": lambda g, d, _: g.size * (np.arange(len(d)) * d.step > LATE_S),
 }

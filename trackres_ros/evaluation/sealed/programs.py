@@ -196,8 +196,8 @@ def draw_program(seed: int) -> Program:
     g = np.random.default_rng([seed, *PROGRAM.encode()])
     turn = TURNS[seed % len(TURNS)]
     if turn is not None:
-        kind = KINDS[turn]
-        return Program(kind.entry, (), None, None, kind.words, seed, (turn, g.uniform(*np.transpose(kind.ranges))))
+        known = KINDS[turn]
+        return Program(known.entry, (), None, None, known.words, seed, (turn, g.uniform(*np.transpose(known.ranges))))
     entry = str(g.choice(list(ENTRIES), p=(0.4, 0.12, 0.12, 0.1, 0.1, 0.16)))
     names = [str(name) for name in g.permutation(list(VARIABLES))]
     count = 2 if g.random() < 0.35 else 1
