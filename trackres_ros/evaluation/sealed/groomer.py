@@ -72,7 +72,7 @@ HIDDEN: dict[str, Callable[[Groomer, SealedDrive, float], Array]] = {
     "cold": lambda g, d, _: np.asarray(g.size * (0.5 - 0.5 * np.tanh((d.ambient - g.at) / SOFT_K))),
     "cool": lambda g, d, _: np.asarray(g.size * PER_K * np.maximum(g.at - d.ambient, 0.0)),
     "load": lambda g, d, mass: np.full(len(d), g.size * (mass > HEAVY_T)),
-    "late": lambda g, d, _: g.size * (np.arange(len(d)) * d.step > LATE_S),
+    "late": lambda g, d, _: np.full(len(d), g.size) * (np.arange(len(d)) * d.step > LATE_S),
 }
 """Drag of each kind of hidden physics [Nm], by the groomer, the drive and its mass [t]."""
 
