@@ -145,7 +145,7 @@ def _close(effect: Mapping[str, Any], points: Sequence[Sequence[float]] | None) 
     if not points:
         return False
     at, size = threshold_and_size(np.array(points[0]), np.array(points[1]), grows=effect["name"] == "cool")
-    return abs(at - effect["threshold"]) <= THRESHOLD_K and abs(size / effect["size_nm"] - 1.0) <= SIZE_SHARE
+    return bool(abs(at - effect["threshold"]) <= THRESHOLD_K and abs(size / effect["size_nm"] - 1.0) <= SIZE_SHARE)
 
 
 def threshold_and_size(x: Array, torque: Array, grows: bool) -> tuple[float, float]:
