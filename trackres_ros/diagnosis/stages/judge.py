@@ -32,6 +32,7 @@ from trackres_ros.diagnosis.findings.spread import Spread, find_spread
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.findings.wording import assumed_sensor
+from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
@@ -82,7 +83,7 @@ def judge(
     drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
     as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked, ()))
-    spread = find_spread(final)
+    spread = attempt("an oscillation", lambda: find_spread(final))
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
         Findings(
