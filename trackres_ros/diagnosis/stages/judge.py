@@ -134,7 +134,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
     expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
     worth = held_out(base.laps, {"nominal": prepared.nominal, **expected}, as_file)
     names = ", ".join(s.name for s in prepared.sessions)
-    odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal)
+    odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal, prepared.vehicle.known.is_vehicle)
     # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
     has_name = any(c.is_name for c in chosen.explanation.candidates.values())
     stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]

@@ -162,11 +162,13 @@ def prepared(
         moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
         sessions = tuple(s for s, _ in moved)
         resisting = by_file([replace(s, accel=np.zeros(len(s))) for s in sessions])
-        faulty = faulty_torques(sessions, expected, resisting, vehicle.known)
+        known = replace(vehicle.known, torque_share=vehicle.base.share_limits(sessions) or vehicle.known.torque_share)
+        faulty = faulty_torques(sessions, expected, resisting, known)
         if not faulty:
             break
         refused += faulty
-    check_torque(sessions, expected, resisting, vehicle.known)
-    notes = (*gated.notes, *(note for _, note in moved if note), *inconsistent_scale_notes(sessions, expected))
+    doubts = check_torque(sessions, expected, resisting, known)
+    moves = [note for _, note in moved if note]
+    notes = (*gated.notes, *moves, *doubts, *inconsistent_scale_notes(sessions, expected, known.is_vehicle))
     corrected = with_fewer_steps(gated, sessions, "torque lost by the correction of its clock")
     return replace(corrected, notes=notes), tuple(expected), passed.sessions
