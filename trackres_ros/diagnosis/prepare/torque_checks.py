@@ -49,7 +49,7 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     first = np.cumsum(session.used) <= 0.5 * session.used.sum()
 
     def there(part: Mask) -> list[float]:
-        return [_correlation(_moved(session.torque, -s), expected, used[s] & part) for s in shifts]
+        return [_correlation(_moved(session.torque, -s), expected, session.speed, used[s] & part) for s in shifts]
 
     whole = there(session.used)
     best = int(np.argmax(whole))
@@ -235,10 +235,17 @@ def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequenc
     ]
 
 
-def _correlation(a: Array, b: Array, used: Mask) -> float:
-    if used.sum() < FEWEST_COMPARED or np.ptp(a[used]) == 0.0 or np.ptp(b[used]) == 0.0:
+def _correlation(a: Array, b: Array, speed: Array, used: Mask) -> float:
+    """Correlation of two torques beside any offset and friction, thus less their means forward and in reverse."""
+    if used.sum() < FEWEST_COMPARED:
         return 0.0
-    return float(np.corrcoef(a[used], b[used])[0, 1])
+    x, y, forward = a[used], b[used], speed[used] > 0.0
+    for side in (forward, ~forward):
+        if side.any():
+            x[side] -= x[side].mean()
+            y[side] -= y[side].mean()
+    size = float(np.sqrt((x @ x) * (y @ y)))
+    return float(x @ y) / size if size > 1e-12 * float(np.sqrt((a[used] @ a[used]) * (b[used] @ b[used]))) else 0.0
 
 
 def _moved(series: NDArray[Any], steps: int, unknown: Any = None) -> NDArray[Any]:
