@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 import trackres_ros as tr
+from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.empirical import finders
 from trackres_ros.diagnosis.inference.failures import attempt, failures
 from trackres_ros.diagnosis.inference.noise import solved
+from trackres_ros.diagnosis.stages.prepare import prepared
 
 
 def shaft(inputs, p):
@@ -78,3 +80,53 @@ def test_an_error_is_raised_where_nobody_reads_notes():
 
 def test_equations_that_determine_nothing_have_a_solution():
     assert not solved(np.zeros((3, 3)), np.zeros(3), 1e-9).any()
+
+
+def rough_motor(folder):
+    """An exact recording of a motor whose Coulomb friction is far larger than what its model has; and the model."""
+    time = np.arange(0.0, 40.0, 0.01)
+    speed, accel = swept(time, 200.0, 20.0, 9.0)
+    torque = 2e-4 * accel + 1e-5 * speed + 0.2 * np.sign(speed)
+    inertia, drag = (2e-4, 1e-4, 3e-4, "kg m^2"), (1e-5, 0.0, 4e-5, "Nm s")
+    return written(folder / "motor.csv", time, speed, torque), machine(speed=200.0, torque_nm=1.0, inertia=inertia, drag=drag)
+
+
+def servo_runs(folder):
+    """Eight runs of 20 s of a servo with friction; and its model without that."""
+    rng = np.random.default_rng(2)
+    time, runs = np.arange(0.0, 20.0, 0.02), []
+    for number in range(8):
+        speed, accel = swept(time, 100.0, 4.0 + number, 2.6)
+        torque = 0.02 * accel + 0.01 * speed + 0.3 * np.sign(speed) + rng.normal(0.0, 0.02, len(time))
+        runs.append(written(folder / f"run_{number}.csv", time, speed, torque))
+    inertia, drag = (0.02, 0.01, 0.03, "kg m^2"), (0.01, 0.0, 0.02, "Nm s")
+    return runs, machine(speed=100.0, torque_nm=4.0, inertia=inertia, drag=drag)
+
+
+def gated(recordings, model):
+    """The sessions that pass all checks, without the search."""
+    paths = recordings if isinstance(recordings, list) else [recordings]
+    return prepared(read_recordings(paths, None), load_base(model))[0]
+
+
+def test_friction_beside_a_small_inertia_is_no_wrong_unit(tmp_path):
+    passed = gated(*rough_motor(tmp_path))
+    assert not any("times the expected" in note or "clock differs" in note for note in passed.notes)
+
+
+def test_short_runs_of_a_machine_count_together(tmp_path):
+    passed = gated(*servo_runs(tmp_path))
+    assert len(passed.sessions) == 8
+    assert not passed.warnings
+
+
+@pytest.mark.parametrize(("scale", "said"), [(-1.0, "scale: -1.0"), (1e3, "scale: 0.001"), (1e-3, "scale: 1000.0")])
+def test_a_wrong_sign_or_unit_of_a_machine_is_refused(tmp_path, scale, said):
+    runs, model = servo_runs(tmp_path)
+    for run in runs:
+        time, speed, torque = np.loadtxt(run, delimiter=",", skiprows=1).T
+        written(run, time, speed, scale * torque)
+    with pytest.raises(tr.InputError) as refused:
+        gated(runs, model)
+    assert said in str(refused.value)
+    assert not any(word in str(refused.value) for word in ("sprocket", "wheel", "gear", "vehicle", "driving"))
