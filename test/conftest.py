@@ -4,7 +4,9 @@
 import gc
 import importlib.util
 import io
+import os
 import pickle
+import re
 import shutil
 import signal
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
@@ -23,6 +25,20 @@ from trackres_ros.vehicle import load
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
 
+NAMED_ALIKE = (
+    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy rosbags threadpoolctl "
+    "xarray"
+)
+EXTRAS = {
+    **{name: name for name in NAMED_ALIKE.split()},
+    "can": "python-can",
+    "lz4": "rosbags",
+    "sklearn": "scikit-learn",
+    "zstandard": "rosbags",
+}
+"""Modules that extras bring, each with the requirement in setup.py by which they come."""
+NOT_THERE = re.compile(r"no Python module (\w+)|No module named '(\w+)")
+
 
 SQUEAK = """
 from trackres_ros.effects import Effect, Parameter, Terms
@@ -37,6 +53,27 @@ class Squeak(Effect):
     def terms(self, at, p):
         return Terms(torque=p.torque * at.direction)
 """
+
+
+@pytest.fixture(autouse=True)
+def environment_of_commands():
+    """What a command run in this process sets for what it starts goes with the test."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    yield
+    if before is None:
+        os.environ.pop("PYTHONSAFEPATH", None)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item):
+    """A test that an extra's library is missing for is skipped, as where rosdep alone was used; `make` installs them all."""
+    report = yield
+    for found in NOT_THERE.finditer(str(report.longrepr) if report.failed else ""):
+        name = found[1] or found[2]
+        if name in EXTRAS and not importlib.util.find_spec(name):
+            report.outcome, report.longrepr = "skipped", (str(item.path), item.location[1], f"{name} is not installed")
+            break
+    return report
 
 
 def pytest_collection_finish():
@@ -76,6 +113,12 @@ def carrier(agri3t):
 def configuration(tmp_path):
     """The shipped configuration in a folder of its own, to be changed at will."""
     return Path(shutil.copytree(config_dir(), tmp_path / "config"))
+
+
+@pytest.fixture(scope="session")
+def extras():
+    """Modules that extras bring, each with its requirement."""
+    return EXTRAS
 
 
 @pytest.fixture(scope="session")

@@ -14,23 +14,12 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from trackres_ros.errors import MissingExtraError
 
 KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
 """Keys that are neither the module nor ``python3-`` before it; llvmlite comes with numba."""
-NAMED_ALIKE = (
-    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy rosbags threadpoolctl "
-    "xarray"
-)
-EXTRAS = {
-    **{name: name for name in NAMED_ALIKE.split()},
-    "can": "python-can",
-    "lz4": "rosbags",
-    "sklearn": "scikit-learn",
-    "zstandard": "rosbags",
-}
-"""Modules that extras bring, each with the requirement in setup.py by which they come."""
 FOR_DEVELOPERS = {"test", "mutation", "docs", "release", "coverage"}
 MESSAGE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv)/[A-Z]")
 
@@ -57,13 +46,13 @@ def imported(path):
             yield node.module.partition(".")[0]
 
 
-def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depended):
+def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depended, extras):
     required = (repository / "setup.py").read_text(encoding="utf-8")
     found = {name for path in sources(repository) for name in imported(path)} - sys.stdlib_module_names - {"trackres_ros"}
     assert {"rclpy", "ament_index_python", "rosbag2_py", "numpy"} <= found
     for name in sorted(found):
-        if name in EXTRAS:
-            assert re.search(rf'"{EXTRAS[name]}[^\w-]', required), f"{name}: no requirement {EXTRAS[name]} in setup.py"
+        if name in extras:
+            assert re.search(rf'"{extras[name]}[^\w-]', required), f"{name}: no requirement {extras[name]} in setup.py"
         else:
             assert depended & {name, f"python3-{name}", KEYS.get(name)}, f"{name} is imported, and package.xml does not say so"
 
@@ -73,7 +62,7 @@ def installed_with(keys):
     known, waiting = set(), [name for key in keys if (name := key.removeprefix("python3-")) and name != "yaml"]
     waiting += ["PyYAML", "setuptools", "packaging"]  # Python's own tools, which pytest needs too
     while waiting:
-        name = re.sub("[-_.]+", "-", waiting.pop()).lower()
+        name = canonicalize_name(waiting.pop())
         if name in known:
             continue
         try:
@@ -82,11 +71,7 @@ def installed_with(keys):
             continue
         known.add(name)
         waiting += [one.name for one in needed if one.marker is None or one.marker.evaluate({"extra": ""})]
-    return {
-        module
-        for module, brought_by in packages_distributions().items()
-        if known & {re.sub("[-_.]+", "-", one).lower() for one in brought_by}
-    }
+    return {module for module, brought_by in packages_distributions().items() if known & set(map(canonicalize_name, brought_by))}
 
 
 @pytest.mark.long
@@ -102,9 +87,9 @@ def test_tests_load_where_only_the_keys_of_package_xml_are(repository, package, 
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr
 
 
-def test_what_an_error_says_to_install_brings_the_module():
+def test_what_an_error_says_to_install_brings_the_module(extras):
     """Some names of modules are those of other people's packages."""
-    own = {module: name for module, name in EXTRAS.items() if name != "rosbags"}
+    own = {module: name for module, name in extras.items() if name != "rosbags"}
     for module, name in own.items():
         assert f"pip install {name} (" in MissingExtraError("this", module, "extra").remedy
 
@@ -137,3 +122,13 @@ def test_nothing_stands_in_the_way_of_a_release(repository, package, depended):
     assert settings["settings"]["python_source"] == package.find("name").text
     version = re.search(r'version="([^"]+)"', (repository / "setup.py").read_text(encoding="utf-8"))
     assert package.find("version").text == version[1]
+
+
+def test_make_installs_a_tested_version_of_each_library(repository):
+    lines = [one for one in (repository / "constraints.txt").read_text(encoding="utf-8").splitlines() if not one.startswith("#")]
+    tested = {canonicalize_name(name): version for name, version in (one.split("==") for one in lines)}
+    assert len(tested) == len(lines)
+    for required in map(Requirement, requires("trackres_ros") or ()):
+        if required.marker is None or any(required.marker.evaluate({"extra": extra}) for extra in ("", "test")):
+            assert required.specifier.contains(tested[canonicalize_name(required.name)]), required
+    assert "--constraint constraints.txt" in (repository / "Makefile").read_text(encoding="utf-8")

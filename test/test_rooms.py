@@ -155,7 +155,7 @@ def test_python_is_started_without_the_current_folder(repository):
         if path.suffix == ".py" or (head.startswith(b"#!") and b"python" in head.splitlines()[0]):
             name = path.relative_to(repository).as_posix()
             found |= {(name, after) for node in ast.walk(ast.parse(path.read_bytes())) for after in _follows(node)}
-    assert {name for name, _ in found if name.startswith("trackres_ros")} == {"trackres_ros/engine/interpreter.py"}
+    assert {name for name, _ in found if name.startswith("trackres_ros")} == {"trackres_ros/files/interpreter.py"}
     assert len(found) > 5
     assert {after for _, after in found} == {"'-P'"}
 

@@ -134,8 +134,8 @@ def test_recordings_of_different_names_have_different_results(good, inputs, tmp_
         recording = tmp_path / os.fsdecode(name)
         recording.write_bytes((inputs / "d.csv").read_bytes())
         good("replay", recording, "--vehicle", "agri3t", cwd=tmp_path)
-    tables = sorted(path.name for path in tmp_path.glob("*_replay.parquet"))
-    assert tables == [f"{name}_replay.parquet" for name in ("2025.06.19", "2025.06.22", "caf\\xe9", "caf\\xea")]
+    results = {path.name.partition("_replay.")[0] for path in tmp_path.glob("*_replay.*")}
+    assert results == {"2025.06.19", "2025.06.22", "caf\\xe9", "caf\\xea"}
 
 
 @pytest.mark.usefixtures("undrawn")

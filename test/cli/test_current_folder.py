@@ -128,10 +128,3 @@ def test_workers_of_a_fleet_among_traps_spring_none(start, folder):
     said = start(COMMAND, words).communicate()
     assert "drive.csv: given 'no torque" in said[1], said  # so a worker has read it
     assert nothing_sprang(folder)
-
-
-def test_a_shipped_name_is_no_file_of_the_current_folder(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    for name, find in (("xgd24d", find_vehicle), ("sample", find_topics)):
-        assert find(name).parent != folder
-        assert find(f"./{name}").samefile(folder / name)

@@ -133,15 +133,14 @@ def test_a_closed_or_full_stream_changes_no_result(tmp_path):
 
 
 def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
-    pytest.importorskip("matplotlib")
-    command = [sys.executable, "-m", "trackres_ros", "reproduce", "-o", str(tmp_path / "figures")]
+    command = [sys.executable, "-m", "trackres_ros", "fleet", "sample", "-o", str(tmp_path / "fleet")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert wait_for(lambda: list(tmp_path.rglob("*.csv")) or process.poll() is not None, working=process.pid)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "written so far" in said
-    first = sorted(path for path in (tmp_path / "figures").rglob("*") if path.is_file())[0]
+    first = sorted(path for path in (tmp_path / "fleet").rglob("*.csv"))[0]
     assert str(first) in said
 
 

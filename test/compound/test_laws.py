@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from faults import contents
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from sweeps import FERRY_K, FREQUENCIES, moduli, published, sweep
@@ -268,8 +269,7 @@ def test_an_interrupted_fit_leaves_the_old_vehicle_or_the_new(vehicle, natural_r
         rubber = load(files["vehicle"]).rubber
         return rubber.wlf_c1, rubber.sweep_frequency, *rubber.storage_pa
 
-    left = []
-    for moves in range(4):
+    for moves in count():
         done = count()
 
         def interrupted(part, place, done=done, last=moves):
@@ -279,11 +279,13 @@ def test_an_interrupted_fit_leaves_the_old_vehicle_or_the_new(vehicle, natural_r
 
         files = files_of(tmp_path / "sweep.csv", tmp_path / str(moves))
         write_compound(natural_rubber, vehicle, files)
-        left.append(of_rubber(files))
+        old = contents(files["vehicle"].parent), of_rubber(files)
         with monkeypatch.context() as changed, suppress(KeyboardInterrupt):
             changed.setattr(Path, "replace", interrupted)
             write_compound(other, vehicle, files)
-        left.append(of_rubber(files))
-    old, new = left[0], left[-1]
-    assert old != new
-    assert left == [old, old] * 3 + [old, new]
+        left = contents(files["vehicle"].parent), of_rubber(files)
+        if next(done) <= moves:  # there was no such move
+            break
+        assert left == old, moves
+    assert left[1] != old[1]
+    assert moves == 4  # of the journal, and of rubber, series and vehicle

@@ -107,7 +107,7 @@ def test_quality_of_service():
     assert given[Policy.Durability] == Policy.Durability.Volatile
     assert given[Policy.Userdata].data == b"mine"
     assert Policy.Deadline not in given
-    given = qos(Quality(reliable=True, depth=1, deadline_s=0.25), b"", transient=True)
+    given = qos(Quality(reliable=True, depth=1, deadline_s=0.25, latched=True), b"")
     assert isinstance(given[Policy.Reliability], Policy.Reliability.Reliable)
     assert given[Policy.Durability] == Policy.Durability.TransientLocal
     assert given[Policy.Deadline] == Policy.Deadline(duration(seconds=0.25))

@@ -7,15 +7,21 @@ import copy
 import json
 import pickle
 import re
+import shutil
 import sys
+from contextlib import suppress
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
+from faults import Faults, contents, shown
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.prepare.notes import WarningNote
+from trackres_ros.diagnosis.report.picture import Picture
+from trackres_ros.files import own_files
 from trackres_ros.files.resources import shipped_road_vehicles
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -162,6 +168,39 @@ def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, 
     with pytest.warns(UserWarning, match="no page"):
         found.report(folder)
     assert all(file.exists() for file in before)
+
+
+def test_a_full_disk_leaves_the_previous_diagnosis(found, tmp_path, monkeypatch):
+    def drawn(_, folder):  # the real ones take long
+        own_files.write(folder / "believed.svg", b"<svg/>")
+        return [Picture(folder / "believed.svg", "believed", "as believed")]
+
+    monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", drawn)
+    monkeypatch.setattr("trackres_ros.results.diagnosis._plots", lambda _: "not drawn")
+    folder = found.report(tmp_path / "report")
+    before = dict.fromkeys([name for name in contents(folder) if not name.startswith("rubber/")], b"of the run before")
+    before |= {"report.html": b"<title>Diagnosis of the run before</title>", "effect_before.svg": b"of the run before"}
+    before |= {"notes.txt": b"of the user"}
+    assert {"vehicle.yaml", "report.json", "believed.svg"} < set(before)
+    for call in count(1, 3):
+        shutil.rmtree(folder)
+        for name, content in before.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        failed = True
+        with Faults(folder, call, call) as faults, suppress(tr.InputError, OSError):
+            found.report(folder)
+            failed = False
+        after = shown(folder)
+        if failed:
+            assert after == before, (call, faults.calls)
+            continue
+        assert "effect_before.svg" not in after
+        assert after.pop("notes.txt") == b"of the user"
+        assert b"of the run before" not in after.values(), (call, faults.calls)
+        if not faults.hit:
+            break
+    assert call > 60
 
 
 def test_a_vehicle_that_was_changed_in_memory_is_refused(recorded, xgd24d):

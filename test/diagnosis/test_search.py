@@ -461,7 +461,7 @@ def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
 
     def judged(names, forms, square):
         candidates = {name: SimpleNamespace(is_name=True) for name in names}
-        explanation = SimpleNamespace(without_a_name=forms, candidates=candidates)
+        explanation = SimpleNamespace(without_a_name=forms, candidates=candidates, terms={})
         final = SimpleNamespace(contribution=lambda _: np.full(samples, adds))
         return SimpleNamespace(
             explanation=explanation, final=final, key=set(names), score=SimpleNamespace(square=np.array([square]))

@@ -156,7 +156,7 @@ def until(holds, patience_s=20.0):
 
 def test_ended_by_a_signal_it_leaves_no_process(tmp_path):
     (tmp_path / "working.py").write_text(WORKING)
-    begin = "from trackres_ros.cli.prove import _run; _run('work', ['working', 'workers'])"
+    begin = "import sys; from trackres_ros.cli.prove import _run; _run('work', args=[sys.executable, 'working.py', 'workers'])"
     command = subprocess.Popen([sys.executable, "-c", begin], cwd=tmp_path)
     until(lambda: (tmp_path / "workers").exists() and (tmp_path / "workers").read_text().count(" "))
     workers = (tmp_path / "workers").read_text().split()

@@ -22,7 +22,18 @@ from faults import Faults, child, contents, shown
 
 import trackres_ros as tr
 from trackres_ros.files import own_files
-from trackres_ros.files.file_sets import BACK, FORMAT, FORWARD, RepairWarning, file_set, is_free, present, settle
+from trackres_ros.files.file_sets import (
+    BACK,
+    FORMAT,
+    FORWARD,
+    Member,
+    RepairWarning,
+    file_set,
+    is_free,
+    present,
+    settle,
+    trial_folder,
+)
 
 OLD = {"a.txt": b"old a", "sub/b.txt": b"old b", "gone.txt": b"old c"}
 NEW = {"a.txt": b"new a, longer", "sub/b.txt": b"new b", "other/d.txt": b"new d"}
@@ -223,8 +234,8 @@ def test_a_real_process_killed_at_random_times_leaves_one_set(tmp_path):
         "print('begun', flush=True)\n"
         "for number in range(10**9):\n"
         "    with file_set():\n"
-        "        for name in 'abcdefgh':\n"
-        "            own_files.write(folder / name / 'file.txt', f'{number}'.encode() * 1000)\n"
+        "        for name in ('top.txt', *(f'{one}/file.txt' for one in 'abcdefg')):\n"
+        "            own_files.write(folder / name, f'{number}'.encode() * 1000)\n"
     )
     rolled = random.Random(1)
     for kills in range(8):
@@ -240,7 +251,7 @@ def test_a_real_process_killed_at_random_times_leaves_one_set(tmp_path):
             one.stdout.close()
         found = set(settled(tmp_path).values())
         assert len(found) <= 1, kills
-    replace_all(tmp_path, {f"{name}/file.txt": b"end" for name in "abcdefgh"}, ())
+    replace_all(tmp_path, dict.fromkeys(("top.txt", *(f"{one}/file.txt" for one in "abcdefg")), b"end"), ())
     assert set(contents(tmp_path).values()) == {b"end"}
     assert len(contents(tmp_path)) == 8
 
@@ -320,7 +331,9 @@ def test_a_journal_of_a_stranger_touches_no_file_outside(tmp_path):
     found = (home / "precious.txt").stat()
     seal = [found.st_size, found.st_mtime_ns]
     token = "0123456789abcdef"
-    anew(theirs, {f".precious.txt.{token}.new": b"evil", f".precious.txt.{token}.old": b"evil"})
+    anew(theirs, {})
+    for kind in ("new", "old"):
+        Member(theirs / "precious.txt", None).beside(token, kind).write_bytes(b"evil")
     (theirs / "link").symlink_to(home)
     for journal in (FORWARD, BACK):
         for name in ("../home/precious.txt", "link/precious.txt"):
@@ -331,9 +344,55 @@ def test_a_journal_of_a_stranger_touches_no_file_outside(tmp_path):
                 assert contents(home) == {"precious.txt": b"mine"}
 
 
+def test_a_journal_whose_folders_are_gone_holds_up_nobody(tmp_path):
+    for folder in ("a", "b"):
+        anew(tmp_path / folder, {"sub/x": b"old"})
+    calls = 0
+    while not (tmp_path / "a" / FORWARD).exists():
+        calls += 1
+        with child() as number:
+            if number is None:
+                with Faults(tmp_path, calls, calls, kill=True), file_set():
+                    for folder in ("a", "b"):
+                        own_files.write(tmp_path / folder / "x", b"new")
+                        own_files.write(tmp_path / folder / "sub" / "x", b"new")
+    shutil.rmtree(tmp_path / "b")
+    shutil.rmtree(tmp_path / "a" / "sub")
+    assert settled(tmp_path / "a") == {"x": b"new"}
+
+
+def test_a_forked_process_writes_by_itself(tmp_path):
+    with file_set():
+        own_files.write(tmp_path / "ours", b"ours")
+        with child() as number:
+            if number is None:
+                own_files.write(tmp_path / "theirs", b"theirs")
+        assert contents(tmp_path) == {"theirs": b"theirs"}
+    assert contents(tmp_path) == {"ours": b"ours", "theirs": b"theirs"}
+
+
+def test_a_name_of_the_greatest_length_can_be_replaced(tmp_path):
+    names = ["x" * 242, "y" * 255]
+    with file_set():
+        for name in names:
+            own_files.write(tmp_path / name, b"new")
+    assert shown(tmp_path) == dict.fromkeys(names, b"new")
+
+
 def test_a_damaged_journal_is_refused_with_a_remedy(tmp_path, refused):
     for content in (b"", b"{}", b"[]", b'{"format": "trackres-set", "token": "../..", "home": "", "roots": [], "files": []}'):
         (tmp_path / FORWARD).write_bytes(content)
         line = refused("layouts", "--vehicle", "xgd24d", "-o", tmp_path)
         assert f"or delete {tmp_path / FORWARD}" in line
         (tmp_path / FORWARD).unlink()
+
+
+def test_a_trial_within_a_set_is_read_at_once(tmp_path):
+    with file_set():
+        own_files.write(tmp_path / "kept.txt", b"kept")
+        with trial_folder() as folder:
+            own_files.write(folder / "trial.txt", b"trial")
+            assert (folder / "trial.txt").read_bytes() == b"trial"
+        assert not (tmp_path / "kept.txt").exists()
+    assert (tmp_path / "kept.txt").read_bytes() == b"kept"
+    assert not folder.exists()

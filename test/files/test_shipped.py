@@ -14,7 +14,7 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
-from trackres_ros.files.resources import config_dir, shipped_road_vehicles, shipped_topics, shipped_vehicles
+from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.node.setup import read_setup
@@ -61,10 +61,16 @@ def test_commands_functions_node_and_fleet_find_topics_by_name(tmp_path, good):
     assert one.topics_sha == other.topics_sha != ""
 
 
-def test_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
+def test_a_shipped_name_is_no_file_of_the_current_folder(tmp_path, monkeypatch):
+    """Such a file may have come with recordings, and a vehicle file can lead to code."""
     monkeypatch.chdir(tmp_path)
+    shipped = Topics.load("sample")
     Path("sample").write_text("speed: {column: v}")
-    assert Topics.load("sample")["speed"].column == "v"
+    Path("xgd24d").write_text("nonsense")
+    assert Topics.load("sample") == shipped
+    assert Topics.load("./sample")["speed"].column == "v"
+    assert find_vehicle("xgd24d") == shipped_vehicles()["xgd24d"]
+    assert find_vehicle("./xgd24d").samefile("xgd24d")
 
 
 def test_another_name_is_refused_with_the_nearest(tmp_path, trackres):

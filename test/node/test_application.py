@@ -33,6 +33,7 @@ def all_there(d):
 
 def test_what_leaves_is_what_an_offline_session_gives(desk):
     d = desk()
+    d.found_peers = {given.name: (Peer(given.type, True),) for given in d.app.inputs}
     d.drive(3.0, ambient=20.0, load=250e3)
     estimator = Estimator(load("xgd24d"))
     session = estimator.session()

@@ -26,7 +26,8 @@ pytest.importorskip("rosbags")
 PACKAGE = Path(trackres_ros.__file__).parent
 STEP = {  # what makes an estimate and brings it out: without one of them there is none; and the values of checked parameters
     "Session.feed", "InputReader.read", "InputReader.samples",
-    "SpeedSources.takes", "OutputPublisher.take", "OutputPublisher.publish", "OutputPublisher.age_s", "nearest_usable", "fed_now",
+    "SpeedSources.takes", "OutputPublisher.take", "OutputPublisher.publish", "OutputPublisher.age_s",
+    "OutputPublisher.max_age_s", "nearest_usable", "fed_now",
 }  # fmt: skip
 LOOP = "application.py", "message_handler.py", "clock.py", "guard.py"
 SILENT = {"OutputPublisher.publish_statuses", "bare_status", "Notice.level"}  # without which no status can say what fails

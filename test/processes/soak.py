@@ -32,7 +32,7 @@ PARAMETERS = {
     "input_depth": 10000.0,
 }
 REFUSALS_AND_ACCEPTED = (
-    "accepted", "non_finite", "out_of_range", "duplicate", "late", "future", "backward", "implausible", "bad_stamp",
+    "accepted", "non_finite", "out_of_range", "duplicate", "late", "future", "backward", "implausible", "bad_stamp", "unused",
 )  # fmt: skip
 FAULTS = (
     "nan", "infinite", "huge", "stamp zero", "stamp repeated", "stamp back", "stamp ahead", "late", "no speed", "no load", "loop",

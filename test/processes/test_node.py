@@ -332,3 +332,29 @@ def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
         assert n.stop() == 0
     finally:
         n.close()
+
+
+UNSIGNED = """
+speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x,
+  valid: {topic: sound, type: std_msgs/msg/Bool, field: data}}
+direction: {topic: gear, type: std_msgs/msg/UInt8, field: data, values: {forward: [1, 2], reverse: 9, neutral: 0}}
+load: {topic: load, type: std_msgs/msg/Float64, field: data}
+ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
+"""
+
+
+def test_an_unsigned_speed_in_reverse_is_fed_backwards(node, wire):
+    n = node(topics=UNSIGNED)
+    gear, sound = wire.publisher("/alone/gear", "std_msgs/msg/UInt8"), wire.publisher("/alone/sound", "std_msgs/msg/Bool")
+    n.until(lambda: gear.matched and sound.matched, "both to connect")
+
+    def drive(flag, holds):
+        gear.publish(data=flag)
+        sound.publish(data=holds)
+        n.drive(0.2)
+
+    n.until(lambda: min(n.torques(), default=0.0) < -2000.0, "a torque backwards", meanwhile=lambda: drive(9, True))
+    assert max(n.torques()) <= 0.0
+    n.until(lambda: n.torques()[-1] == 0.0, "no torque", meanwhile=lambda: drive(9, False))
+    assert "invalid" in n.values("input speed")
+    n.until(lambda: n.torques()[-1] > 2000.0, "a torque forward", meanwhile=lambda: drive(2, True))

@@ -14,6 +14,7 @@ from conftest import why_not
 from ros_shell import ROS2, wait
 from waiting import exit_code
 
+import trackres_ros as tr
 from trackres_ros.node.parameters import PARAMETERS
 
 if why_not("ros"):
@@ -254,3 +255,31 @@ def test_launch_refuses_a_bad_argument(launcher, name, value, allowed):
     launch = launcher.start(ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24d", f"{name}:={value}")
     assert exit_code(launch) != 0
     assert f"{name}: given '{value}'; allowed: {allowed}" in launch.said()
+
+
+def test_a_launch_fails_where_its_node_refuses_the_input(launcher):
+    launch = launcher.start(ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24")
+    assert exit_code(launch) == 1, launch.said()
+    assert "the node ended with exit code 2" in launch.said()
+    assert "did you mean xgd24d?" in launch.said()
+
+
+def test_a_launched_replay_takes_all_its_options(launcher):
+    drive, out, state = (launcher.folder / name for name in ("drive.csv", "out.csv", "state.json"))
+    drive.write_text("time_s,speed_mps\n" + "".join(f"{0.1 * i:.1f},8.0\n" for i in range(100)))
+    (launcher.folder / "p.yaml").write_text("gap_s: 2.0\n")
+    tr.replay(drive, "xgd24d", save_state=state)
+    given = {"recording": drive, "vehicle": "xgd24d", "output": out, "params": launcher.folder / "p.yaml", "resume": state}
+
+    def launched(**options):
+        words = [f"{name}:={value}" for name, value in {**given, **options}.items()]
+        launch = launcher.start(ROS2, "launch", "trackres_ros", "replay.launch.py", *words)
+        return exit_code(launch), launch.said()
+
+    code, said = launched()
+    assert code == 0, said
+    assert out.exists()
+    for name in ("params", "resume"):
+        code, said = launched(**{name: launcher.folder / "none"})
+        assert code == 1, said
+        assert "the replay ended with exit code 2" in said

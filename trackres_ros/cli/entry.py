@@ -20,7 +20,7 @@ def main() -> None:
         insist()
     try:
         from trackres_ros.cli.main import main as run
-        from trackres_ros.engine.interpreter import SAFE
+        from trackres_ros.files.interpreter import SAFE
     except KeyboardInterrupt:
         interrupt_handled()
         print("trackres: interrupted before the start", file=sys.stderr)

@@ -15,8 +15,8 @@ import click
 from trackres_ros import InputError
 from trackres_ros.cli import options
 from trackres_ros.cli.common import Commands, emit, needs, output_folder
-from trackres_ros.engine.interpreter import python
 from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.interpreter import python
 from trackres_ros.files.own_files import write
 
 COUNT = click.IntRange(1, 100_000)

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs independent tasks and yields their results as they finish, in this process or by workers; starts Python as a process."""
+"""Runs independent tasks and yields their results as they finish, from this process or from workers."""

@@ -17,8 +17,8 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.request import urlopen
 
-from trackres_ros.engine.interpreter import SAFE
 from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.files.interpreter import SAFE
 
 if TYPE_CHECKING:
     from distributed import Client

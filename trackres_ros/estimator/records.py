@@ -23,8 +23,8 @@ LEAST_WEIGHT = 1e-3  # N
 FEW = 16
 LARGEST = 1e9  # of an input, in its unit: more than any vehicle has, and its powers do not overflow
 LONGEST_STEP_S = 7 * 86400.0
-"""Of a step: by then any belt is at the temperature of the air, and as uncertain as it gets, and all that fades is gone. A longer
-time tells no more; where it is given, it is the difference of an unsigned clock that went back (2^32 ms are 50 days)."""
+"""Of a step: by then any belt is as warm as the air, as uncertain as it gets, and all that fades is gone. A longer time is the
+difference of an unsigned clock that went back (2^32 ms are 50 days)."""
 FARTHEST_NS = 1 << 62
 """146 years: two times that are nearer to 0 have a difference within 64 bits."""
 FIRST_NS, LAST_NS = 1 - FARTHEST_NS, FARTHEST_NS - 1

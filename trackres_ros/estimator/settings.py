@@ -73,8 +73,7 @@ class Settings:
         "s",
         0.01,
         60.0,
-        "up to it, age limits of a speed, acceleration, grade, yaw rate or heading are one and a half of the period in which it "
-        "comes, where that is longer than the limit",
+        "largest age limit of a speed, acceleration, grade, yaw rate or heading that comes rarely: one and a half of its period",
     )
     feedforward_fade_s: float = setting(1.0, "s", 0.01, 60.0, "time in which the feed-forward then goes to zero")
     belt_std_warn_k: float = setting(25.0, "K", 0.1, 1000.0, "a belt temperature with a larger standard deviation is reported")

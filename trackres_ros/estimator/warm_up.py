@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.engine.interpreter import python
 from trackres_ros.estimator.entry_points import COMPILED, Entries, interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.interpreter import python
 from trackres_ros.jit.compiled import code_folder, is_cached, keep_code_in
 from trackres_ros.progress import tell
 from trackres_ros.vehicle import AnyVehicle, load_any, with_surroundings

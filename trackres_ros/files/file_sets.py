@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import re
@@ -25,6 +26,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 FORWARD, BACK = ".trackres-set.json", ".trackres-set-undone.json"
@@ -59,6 +61,7 @@ class FileSet:
 
     def __init__(self) -> None:
         self._members: dict[Path, Member] = {}
+        self.process = os.getpid()
 
     def add(self, member: Member) -> None:
         """Replace, create or remove a file when the set is complete."""
@@ -79,9 +82,12 @@ class FileSet:
         members = [m for m in self._members.values() if m.content is not None or m.place.exists()]
         if not members:
             return None
-        made = _make_folders({m.place.parent for m in members})
-        roots = _roots({m.place.parent for m in members})
+        folders = {m.place.parent for m in members}
+        missing = {one for folder in folders for one in (folder, *folder.parents) if not one.exists()}
+        roots = _roots(folders)
         try:
+            for folder in folders:
+                folder.mkdir(parents=True, exist_ok=True)
             while True:
                 for root in roots:
                     settle(root)
@@ -94,7 +100,7 @@ class FileSet:
                     return _Replacement(members, roots).run()
         except BaseException as error:
             self.drop()
-            for folder in made:
+            for folder in sorted(missing, reverse=True):  # the deepest first
                 with suppress(OSError):
                     folder.rmdir()
             if isinstance(error, OSError) and Path(error.filename or ".trackres").name.startswith("."):
@@ -112,7 +118,7 @@ def file_set() -> Iterator[FileSet]:
     After an exception none is replaced. A set within another one belongs to it. Raises OSError if the files cannot be replaced;
     none is then.
     """
-    outer = _open.get()
+    outer = open_set()
     if outer is not None:
         yield outer
         return
@@ -128,14 +134,26 @@ def file_set() -> Iterator[FileSet]:
     files.commit()
 
 
+@contextmanager
+def trial_folder() -> Iterator[Path]:
+    """A folder whose files are written at once, to be read again, and go at the end of the block: they belong to no set."""
+    token = _open.set(None)
+    try:
+        with TemporaryDirectory() as folder:
+            yield Path(folder)
+    finally:
+        _open.reset(token)
+
+
 def open_set() -> FileSet | None:
-    """The set that is open now."""
-    return _open.get()
+    """The set that is open now; a process that was forked meanwhile has none, as nobody would replace its files."""
+    files = _open.get()
+    return files if files is not None and files.process == os.getpid() else None
 
 
 def present(path: Path) -> bytes | None:
     """Bytes of a file, as the open set will leave it; None if there is no file."""
-    member = None if (files := _open.get()) is None else files.get(path)
+    member = None if (files := open_set()) is None else files.get(path)
     content = path if member is None else member.content
     if isinstance(content, Path):
         return content.read_bytes() if content.is_file() else None
@@ -144,7 +162,7 @@ def present(path: Path) -> bytes | None:
 
 def is_free(path: Path) -> bool:
     """Whether the open set leaves nothing at a path."""
-    member = None if (files := _open.get()) is None else files.get(path)
+    member = None if (files := open_set()) is None else files.get(path)
     return not path.exists() if member is None else member.content is None
 
 
@@ -176,9 +194,9 @@ def settle(folder: Path) -> None:
             with _locked(journal.roots):
                 if _journal_in(folder) == path and _Journal.read(path).token == journal.token:
                     journal.complete()
-        except FileNotFoundError:  # a living process was faster
-            continue
         except OSError as error:
+            if not os.path.lexists(path):  # a living process was faster
+                continue
             text = f"a run ended while it replaced the files in {folder}, and they cannot be made whole: "
             remedy = f"see that this user may write there, and run it again, or delete {path}"
             raise OSError(error.errno, f"{text}{error.strerror or error}; {remedy}", str(folder)) from error
@@ -298,7 +316,8 @@ class _Journal:
                 return cls(path, token, [path.parent], [])
             path, given = found, _content(found)
         entries = [_Entry(_place(home / name), new, old) for name, new, old in given["files"]]
-        return cls(path, token, [home, *(_real(home / name) for name in given["roots"])], entries)
+        roots = [_real(home / name) for name in given["roots"]]
+        return cls(path, token, [home, *(root for root in roots if root.is_dir())], entries)
 
     def text(self, seen_from: Path | None = None) -> bytes:
         """The content of the journal; from another folder, that of a file that leads to it."""
@@ -331,7 +350,8 @@ class _Journal:
         """Put all new files in place; return whether any was still to do."""
         moved = [entry.go_forward(self.token) for entry in self.entries]
         for folder in {entry.place.parent for entry in self.entries}:
-            _sync(folder)
+            if folder.is_dir():  # nobody has removed it since
+                _sync(folder)
         return any(moved)
 
     def go_back(self) -> None:
@@ -415,7 +435,9 @@ def _seal(path: Path) -> Seal | None:
 
 
 def _beside(place: Path, token: str, kind: str) -> Path:
-    return place.with_name(f".{place.name}.{token}.{kind}")
+    """Name of the new or old file beside its place; that of any file fits into the length of a name."""
+    digest = hashlib.sha256(os.fsencode(place.name)).hexdigest()[:16]
+    return place.with_name(f".trackres-set.{token}.{digest}.{kind}")
 
 
 def _real(path: Path) -> Path:
@@ -438,14 +460,6 @@ def _roots(folders: Iterable[Path]) -> list[Path]:
         if not any(folder.is_relative_to(root) for root in found):
             found.append(folder)
     return found
-
-
-def _make_folders(folders: Iterable[Path]) -> list[Path]:
-    """Make folders; return those that were missing, the deepest first."""
-    missing = {one for folder in folders for one in (folder, *folder.parents) if not one.exists()}
-    for folder in folders:
-        folder.mkdir(parents=True, exist_ok=True)
-    return sorted(missing, reverse=True)
 
 
 def _sync(path: Path) -> None:

@@ -398,8 +398,6 @@ class Application:
         for index, (given, found) in enumerate(zip(self.inputs, self._peers, strict=True)):
             sending = [peer for peer in found if peer.compatible and peer.type == given.type]
             several[index] = len(sending) > 1
-            if "speed" in given.roles:
-                self.sources.mixed = several[index] and any(not peer.source for peer in sending)
             if not given.stands:
                 continue
             if index not in self._latched:

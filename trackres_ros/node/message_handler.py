@@ -37,6 +37,7 @@ class Sent(NamedTuple):
     ns: int = 0  # by the clock of its machine [ns]; 0 if unknown
     source: int = 0  # number of the publisher; 0 where the middleware does not tell it
     latched: bool = False  # whether it came by an endpoint that also gets what publishers keep
+    mixed: bool = False  # whether it is of one of several publishers that the middleware does not tell apart
 
 
 NOT_TOLD = Sent()
@@ -241,7 +242,7 @@ class MessageHandler:
         set_ns = self._clock.set_by_ns(now, recorded)
         samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, recorded, set_ns)
         for channel, stamp, value in samples or ():
-            if channel == at.SPEED and not self.sources.takes(sent.source, value, recorded):
+            if channel == at.SPEED and not self.sources.takes(sent.source, value, recorded, sent.mixed):
                 self.reader.unused[channel] += 1
                 continue
             if place in self.mixed and channel not in TOGETHER:

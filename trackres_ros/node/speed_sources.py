@@ -33,12 +33,11 @@ class SpeedSources:
     came at different times may also differ by what the vehicle gains in between. While two disagree, and for 2 s after they last
     differed, none is used.
 
-    A middleware that does not tell publishers apart passes all as one. Where there are several (`mixed`), each speed is compared
-    with the one before.
+    A middleware that does not tell publishers apart passes all as one. Where there are several (`mixed`), a speed that differs
+    from the last one used is of another publisher.
     """
 
     def __init__(self, max_acceleration: float, max_age_s: Callable[[], float]) -> None:
-        self.mixed = False
         self._max_acceleration, self._max_age_s = max_acceleration, max_age_s
         self._heard: dict[int, Heard] = {}
         self._used: int | None = None
@@ -50,14 +49,15 @@ class SpeedSources:
         """Two publishers with the speed of each [m/s], when they last differed; None while none disagree."""
         return self._both if self._parted(now_ns) else None
 
-    def takes(self, source: int, speed: float, arrival_ns: int) -> bool:
-        """Whether to use a speed [m/s] of a publisher that arrives now [ns]."""
+    def takes(self, source: int, speed: float, arrival_ns: int, mixed: bool = False) -> bool:
+        """Whether to use a speed [m/s] of a publisher, or with `mixed` of one of several, that arrives now [ns]."""
         if not math.isfinite(speed):
             return True  # it is refused and counted
         if any(arrival_ns < heard.arrival_ns for heard in self._heard.values()):  # time went back
             self._heard.clear()
             self._used = self._first_ns = None
-        self._compare(source, speed, arrival_ns)
+        if self._differs(source, speed, arrival_ns, mixed) and mixed:
+            return False
         used = self._heard.get(self._used) if self._used is not None else None
         if used is None or (arrival_ns - used.arrival_ns) * NANOSECOND > self._max_age_s():
             self._used = source
@@ -66,11 +66,11 @@ class SpeedSources:
             del self._heard[silent]
         return source == self._used and not self._parted(arrival_ns)
 
-    def _compare(self, source: int, speed: float, arrival_ns: int) -> None:
+    def _differs(self, source: int, speed: float, arrival_ns: int, mixed: bool) -> bool:
         agrees = False
         for other, heard in self._heard.items():
             age_s = (arrival_ns - heard.arrival_ns) * NANOSECOND
-            if age_s > self._max_age_s() or (other == source and not self.mixed):
+            if age_s > self._max_age_s() or (other == source and not mixed):
                 continue
             apart = abs(speed - heard.speed) - SHARE * max(abs(speed), abs(heard.speed)) - RESOLUTION_MPS
             agrees |= apart <= 0.0
@@ -78,9 +78,10 @@ class SpeedSources:
                 if self._first_ns is None or arrival_ns - self._last_ns > REMEMBERED_NS:
                     self._first_ns = arrival_ns
                 self._last_ns, self._both = arrival_ns, ((other, heard.speed), (source, speed))
-                return
-        if agrees and not self.mixed and not self._parted(arrival_ns):
+                return True
+        if agrees and not mixed and not self._parted(arrival_ns):
             self._first_ns = None
+        return False
 
     def _parted(self, now_ns: int) -> bool:
         if self._first_ns is None or now_ns - self._last_ns > REMEMBERED_NS:

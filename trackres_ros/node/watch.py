@@ -19,6 +19,7 @@ from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
 from trackres_ros.node.transport import Level, Peer
+from trackres_ros.text.numbers import figures
 from trackres_ros.units import NANOSECOND
 
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
@@ -198,9 +199,11 @@ class Watch:
 def _of_slow_speed(period_s: float, max_age_s: float) -> Notice:
     """What a speed that comes rarely means; a period longer than the age is one of fading."""
     meanwhile = (
-        f"it is trusted for {max_age_s:.2g} s" if period_s <= max_age_s else f"the feed-forward fades after {max_age_s:.2g} s"
+        f"it is trusted for {figures(max_age_s, 2)} s"
+        if period_s <= max_age_s
+        else f"the feed-forward fades after {figures(max_age_s, 2)} s"
     )
-    rate = f"{1.0 / period_s:.2g}" if period_s > 0.0 else "?"
+    rate = figures(1.0 / period_s, 2) if period_s > 0.0 else "?"
     return Notice("SPEED_SLOW", f"your speed comes at {rate} Hz; {meanwhile}: send it at {ENOUGH_HZ} Hz or more")
 
 

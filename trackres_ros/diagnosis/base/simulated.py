@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Self
 
 import numpy as np
@@ -22,6 +20,7 @@ from trackres_ros.estimator.constants import Constants, kernel_arguments, work_s
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.records import DriveSeries, State
+from trackres_ros.files.file_sets import trial_folder
 from trackres_ros.vehicle import AnyVehicle, load_any
 from trackres_ros.vehicle.writing.changes import FileChanges
 
@@ -47,8 +46,8 @@ class FileBase(Base):
     def as_written(self, values: Values) -> Self:
         """See `base.Base`."""
         now = self.vehicle
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "vehicle.yaml"
+        with trial_folder() as folder:
+            path = folder / "vehicle.yaml"
             self.write(path, FileChanges(values, (), {}), "")
             found = type(self)(replace(load_any(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
         found.torque_scale = self.torque_scale  # the sessions stay divided by it

@@ -219,7 +219,8 @@ class Choice:
         error must fall by more than the square of a tenth of the names' torque.
         """
         more_forms = one.explanation.without_a_name > other.explanation.without_a_name
-        if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
+        once = any(t.change is not None for name, t in one.explanation.terms.items() if name not in other.key)
+        if self._validation.least_gain(other.score, one.score, once) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
         names = [name for name, c in other.explanation.candidates.items() if c.is_name and name not in one.key]
         by_form = sum(float((self._beyond_base(other.final.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2

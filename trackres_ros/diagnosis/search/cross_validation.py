@@ -120,14 +120,18 @@ class CrossValidation:
         """Level score of one over another."""
         return float((after.density - before.density).sum())
 
-    def least_gain(self, before: Score, after: Score) -> float:
-        """Lower bound of the level score."""
-        return self._least(before, after.density - before.density)
+    def least_gain(self, before: Score, after: Score, for_good: bool = False) -> float:
+        """Lower bound of the level score; a lasting change (`for_good`) is one occasion."""
+        return self._least(self._by_piece(before) if for_good else before, after.density - before.density)
+
+    def _by_piece(self, score: Score) -> Score:
+        """The same score with each piece an occasion of its own: a change that lasts has no more than one."""
+        return replace(score, occasion=np.arange(len(self._count)))
 
     def improvement(self, before: Score, after: Score, for_good: bool = False) -> Improvement:
         """Change of the mean error, with the lower bound of the level score; a lasting change (`for_good`) is one occasion."""
         if for_good:
-            before = replace(before, occasion=np.arange(len(self._count)))
+            before = self._by_piece(before)
         count, fallen = self._count.sum(), before.error - after.error
         return Improvement(
             float(before.error.sum() / count), float(after.error.sum() / count),

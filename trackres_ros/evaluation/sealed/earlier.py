@@ -14,9 +14,9 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from trackres_ros.engine.interpreter import python
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.processes import each, unfinished
+from trackres_ros.files.interpreter import python
 
 
 def main(cases: Path, results: Path, checkout: Path, first: int | None = None) -> None:

@@ -406,7 +406,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         if self.application:
             content, about, latched = message
             raw = self.application.guard("recording", serialize_message, content) if self._recording else None
-            sent = Sent(about["source_timestamp"], latched=latched)  # rclpy does not tell who sent it
+            mixed = self._inputs[index].get_publisher_count() > 1  # now: rclpy does not tell who sent a message
+            sent = Sent(about["source_timestamp"], latched=latched, mixed=mixed)
             self.application.messages.receive(index, content, sent, arrived, raw)
 
     def _keep(self, index: int, raw: bytes) -> None:

@@ -288,7 +288,10 @@ def copied(source: Path, folder: Path, relative: Path) -> str:
     Another file of that name stays: the copy then has a number in its name.
     """
     try:
-        return write_numbered(folder / relative, source.read_bytes()).relative_to(folder).as_posix()
+        content = present(source)  # that of a compound is in the same set
+        return (
+            write_numbered(folder / relative, source.read_bytes() if content is None else content).relative_to(folder).as_posix()
+        )
     except OSError as error:
         raise InputError(str(folder / relative), error.strerror or str(error), f"a place for a copy of {source}") from error
 
