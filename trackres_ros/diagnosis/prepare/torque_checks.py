@@ -40,7 +40,8 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     """The session with its torque shifted to the best correlation with the speed, and a note.
 
     Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's. Both halves must agree: on
-    hills without a recorded slope, a smooth drive correlates best at another time by chance.
+    hills without a recorded slope, a smooth drive correlates best at another time by chance. And none with the other sign may
+    correlate as well where it is: a motion to and fro then fits half a period later.
     """
     if session.used.sum() < FEWEST_COMPARED:
         return session, ""
@@ -53,7 +54,7 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
 
     whole = there(session.used)
     best = int(np.argmax(whole))
-    shift, gain = shifts[best], whole[best] - whole[LARGEST_SHIFT_S]
+    shift, gain = shifts[best], whole[best] - abs(whole[LARGEST_SHIFT_S])
     if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or whole[best] < SURE:
         return session, ""
     if any(abs(int(np.argmax(there(half))) - best) > LEAST_SHIFT_S for half in (first, ~first)):
