@@ -29,7 +29,8 @@ def conclude(
 ) -> tuple[tuple[Advice, ...], FileChanges]:
     """Next drives, and the changes that may be written."""
     options.on_stage("next drives")
-    of_vehicle = all(s.pace == 1.0 for s in prepared.sessions)  # the manoeuvres are for drivers
+    # The manoeuvres are for drivers.
+    of_vehicle = prepared.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in prepared.sessions)
     asked = [partial(advise, step, prepared.vehicle.known.max_speed) for step in chosen.steps.values() if of_vehicle]
     advice = [a for ask in asked for a in attempt("the best next drive", ask) or ()]
     keep_suspected, final = options.keep_suspected, chosen.final

@@ -27,6 +27,12 @@ from trackres_ros.diagnosis.findings.locate import (
     smoothed,
     spans,
 )
+from trackres_ros.diagnosis.findings.machine_words import (
+    effects_of_machine,
+    term_of_machine,
+    terms_of_machine,
+    verdict_of_machine,
+)
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.findings.spread import Spread, find_spread
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
@@ -81,9 +87,12 @@ def judge(
     left_over = slow_residual(final)
     later = only_later(base.refitted, worth.mae["refitted"])
     drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
+    is_vehicle = prepared.vehicle.known.is_vehicle
+    if not is_vehicle:
+        found, terms, drift = effects_of_machine(found), terms_of_machine(terms), drift and term_of_machine(drift)
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
     as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked, ()))
-    spread = attempt("an oscillation", lambda: find_spread(final))
+    spread = attempt("an oscillation", lambda: find_spread(final)) if is_vehicle else None  # its regimes are a vehicle's
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
         Findings(
@@ -105,6 +114,7 @@ def judge(
             unusable=unusable,
         )
     )
+    verdict = verdict if is_vehicle else verdict_of_machine(verdict)
     return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
 
