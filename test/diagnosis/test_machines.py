@@ -3,6 +3,10 @@
 
 """Machines that are no vehicles, through `tr.diagnose`: what their models lack is found, or told, and nothing crashes."""
 
+import json
+import re
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -49,8 +53,8 @@ def pump_runs(folder):
     return written(folder / "pump.csv", time, speed, torque), model
 
 
-def test_a_pump_that_only_turns_forward_is_diagnosed(tmp_path):
-    found = tr.diagnose(*pump_runs(tmp_path), quick=True)
+def test_a_pump_that_only_turns_forward_is_diagnosed(diagnosed):
+    found = diagnosed("pump_runs")
     (lacks,) = found.effects  # forward only, three names are one
     assert lacks.graded.grade == "confirmed"
     assert {"coulomb_friction", "torque_offset"} <= set(lacks.step.members)
@@ -130,3 +134,89 @@ def test_a_wrong_sign_or_unit_of_a_machine_is_refused(tmp_path, scale, said):
         gated(runs, model)
     assert said in str(refused.value)
     assert not any(word in str(refused.value) for word in ("sprocket", "wheel", "gear", "vehicle", "driving"))
+
+
+def cogging_motor(folder):
+    """A motor with dry friction and seven cogs a turn, which turns to and fro; and its model without both."""
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 60.0, 0.005)
+    speed, accel = swept(time, 30.0, 11.0, 4.3, 2.7)
+    cogging = 0.03 * np.sin(7.0 * np.cumsum(speed) * 0.005)
+    torque = 2e-3 * accel + 1e-3 * speed + 0.05 * np.sign(speed) + cogging + rng.normal(0.0, 0.005, len(time))
+    inertia, drag = (2e-3, 1e-3, 3e-3, "kg m^2"), (1e-3, 0.0, 3e-3, "Nm s")
+    return written(folder / "dc.csv", time, speed, torque), machine(speed=30.0, torque_nm=0.4, inertia=inertia, drag=drag)
+
+
+def servo_joint(folder):
+    """A joint with 0.25 Nm of dry friction, and its model without that."""
+    rng = np.random.default_rng(6)
+    time = np.arange(0.0, 45.0, 0.005)
+    speed, accel = swept(time, 6.0, 5.0, 1.9, 1.1)
+    torque = 0.02 * accel + 0.03 * speed + 0.25 * np.sign(speed) + rng.normal(0.0, 0.02, len(time))
+    inertia, drag = (0.02, 0.01, 0.03, "kg m^2"), (0.03, 0.0, 0.06, "Nm s")
+    return written(folder / "joint.csv", time, speed, torque), machine(speed=6.0, torque_nm=2.0, inertia=inertia, drag=drag)
+
+
+def hovering(inputs, p):
+    return p["mass"] * inputs.accel + p["rotors"] * inputs.speed
+
+
+def quadrotor_flight(folder):
+    """A quadrotor flown to and fro, with a drag of its body; and its model with the drag of its rotors only."""
+    rng = np.random.default_rng(5)
+    time = np.arange(0.0, 120.0, 0.02)
+    speed = np.interp(time, np.arange(0.0, 123.0, 3.0), rng.uniform(-12.0, 12.0, 41))
+    drag = 0.25 * speed + 0.06 * speed * np.abs(speed)
+    force = 1.4 * np.gradient(speed, time) + drag + rng.normal(0.0, 0.1, len(time))
+    mass, rotors = (1.4, 1.2, 1.6, "kg"), (0.25, 0.1, 0.5, "N s/m")
+    model = machine(hovering, speed=12.0, torque_nm=20.0, mass=mass, rotors=rotors)
+    return written(folder / "flight.csv", time, speed, force), model
+
+
+FRICTION = {"rough_motor": 0.2, "cogging_motor": 0.05, "servo_joint": 0.25, "servo_runs": 0.3}
+MADE = {made.__name__: made for made in (rough_motor, cogging_motor, servo_joint, servo_runs, quadrotor_flight, pump_runs)}
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    """The diagnosis of a machine by its name, made once."""
+    return cache(lambda name: tr.diagnose(*MADE[name](tmp_path_factory.mktemp(name)), quick=True))
+
+
+@pytest.mark.parametrize("name", FRICTION)
+def test_dry_friction_of_a_machine_is_confirmed(diagnosed, name):
+    found = diagnosed(name)
+    (friction,) = found.effects
+    assert (friction.name, friction.graded.grade) == ("coulomb_friction", "confirmed")
+    assert friction.values["friction"] == pytest.approx(FRICTION[name], rel=0.1)
+    assert not any(word in warning for warning in found.warnings for word in ("times the", "failed", "clock"))
+
+
+def test_a_motor_without_a_delay_is_given_none(diagnosed):
+    found = diagnosed("cogging_motor")
+    assert "delay" not in found.sentence
+    assert "delay" not in {name for effect in found.effects for name in effect.step.members}
+
+
+def test_drag_of_a_quadrotor_is_a_curve_of_its_speed(diagnosed):
+    found = diagnosed("quadrotor_flight")
+    assert found.status == "described"
+    assert any(term.described.variable == "speed" and term.graded.grade == "confirmed" for term in found.described)
+    mae = found.diagnosis.held_out.mae
+    assert mae["with_effects"] < 0.3 * mae["refitted"]
+
+
+OF_VEHICLES = ("vehicle", "sprocket", "film", "wheel", "belt", "mud", "tyre", "spring", "road", "passenger")
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_texts_on_a_machine_have_no_words_of_vehicles(diagnosed, name, tmp_path):
+    found = diagnosed(name)
+    found.report(tmp_path, page=False)
+    report = json.loads((tmp_path / "report.json").read_text())
+    said = [found.sentence, *found.warnings, *(term["sentence"] for term in report["described"])]
+    said += [part for term in report["described"] for part in term["mechanisms"]]
+    said += [text for of in report["effects"] for text in (of["text"], of["acts"]["size"])]
+    said += [of["why"] for of in report["not_visible"]]
+    assert not report["advice"]  # manoeuvres for drivers
+    assert not [(word, text) for text in said for word in OF_VEHICLES if re.search(rf"\b{word}", text.lower())]

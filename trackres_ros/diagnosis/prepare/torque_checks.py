@@ -129,8 +129,9 @@ def _sign_notes(
     if against:
         motion = "driving forward" if known.is_vehicle else "moving forward"
         raise InputError(where, given, f"a torque that is positive when {motion}", line)
-    lacks = "a slope that is not recorded may do this" if known.is_vehicle else "something that the model lacks may do this"
-    return [WarningNote(f"{where}: {given}: {lacks}; if the sign is wrong, {line}")]
+    lacks = "a slope that is not recorded" if known.is_vehicle else "something that the model lacks"
+    sure = "its sign is right by the energy" if energy > 0.0 else f"if the sign is wrong, {line}"
+    return [WarningNote(f"{where}: {given}: {lacks} may do this; {sure}")]
 
 
 def faulty_torques(
