@@ -163,3 +163,10 @@ def test_a_ride_past_no_place_twice_ends_in_no_crash():
     with suppress(InputError):  # a model without rider and wind may explain too little for a conclusion
         found = tr.diagnose(RIDES / "ride_b.csv.gz", RIDES / "bicycle.yaml", quick=True)
         assert not any("failed" in warning for warning in found.warnings)
+
+
+@needs_rides
+def test_without_its_altitude_a_ride_may_have_an_unrecorded_slope():
+    found = tr.diagnose(RIDES / "ride_a.csv.gz", RIDES / "bicycle.yaml", hide=["altitude"], quick=True)
+    assert not any("failed" in warning or "scale: -1.0" in warning for warning in found.warnings)
+    assert "slope" in found.sentence
