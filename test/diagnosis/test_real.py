@@ -166,7 +166,7 @@ def test_a_ride_past_no_place_twice_ends_in_no_crash():
 
 
 @needs_rides
-def test_without_its_altitude_a_ride_may_have_an_unrecorded_slope():
+def test_a_ride_without_its_altitude_has_an_unrecorded_slope():
     found = tr.diagnose(RIDES / "ride_a.csv.gz", RIDES / "bicycle.yaml", hide=["altitude"], quick=True)
     assert not any("failed" in warning or "scale: -1.0" in warning for warning in found.warnings)
     assert "slope" in found.sentence

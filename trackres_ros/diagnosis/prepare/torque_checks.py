@@ -71,7 +71,7 @@ def check_torque(
 
     `expected` is the torque of each session from the vehicle file [Nm], and `resisting` the same without inertia. The resistance
     may be several times the data sheet's. The inertia may not, because the mass is known. So the torque is compared with the
-    inertia torque where that shows, beside any offset and friction.
+    inertia torque where that shows; for a machine beside any offset and friction.
     """
     used = [s.used for s in sessions]
     m, e, r, v = (
@@ -83,7 +83,9 @@ def check_torque(
         raise InputError(where, f"always {m[0]:g} Nm", "a torque that changes; is the sensor connected?")
     if not e.any():
         raise InputError(f"{where} of the model", "always 0", "a torque that depends on speed or acceleration")
-    inertia = _inertia(m, e - r, np.stack([r, np.ones(len(r)), np.sign(v)], axis=1))
+    # A vehicle that only speeds up hardly separates an offset from its inertia; its resistance has the friction anyway.
+    others = r[:, np.newaxis] if known.is_vehicle else np.stack([r, np.ones(len(r)), np.sign(v)], axis=1)
+    inertia = _inertia(m, e - r, others)
     notes = _sign_notes(where, (m, e, v), inertia, sessions, known)
     low, high = HEALTHY[0] * known.torque_share[0], HEALTHY[1] * known.torque_share[1]
     allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm" if known.is_vehicle else "the torque of the model"
@@ -161,7 +163,7 @@ class _Inertia:
 
 
 def _inertia(measured: Array, inertia: Array, others: Array) -> _Inertia:
-    """The share of the inertia, robustly, beside `others`: resistance, offset and friction, shape (n, 3)."""
+    """The share of the inertia, robustly, beside `others`: resistance, or that, offset and friction, shape (n, k)."""
     weight, columns = np.ones(len(measured)), np.column_stack([inertia, others])
     columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
 
