@@ -97,6 +97,7 @@ setup(
     package_data={
         PACKAGE: ["py.typed"],
         f"{PACKAGE}.diagnosis.report": ["page.html", "page.js", "report.schema.json"],
+        f"{PACKAGE}.evaluation.sealed": ["groomer.yaml"],
         f"{PACKAGE}.export": ["templates/*"],
         f"{PACKAGE}.fleet.page": ["*.html", "*.css"],
     },

@@ -55,6 +55,12 @@ class Squeak(Effect):
 """
 
 
+def pytest_configure():
+    """Begun in the background of a script, this process ignores an interrupt, and so would all that tests start and interrupt."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @pytest.fixture(autouse=True)
 def environment_of_commands():
     """What a command run in this process sets for what it starts goes with the test."""

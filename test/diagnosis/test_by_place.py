@@ -102,6 +102,12 @@ def test_places_that_were_not_driven_are_as_unsure_as_before():
     assert np.abs(found.value[far]).max() < found.size
 
 
+def test_without_samples_no_value_by_place_is_learned():
+    _, _, residual, mask, slope, _ = made(5, (1, 1))
+    found = learn(slope, [residual], [mask], noise_of(residual, mask), 0.03)
+    assert not found.relearned(slope, [residual], [np.zeros_like(mask)]).any()
+
+
 def along_with_rolling(off, fitted=0.0, closes=True):
     """Slopes of a hill driven round one way: the values, and the errors and standard deviations at the driven places.
 

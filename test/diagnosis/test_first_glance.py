@@ -205,10 +205,10 @@ def test_what_is_only_suspected_asks_for_more_laps():
     assert "384" not in where.detail
     assert following.answer == "Record more laps"
     named = report_of("named", "confirmed", [["rain"]], written={"base": False, "effects": []})
-    assert tiles(named)[-1].answer == "Keep your vehicle file"
+    assert tiles(named)[-1].answer == "Keep the given values"
     r["verdict"] |= {"status": "described", "grade": "confirmed"}
     r["described"] = [graded(curve, "confirmed", 149.0, 45.0)]
-    assert tiles(r)[-1].answer == "Inspect the vehicle"
+    assert tiles(r)[-1].answer == "Look for the cause"
 
 
 @pytest.mark.parametrize("error", [20.3, 0.0])

@@ -69,9 +69,9 @@ def test_the_residual_over_time_is_drawn_with_or_without_names(drawn, diagnosed,
     assert len(axes) == len(d.sessions)
     for axis, session in zip(axes, d.sessions, strict=True):
         shown = lines(axis)
-        assert {"vehicle file as given", "base re-fitted"} <= set(shown)
+        assert {"model as given", "base re-fitted"} <= set(shown)
         assert ("with the effects" in shown) == named
-        assert shown["vehicle file as given"].get_linewidth() < shown["base re-fitted"].get_linewidth()
+        assert shown["model as given"].get_linewidth() < shown["base re-fitted"].get_linewidth()
         for line in shown.values():
             assert np.isfinite(line.get_ydata()).sum() > 0.8 * session.used.sum()
 
@@ -86,7 +86,7 @@ def test_the_first_picture_has_the_residual_and_its_terms(drawn, diagnosed, noth
     upper = lines(axes[0])
     assert set(upper) == {
         "measured minus re-fitted model",
-        "turning scrub" if named else f"measured minus vehicle file as given ({figures(d.held_out.mae['nominal'])} Nm)",
+        "turning scrub" if named else f"measured minus model as given ({figures(d.held_out.mae['nominal'])} Nm)",
     }
     for stage in ("refitted", "with_effects")[: 1 + named]:
         assert f"{figures(d.held_out.mae[stage])} Nm" in axes[stage == "with_effects"].get_title(loc="left")

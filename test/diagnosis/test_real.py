@@ -4,6 +4,7 @@
 """What it says of real recordings, where they are present: nothing that is plainly wrong."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -142,3 +143,30 @@ def test_three_short_rollings_out_of_a_bus_tell_nothing():
     assert len(found.coastdown.rolled.stretches) == 3
     assert not any(p.determined for p in found.coastdown.parameters)
     assert not found.better
+
+
+RIDES = DATA / "bicycle"
+needs_rides = pytest.mark.skipif(not RIDES.is_dir(), reason="no rides of a bicycle on this machine")
+
+
+@needs_rides
+@pytest.mark.parametrize("hidden", [(), ("altitude",)])
+@pytest.mark.parametrize("ride", ["ride_a", "ride_b", "ride_c"])
+def test_a_ride_over_hills_is_not_refused(ride, hidden):
+    passed, *_ = prepared([tr.read(RIDES / f"{ride}.csv.gz")], load_base(RIDES / "bicycle.yaml"), hidden)
+    assert passed.sessions
+    assert "scale: -1.0" not in " ".join(passed.notes)  # uphill it is slower, with more torque: its energy has the sign
+
+
+@needs_rides
+def test_a_ride_past_no_place_twice_ends_in_no_crash():
+    with suppress(InputError):  # a model without rider and wind may explain too little for a conclusion
+        found = tr.diagnose(RIDES / "ride_b.csv.gz", RIDES / "bicycle.yaml", quick=True)
+        assert not any("failed" in warning for warning in found.warnings)
+
+
+@needs_rides
+def test_a_ride_without_its_altitude_has_an_unrecorded_slope():
+    found = tr.diagnose(RIDES / "ride_a.csv.gz", RIDES / "bicycle.yaml", hide=["altitude"], quick=True)
+    assert not any("failed" in warning or "scale: -1.0" in warning for warning in found.warnings)
+    assert "slope" in found.sentence

@@ -5,26 +5,30 @@
 
 import json
 from collections import Counter
+from dataclasses import asdict, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, D_PRIME, SOURCES, Case, draw_cases, sensors_of
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, D_PRIME, RECORDED, SOURCES, Case, draw_cases, sensors_of
 from trackres_ros.evaluation.sealed.drives import HARDEST_MPS2, SealedDrive, drive, recorded, trapezoids
-from trackres_ros.evaluation.sealed.generate import AIRS_DEGC, EVERY, _drives, means
+from trackres_ros.evaluation.sealed.generate import AIRS_DEGC, EVERY, _drives, _kept, means
+from trackres_ros.evaluation.sealed.kinds import KINDS, WINDING_S
 from trackres_ros.evaluation.sealed.phenomenon import Journey
 from trackres_ros.evaluation.sealed.profiles import read_profiles
-from trackres_ros.evaluation.sealed.programs import ENTRIES, FUNCTIONS, MEMORIES, PROGRAM, VARIABLES, Seen, draw_program
+from trackres_ros.evaluation.sealed.programs import ENTRIES, FUNCTIONS, MEMORIES, PROGRAM, TURNS, VARIABLES, Seen, draw_program
 from trackres_ros.evaluation.sealed.sensors import MOST_GAIN, MOST_LAG_S, MOST_OFFSET_NM, Sensors, lagging, record
 from trackres_ros.evaluation.sealed.size import LEAST, sized
+from trackres_ros.evaluation.sealed.statements import is_true
 from trackres_ros.evaluation.sealed.truth import Build, TruthRun, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 STOPS_S = 60.0  # of a steady drive with stops, its standing time
-EVERY_SEED = range(300)
+EVERY_SEED = range(600)
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +57,16 @@ def seen(sheet, one, driven=0.0):
 def hidden(entry, size=1.0, memory=None):
     """The first program with an entry point, and with a memory where one is given."""
     found = (draw_program(seed) for seed in EVERY_SEED)
-    program = next(p for p in found if p.entry == entry and p.gate is None and memory in (None, p.description["memory"]))
+    program = next(
+        p for p in found if p.entry == entry and p.kind is None and p.gate is None and memory in (None, p.description["memory"])
+    )
     return {PROGRAM: {"seed": float(program.seed), "size": size}}
 
 
 def test_every_part_is_drawn():
-    said = [draw_program(seed).description for seed in EVERY_SEED]
+    every = [draw_program(seed).description for seed in EVERY_SEED]
+    assert {d["kind"] for d in every} == {None, *KINDS}
+    said = [d for d in every if d["kind"] is None]
     assert {d["entry"] for d in said} == set(ENTRIES)
     assert {name for d in said for name in d["variables"]} == set(VARIABLES)
     assert {name for d in said for name in d["functions"]} == set(FUNCTIONS)
@@ -66,7 +74,7 @@ def test_every_part_is_drawn():
     assert {len(d["variables"]) for d in said} == {1, 2}
     assert not any(d["gate"] in d["variables"] for d in said)
     assert len({d["words"] for d in said}) > 0.95 * len(said)  # hardly any comes twice
-    assert json.loads(json.dumps(said)) == said
+    assert json.loads(json.dumps(every)) == every
 
 
 def test_a_seed_gives_one_program_and_each_drive_its_own_chance(sheet, one):
@@ -125,6 +133,15 @@ def test_sizes_make_programs_as_plain_as_was_drawn():
         as_drawn = q["d_prime"] == pytest.approx(case.hidden[PROGRAM]["d_prime"], rel=0.2)
         assert as_drawn or q["size"] == pytest.approx(largest)
         assert LEAST <= q["d_prime"] < 1.2 * D_PRIME[1]
+
+
+def test_an_undetectable_kind_gives_way_to_another(sheet, one):
+    """Without a long stop no parking brake drags. A winding, which is seen, stays one."""
+    for name, stays in (("parking brake", False), ("winding", True)):
+        hidden = {PROGRAM: {"seed": float(TURNS.index(name)), "d_prime": 60.0}}
+        found = sized(Case("a", "outside", hidden, asdict(Build()), False, False, False, True, 4), SHEET, [one])
+        assert (found.program["kind"] == name) == stays
+        assert found.hidden[PROGRAM]["d_prime"] >= LEAST
 
 
 def test_each_source_is_drawn_the_last_only_with_speeds_given():
@@ -205,3 +222,89 @@ def test_means_over_a_fits_steps():
     series = np.arange(25.0)
     np.testing.assert_allclose(means(series), [4.5, 14.5, 22.0])
     assert EVERY == 10
+
+
+def of_kind(name, size=1.0):
+    seed = TURNS.index(name)
+    return draw_program(seed), {PROGRAM: {"seed": float(seed), "size": size}}
+
+
+def test_kinds_and_drawn_programs_come_in_turn_on_all_drives():
+    cases = sorted(draw_cases({"outside": 24}, 3, SOURCES), key=lambda case: case.program["kind"] or "")
+    assert Counter(case.program["kind"] for case in cases) == {None: 12, **dict.fromkeys(KINDS, 4)}
+    for _, of in groupby(cases, key=lambda case: case.program["kind"]):
+        assert {case.source == RECORDED for case in of} == {True, False}
+
+
+@pytest.mark.parametrize("count", [6, 24, 48])
+def test_half_of_the_drives_outside_use_recorded_speeds(count):
+    cases = draw_cases({"outside": count, "single": 60}, 3, SOURCES)
+    assert Counter(case.source == RECORDED for case in cases if case.level == "outside") == {True: count // 2, False: count // 2}
+    assert not any(case.source == RECORDED for case in draw_cases({"outside": count}, 3))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_kind_is_zero_at_standstill_and_never_pushes(sheet, one, name):
+    """At its largest size and in any drive: it takes from the motion, and no torque changes its sign by it."""
+    program, _ = of_kind(name)
+    stops = steady(sheet, 5.0, stops=(100.0, 400.0))
+    for drive_ in (one, stops):
+        most = {PROGRAM: {"seed": float(program.seed), "size": ENTRIES[program.entry].largest}}
+        plain, run = (simulate_truth(SHEET, Build(), hidden, [drive_])[0] for hidden in ({}, most))
+        added = run.torque - plain.torque
+        still = (drive_.speed == 0.0) & (drive_.accel == 0.0)
+        assert still.any()
+        assert np.abs(added[still]).max() == 0.0
+        assert drive_ is one or np.abs(added).max() > 50.0  # the first has no long stop
+        assert (plain.torque * run.torque >= 0.0)[plain.torque != 0.0].all() or program.entry == "torque"
+        assert (added * drive_.speed >= 0.0).all() or program.entry == "gain"
+
+
+def test_a_seal_drags_by_the_distance_of_all_drives_alone(sheet):
+    program, _ = of_kind("seal")
+    fast, slow = (steady(sheet, speed, minutes=30.0) for speed in (8.0, 4.0))
+    length = float(np.exp(program.kind[1][0]))
+    for one, driven in ((fast, 0.0), (slow, 0.0), (fast, 6000.0)):
+        at = Journey(sheet, one, driven)
+        np.testing.assert_allclose(KINDS["seal"].strength(at, at.speed, *program.kind[1]), np.exp(-at.distance / length))
+    assert 2000.0 <= length <= 10_000.0
+
+
+def test_a_brake_drags_after_long_stops_and_wears_free(sheet):
+    program, _ = of_kind("parking brake")
+    seconds = float(np.exp(program.kind[1][0]))
+    n = 6000
+    speed = np.full(n, 5.0)
+    speed[1000:1190] = 0.0  # 19 s
+    speed[3000:3210] = 0.0  # 21 s
+    one = replace(steady(sheet, 5.0, minutes=10.0), speed=speed)
+    drag = KINDS["parking brake"].strength(Journey(sheet, one, 0.0), speed, *program.kind[1])
+    assert np.abs(drag[:3199]).max() == 0.0
+    np.testing.assert_allclose(drag[3210:], np.exp(-np.arange(1, n - 3209) * 0.1 / seconds))
+    assert 20.0 <= seconds <= 150.0
+
+
+def test_a_windings_gain_falls_by_torque_squared_in_450_s(sheet):
+    program, _ = of_kind("winding")
+    (rated,) = program.kind[1]
+    at = Journey(sheet, steady(sheet, 5.0, minutes=30.0), 0.0)
+    seconds = np.arange(len(at.speed)) * 0.1
+    for torque in (0.5 * rated, -rated, rated):
+        gain = KINDS["winding"].strength(at, np.full(len(seconds), torque), rated)
+        np.testing.assert_allclose(gain, -((torque / rated) ** 2) * (1.0 - np.exp(-seconds / WINDING_S)), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_true_statement_of_a_kind_is_taken_as_true(name):
+    case = Case("a", "outside", of_kind(name)[1], {}, False, False, False, True, 5, "trapezoids")
+    drives = _drives(case, 12.0, "drive")
+    truth = _kept(case, drives, simulate_truth(SHEET, Build(), case.hidden, drives))
+    over = {key.removeprefix("over/"): x for key, x in truth.items() if key.startswith("over/")}
+
+    def true(variable):
+        term = {"form": "curve", "variable": variable, "gate": None}
+        return is_true(term, over, truth[f"added/{PROGRAM}"], truth["lengths"])
+
+    (variable,) = draw_program(int(case.hidden[PROGRAM]["seed"])).description["variables"]
+    assert true(variable)
+    assert not true("yaw rate to the left")

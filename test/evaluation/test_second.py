@@ -113,7 +113,7 @@ def test_a_statement_is_true_by_its_form_or_its_variable():
     def report(form, **about):
         return {"verdict": {"status": "described"}, "described": [{"form": form, **about}]}
 
-    assert _stated(["pump"], report("spells"))
-    assert not _stated(["pump"], report("curve", variable="speed"))
-    assert _stated(["overload_rub"], report("gated_curve", gate="when heavy"))
-    assert _stated(["pump"], {"verdict": {"status": "named"}}) is None
+    assert _stated([{"name": "pump"}], report("spells"), {})
+    assert not _stated([{"name": "pump"}], report("curve", variable="speed"), {})
+    assert _stated([{"name": "overload_rub"}], report("gated_curve", gate="when heavy"), {})
+    assert _stated([{"name": "pump"}], {"verdict": {"status": "named"}}, {}) is None

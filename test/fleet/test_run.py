@@ -208,7 +208,6 @@ def test_an_interrupt_while_workers_start_leaves_no_traceback(recordings):
         import os, signal, sys
         from distributed import Nanny
         from trackres_ros.cli.main import main
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run in the background
         start = Nanny.start_unsafe
         def interrupted(self):
             os.kill(os.getpid(), signal.SIGINT)

@@ -78,6 +78,20 @@ def test_who_is_kept_from_computing_is_waited_for(start):
     assert kept_waiting_s(None) == 0.0
 
 
+def test_what_tests_start_heeds_an_interrupt(start):
+    idle = start("input()")
+    idle.send_signal(signal.SIGINT)
+    assert exit_code(idle) == -signal.SIGINT
+
+
+def test_it_does_so_too_where_tests_run_in_the_background():
+    """As `make test &` in a script: a shell without job control lets its background ignore an interrupt."""
+    law = f"{__file__}::{test_what_tests_start_heeds_an_interrupt.__name__}"
+    command = ["sh", "-c", '"$@" & wait $!', "sh", sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", law]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_a_pace_is_kept_over_what_takes_longer():
     begin, pace = time.monotonic(), Pace(100.0)
     for _ in range(5):

@@ -23,6 +23,7 @@ COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
 REPORTED_SEED = 20261124
+GROOMERS = 6  # of each kind
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
 EXTRA = "proof", "numba", "matplotlib", "jinja2"
 SAME_OPTIONS = "an empty folder, or one of a run with the same options"
@@ -89,7 +90,7 @@ def prove_command(
     if output is None:
         raise InputError("-o", "no folder", "a folder for cases, results and scores")
     of = QUICK if quick else LEVELS
-    counts = dict(_level_and_count(level, of, count) for level in (levels or of))
+    counts = dict(_kind_and_count("--level", level, of, count) for level in (levels or of))
     output_folder(output)
     minutes = QUICK_MINUTES if quick else MINUTES
     drawn_by = [str(seed), f"{minutes:g}", *(f"{level}={n}" for level, n in counts.items())]
@@ -113,12 +114,12 @@ def prove_command(
     _score(output, as_json, *steps, ("sealed.score.main", output, *so_many))
 
 
-def _level_and_count(given: str, of: Mapping[str, int], count: int | None) -> tuple[str, int]:
-    """A level and its number of cases: the one given with it, else that of `--cases`, else that of a whole run."""
-    level, equals, number = given.partition("=")
-    if level not in of or (equals and not (number.isdecimal() and int(number))):
-        raise InputError("--level", given, f"{', '.join(of)}, or one of them with a number of cases, as outside=18")
-    return level, int(number) if equals else count or of[level]
+def _kind_and_count(option: str, given: str, of: Mapping[str, int], count: int | None) -> tuple[str, int]:
+    """A kind of cases and their number: the one given with it, else that of `--cases`, else that of a whole run."""
+    kind, equals, number = given.partition("=")
+    if kind not in of or (equals and not (number.isdecimal() and int(number))):
+        raise InputError(option, given, f"{', '.join(of)}, or one of them with a number of cases, as {list(of)[-1]}=18")
+    return kind, int(number) if equals else count or of[kind]
 
 
 def _print(path: Path, text: str, as_json: bool) -> None:
@@ -196,6 +197,38 @@ def prove_second_command(cases: Path, first: int | None, output: Path, as_json: 
     so_many = () if first is None else (first,)
     blind = ("sealed.blind.main", cases / "cases", output / "results", *so_many)
     _score(output, as_json, blind, ("sealed.second.main", cases, output, *so_many))
+
+
+@prove_command.command("groomer")
+@click.option("--hide", "kinds", multiple=True, metavar="KIND[=N]", help="Only N cases of this kind; may be repeated.")
+@click.option("--cases", "count", type=COUNT, default=GROOMERS, metavar="N", help="Cases of each kind given without a number.")
+@options.seed(REPORTED_SEED)
+@click.option("--first", type=COUNT, metavar="N", help="Diagnose and score only N of the cases.")
+@into_folder
+@options.json
+def prove_groomer_command(kinds: tuple[str, ...], count: int, seed: int, first: int | None, output: Path, as_json: bool) -> None:
+    """Diagnose and score drives of a snow groomer: another vehicle, another simulator, slow physics.
+
+    \b
+    none  nothing is hidden
+    cold  a drag below an air temperature
+    cool  a drag that grows below an air temperature
+    load  a drag above 9.6 t
+    late  a drag from 15 minutes after the start
+
+    One process draws, seals and records; the diagnosis sees recordings, topics file and vehicle file; the last opens the
+    labels and counts. An interrupted run continues where it stopped.
+    """
+    needs("trackres prove groomer", *EXTRA, "sklearn", "pysindy")
+    from trackres_ros.evaluation.sealed.groomer_cases import KINDS
+
+    counts = [_kind_and_count("--hide", kind, dict.fromkeys(KINDS, count), None) for kind in (kinds or KINDS)]
+    drawn_by = [str(seed), *(f"{kind}={n}" for kind, n in dict(counts).items())]
+    _settle(output, f"groomer {' '.join(drawn_by)}", SAME_OPTIONS)
+    so_many = () if first is None else (first,)
+    blind = ("sealed.blind.main", output / "cases", output / "results", *so_many)
+    generate = ("sealed.groomer_cases.main", output, *drawn_by)
+    _score(output, as_json, generate, blind, ("sealed.second.main", output, output, *so_many))
 
 
 @prove_command.command("real")

@@ -20,6 +20,7 @@ from trackres_ros.diagnosis.findings.locate import ThermalCheck, thermal_check
 from trackres_ros.diagnosis.findings.next_drives import Advice
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram
 from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
+from trackres_ros.diagnosis.inference.failures import failures
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.inference.noise import Noise
@@ -134,14 +135,15 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
     """
     rng = np.random.default_rng(options.seed)
     prepared = prepare(recordings, vehicle, options)
-    base = refit(prepared, options, rng)
-    chosen = search(prepared, base, options)
-    judged = judge(prepared, base, chosen, options, rng)
-    advice, kept = conclude(prepared, base, chosen, judged, options)
+    with failures() as failed:
+        base = refit(prepared, options, rng)
+        chosen = search(prepared, base, options)
+        judged = judge(prepared, base, chosen, options, rng)
+        advice, kept = conclude(prepared, base, chosen, judged, options)
     return Diagnosis(
         **vars(judged),
         base=prepared.base,
-        gated=prepared.gated,
+        gated=replace(prepared.gated, notes=(*prepared.gated.notes, *failed)),
         split=prepared.split,
         nominal=prepared.nominal,
         refitted=base.refitted,

@@ -14,10 +14,12 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from importlib import import_module
 from inspect import signature
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -70,14 +72,26 @@ def read_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+@contextmanager
+def workers() -> Iterator[ProcessPoolExecutor]:
+    """One process a core. An error or an interrupt ends them at once: a pool interrupted while it starts waits for ever."""
+    pool = ProcessPoolExecutor(os.cpu_count())
+    try:
+        yield pool
+    except BaseException:
+        for process in active_children():
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
 def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") -> list[Result]:
     """Results of independent tasks, in their order, by one process a core; `done` is printed with number and time left."""
     began = time.monotonic()
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
+    with workers() as pool:
         results = [pool.submit(work, task) for task in tasks]
         for count, result in enumerate(as_completed(results), start=1):
-            if result.exception():
-                pool.shutdown(cancel_futures=True)  # an error is known at once, not after all others
             result.result()
             if done:
                 left = (time.monotonic() - began) / count * (len(tasks) - count)

@@ -133,6 +133,12 @@ class Base(ABC):
             found.append(Predicted(self._shown(values) * acting.sensed(drive, session), drive, belt, skin))
         return found
 
+    def share_limits(self, _: Sequence[DriveSession]) -> tuple[float, float] | None:
+        """Least and most of true over expected torque within the ranges of the parameters; None where the facts of the gate
+        have it.
+        """
+        return None
+
     def _own_effects(self, _: Values) -> Sequence[Active]:
         """Effects of the vehicle and its surroundings."""
         return ()

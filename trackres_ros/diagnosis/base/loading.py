@@ -96,6 +96,7 @@ def _road(road: RoadVehicle) -> LoadedBase:
         road.friction_brakes or (False if base.rolls else None),  # a sliding machine has none
         torque_scale=base.torque_scale,
         torque_share=road.torque_share,
+        is_vehicle=base.rolls,
         track_width=road.values.get("track_width"),
     )
     return LoadedBase(base, road.title, known, road.surroundings, road.route, road.source)

@@ -91,7 +91,8 @@ class OwnModel:
     @property
     def known(self) -> GateSettings:
         """Facts for the checks of the recordings."""
-        return GateSettings(self.max_torque / SIZE, self.max_speed, AMBIENT_DEGC, None)
+        weight = self.max_torque / SIZE
+        return GateSettings(weight, self.max_speed, AMBIENT_DEGC, None, is_vehicle=False, friction=self.max_torque)
 
 
 def _are_numbers(*given: object) -> bool:
@@ -151,6 +152,24 @@ class OwnBase(Base):
             given = f"shape {own.shape}" if own.shape != session.speed.shape else f"no finite number with {dict(values)}"
             raise InputError(f"{self.name}: torque", given, f"a finite number for each step, shape {session.speed.shape}")
         return own
+
+    def share_limits(self, sessions: Sequence[DriveSession]) -> tuple[float, float] | None:
+        """See `base.Base`: one parameter after the other at the ends of its range; their products."""
+        still = [replace(s, accel=np.zeros(len(s))) for s in sessions]
+
+        def torques(values: Values) -> tuple[Array, Array]:
+            whole, resisting = (
+                np.concatenate([p.torque[s.used] for p, s in zip(self.predict(of, values, ()), sessions, strict=True)])
+                for of in (sessions, still)
+            )
+            return whole, whole - resisting
+
+        nominal, low, high = torques(self.nominal), 1.0, 1.0
+        for q in self.parameters:
+            at_ends = [torques({**self.nominal, q.name: end}) for end in q.by_file]
+            shares = [float(x @ n) / float(n @ n) for of in at_ends for x, n in zip(of, nominal, strict=True) if n.any()]
+            low, high = low * max(min(1.0, *shares), 0.0), high * max(1.0, *shares)
+        return low, high
 
     def with_kept(self, kept: FileChanges) -> OwnModel:
         """The model with the kept values and effects."""

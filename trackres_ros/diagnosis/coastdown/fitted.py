@@ -126,7 +126,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     step = step_for(recordings, SAMPLES_A_STEP)
     rolled = rollouts(recordings, loaded, step)
     for session in rolled.sessions:
-        check_speed(session, loaded.known.max_speed)
+        check_speed(session, loaded.known)
     if not rolled.stretches:
         counts = "; ".join(f"{count} {reason}" for reason, count in rolled.rejected.items())
         why = counts or "it nowhere slows down for several seconds"

@@ -308,7 +308,7 @@ def _learned(rows: WhitenedRows, streets: StreetGraph, off: Array, length_m: flo
     gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
     settled = float(np.mean((probes * solve.solve(columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
-    shrinks = math.sqrt(max(1.0 - settled / len(rows.white), LEAST_LEFT))
+    shrinks = math.sqrt(max(1.0 - settled / max(len(rows.white), 1), LEAST_LEFT))  # without samples no value is set by any
     return PlaceValues(value[: streets.count], length_m, size, gain - cost, cost, noise, shrinks, solve)
 
 

@@ -33,6 +33,7 @@ from trackres_ros.diagnosis.empirical.spells import (
 from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recordings
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
+from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.candidate import Candidate, compared, rms, spurious_gain
@@ -257,8 +258,13 @@ def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes
         PAYLOAD: partial(_payload, route=route),
     }
     each = counted(searches.items(), "terms that follow the clock", len(searches))
-    found = [_search_twice(current, name, search) for name, search in each]
-    return [*filter(None, found), *filter(None, [_by_place(current, roads, kinds)])]
+    found = [attempt(_words(name), partial(_search_twice, current, name, search)) for name, search in each]
+    by_place = attempt("a slope or a torque by place", partial(_by_place, current, roads, kinds))
+    return [*filter(None, found), *filter(None, [by_place])]
+
+
+def _words(name: str) -> str:
+    return f"a {name.replace('_', ' ')}" if name not in (SPELLS, PAYLOAD) else name
 
 
 def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term | None:
@@ -272,7 +278,7 @@ def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term
 
 def slow_term(final: Fit) -> Described | None:
     """Lasting residual: a level per recording, or a drifting level."""
-    return _recordings(final) or _drift(final)
+    return attempt("a drift", lambda: _recordings(final) or _drift(final))
 
 
 def _recordings(final: Fit) -> Described | None:

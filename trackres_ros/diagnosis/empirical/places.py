@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.waves import LONGEST_M
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, Noise, estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, Mask, whole_past
 
 Indices = NDArray[np.int64]
 
@@ -143,7 +143,7 @@ def find_place(
     place of the first.
     """
     means, known = _means(distances, residuals, masks)
-    if sum(int(k.sum()) for k in known) < FEWEST_BINS:
+    if sum(int(whole_past(k, MOST_LAGS).sum()) for k in known) < FEWEST_BINS:  # a jump over bins leaves none in a row
         return None
     longest, ways = max(float(np.abs(d).max()) for d in distances), [_way(d) for d in distances]
     laps = _laps(longest, len(distances))

@@ -168,11 +168,18 @@ def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Arr
 
 
 def solved(normal: Array, right: Array, ridge: float) -> Array:
-    """Solution of normal equations, with a small part of their trace added on their diagonal, in place."""
+    """Solution of normal equations, with a small part of their trace added on their diagonal, in place; the shortest one where
+    nothing determines it.
+    """
     diagonal = normal.reshape(-1)[:: len(normal) + 1]  # a view: `normal` is contiguous
     diagonal += ridge * diagonal.sum()
     _, found, failed = dposv(normal, right)
-    return np.asarray(np.linalg.solve(normal, right) if failed else found)
+    if not failed:
+        return np.asarray(found)
+    try:
+        return np.asarray(np.linalg.solve(normal, right))
+    except np.linalg.LinAlgError:  # singular: the shortest solution
+        return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
 
 
 def _stable(phi: Array, largest_root: float) -> Array:

@@ -9,6 +9,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from trackres_ros.diagnosis.prepare.refuse import (
     refuse_repeated,
     too_short_pieces,
 )
-from trackres_ros.diagnosis.prepare.resample import BRAKES_ON, resample, step_for
+from trackres_ros.diagnosis.prepare.resample import BRAKES_ON, QUICK, STEADY, resample, step_for
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, DriveSession, Mask, whole_past
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.split import lap_numbers
@@ -41,6 +42,7 @@ UNUSED = "in recordings that are left out"
 SLOWER = 5.0  # times the step of half of the driving: slower recordings would blur the others
 LONGEST_STEP_S = 60.0  # speed and torque vary within it, so their means hardly show inertia
 SHORTEST_MOVING_S = 60.0
+FEWEST_STEPS = 2 * (MOST_LAGS + 1)  # of one run: as many to compare as the noise needs of their past
 LONGEST_BREAK_S = 7 * 86400.0  # between recordings with continuous clocks
 CLOCK_OFF_S = 60.0  # most by which a given standing time may be shorter than the clocks' without a conflict
 SAME_SHARE = 1e-9  # of the largest torque: a rounding difference
@@ -88,8 +90,8 @@ def gate(
     checked = [_checked(one, settings, alone) for one in resampled]
     seconds = [one.compared_s for one in checked]
     shortest = SHORTEST_MOVING_S * pace(step)
-    if max(seconds, default=0.0) >= shortest or sum(seconds) < shortest:
-        checked = each_usable(checked, _enough, refused)
+    if sum(seconds) < shortest or (settings.is_vehicle and max(seconds, default=0.0) >= shortest):
+        checked = each_usable(checked, partial(_enough, settings=settings), refused)
     if not checked:
         raise nothing_left(refused)
     excluded = sum((one.excluded for one in checked), Counter[str]())
@@ -133,9 +135,18 @@ class _Resampled(_Admitted):
         return float(self.session.used.sum()) * self.session.step
 
 
+def _step(recordings: Sequence[Recording], settings: GateSettings) -> float:
+    return step_for(recordings, slowest_speed=settings.slowest, quick=QUICK if settings.is_vehicle else STEADY)
+
+
+def _shortest_s(step: float, settings: GateSettings) -> float:
+    """Shortest recording [s]. Short runs of a machine on a bench count together, as each is one of a kind."""
+    return SHORTEST_S * pace(step) if settings.is_vehicle else FEWEST_STEPS * step
+
+
 def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
     logged, recording = recording, replace(recording, order=None).without(hide)
-    shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
+    shortest_s = _shortest_s(_step([recording], settings), settings)
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
     check_compared(recording, shortest_s)
@@ -145,7 +156,7 @@ def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings)
 
 def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings: GateSettings) -> tuple[float, list[_Admitted]]:
     """Common step [s], and the recordings that suit it: those with far slower sampling are excluded."""
-    own = {one.name: step_for([one.recording], slowest_speed=settings.slowest) for one in admitted}
+    own = {one.name: _step([one.recording], settings) for one in admitted}
     steps = sorted((own[one.name], duration_s(one.recording.series)) for one in admitted)
     so_far = np.cumsum([seconds for _, seconds in steps])
 
@@ -160,12 +171,12 @@ def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings
         return one
 
     suited = each_usable(admitted, suits, refused)
-    return step_for([one.recording for one in suited], slowest_speed=settings.slowest), suited
+    return _step([one.recording for one in suited], settings), suited
 
 
 def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resampled:
-    session, unknown = resample(one.recording, step, settings, one.notes, SHORTEST_S * pace(step))
-    check_speed(session, settings.max_speed)
+    session, unknown = resample(one.recording, step, settings, one.notes, _shortest_s(step, settings))
+    check_speed(session, settings)
     return _Resampled(one.recording, one.stood, one.notes, session, unknown, Counter())
 
 
@@ -179,13 +190,15 @@ def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resample
     return replace(one, session=session)
 
 
-def _enough(one: _Resampled) -> _Resampled:
+def _enough(one: _Resampled, settings: GateSettings) -> _Resampled:
     shortest = SHORTEST_MOVING_S * one.session.pace
     if one.compared_s < shortest:
         excluded = ", ".join(f"{n} s {reason}" for reason, n in one.excluded.items() if n)
-        given = f"{one.compared_s:.0f} s of driving with a torque; not used: {excluded or 'nothing'}"
+        what = "driving" if settings.is_vehicle else "motion"
+        given = f"{one.compared_s:.3g} s of {what} with a torque; not used: {excluded or 'nothing'}"
+        together = "" if settings.is_vehicle else " in all recordings together"
         remedy = "give a longer recording, or check units and topics"
-        raise InputError(one.name, given, f"at least {shortest:.3g} s", remedy)
+        raise InputError(one.name, given, f"at least {shortest:.3g} s{together}", remedy)
     if not whole_past(one.session.used, MOST_LAGS).any():
         raise too_short_pieces(one.name, one.session.step)
     return one

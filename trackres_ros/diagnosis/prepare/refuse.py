@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.same_drive import Course, common_roles, same_drive
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, DriveSession
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S, GateSettings
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
@@ -149,18 +149,21 @@ def check_compared(recording: Recording, shortest_s: float) -> None:
         raise InputError(name, "no finite speed", "a speed")
     seconds = duration_s(series)
     if seconds < shortest_s:
-        raise InputError(name, f"{seconds:.0f} s", f"at least {shortest_s:.3g} s of recording")
+        raise InputError(name, f"{seconds:.3g} s", f"at least {shortest_s:.3g} s of recording")
 
 
-def check_speed(session: DriveSession, max_speed: float) -> None:
-    """Refuse a session that never moves, or exceeds its vehicle's maximum speed [m/s]."""
+def check_speed(session: DriveSession, settings: GateSettings) -> None:
+    """Refuse a session that never moves, or exceeds the maximum speed."""
+    what, max_speed = ("vehicle" if settings.is_vehicle else "machine"), settings.max_speed
     fastest = float(np.percentile(np.abs(session.speed), 99.0))
     if fastest < min(SLOWEST_MPS, SLOWEST_SHARE * max_speed):
-        raise InputError(session.name, f"speeds up to {fastest:.2f} m/s", "a vehicle that moves")
+        raise InputError(session.name, f"speeds up to {fastest:.2g} m/s", f"a {what} that moves")
     if fastest > 1.5 * max_speed:
         raise InputError(
             f"{session.name}: speed",
             f"{fastest:.0f} m/s",
-            f"at most the vehicle's {max_speed:g} m/s",
-            f"if it is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), session.bindings)}",
+            f"at most the {what}'s {max_speed:g} m/s",
+            f"if it is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), session.bindings)}"
+            if settings.is_vehicle
+            else "",
         )

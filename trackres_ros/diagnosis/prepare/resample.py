@@ -47,9 +47,12 @@ CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 COMPUTED = ("accel", "yaw_rate", "heading")  # from others where they are not recorded
 
 
-def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slowest_speed: float = SLOWEST_MPS) -> float:
+def step_for(
+    recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slowest_speed: float = SLOWEST_MPS, quick: float = QUICK
+) -> float:
     """Common step of recordings [s]: the usual one; longer for slow speed or torque, so that each step has several samples;
-    or shorter where the speed changes within the usual one. Mean speeds below the slowest [m/s] are standstill and noise.
+    or shorter where the speed changes within the usual one by more than `quick`. Mean speeds below the slowest [m/s] are
+    standstill and noise.
 
     Notes
     -----
@@ -58,7 +61,7 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
 
     Resistance depends on the current speed, so the mean speed must represent the whole step. It does not where a third of
     the speed's mean square changes within one step. The step is then chosen so that the speed changes as little as that of
-    a road vehicle in the usual one.
+    a road vehicle in the usual one. A machine that is no vehicle has no usual one: `quick` is `STEADY` for it.
     """
     slowest = 0.0
     for recording in recordings:
@@ -67,7 +70,7 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
             if role.partition("/")[0] in ("speed", "torque") and len(at) > LEAST_SAMPLES:
                 slowest = max(slowest, float(np.median(np.diff(np.sort(at)))) * 1e-9)
     usual = STEP_S * max(1, math.ceil(samples * round(slowest, 2) / STEP_S))
-    if usual > STEP_S or _changes(recordings, STEP_S, slowest_speed) < QUICK:
+    if usual > STEP_S or _changes(recordings, STEP_S, slowest_speed) < quick:
         return usual
     possible = [step for step in SHORTER_STEPS_S if step >= samples * slowest] or [STEP_S]
     changes = [_changes(recordings, step, slowest_speed) for step in possible]

@@ -41,6 +41,8 @@ class GateSettings:
     passenger_kg: float = PASSENGER_KG  # of one passenger
     track_width: float | None = None  # distance of left from right wheels [m]; None if not in the file
     has_belt: bool = False  # whether notes on belts apply
+    is_vehicle: bool = True  # whether words and times of vehicles apply; else a slide, or a model of the user's own
+    friction: float = 0.0  # torque that an offset and friction which the model lacks may reach [Nm]
     axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by axle, nominal loads of its assemblies [N]
 
     def total_load(self, known: Mapping[str, Array], payload: Array | float = 0.0) -> Array:

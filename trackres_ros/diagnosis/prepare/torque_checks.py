@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
 SURE = 0.5  # correlation for a certain wrong sign or unit
 HEALTHY = (0.62, 1.7)  # of the inertia: covers a gear loss of a quarter, rotating parts and a sensor gain together
 FAR_OFF = (0.05, 20.0)  # of the total, where inertia does not show
+ONE_WAY = 0.1  # of the energy that flows either way: a smaller balance has no certain sign
+TAKEN_BACK = 0.3  # of the expected energy: so much with the other sign is no offset of the sensor
 NEAR = 1.35  # either way of a factor
 ROBUST_TURNS, OUTLIER = 5, 2.0
 SMALL_ERROR = 0.3  # of the torque
@@ -38,7 +40,8 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     """The session with its torque shifted to the best correlation with the speed, and a note.
 
     Shifts only by whole steps from `LEAST_SHIFT_S` on: a shorter delay is physical, or a sensor's. Both halves must agree: on
-    hills without a recorded slope, a smooth drive correlates best at another time by chance.
+    hills without a recorded slope, a smooth drive correlates best at another time by chance. And none with the other sign may
+    correlate as well where it is: a motion to and fro then fits half a period later.
     """
     if session.used.sum() < FEWEST_COMPARED:
         return session, ""
@@ -47,11 +50,11 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     first = np.cumsum(session.used) <= 0.5 * session.used.sum()
 
     def there(part: Mask) -> list[float]:
-        return [_correlation(_moved(session.torque, -s), expected, used[s] & part) for s in shifts]
+        return [_correlation(_moved(session.torque, -s), expected, session.speed, used[s] & part) for s in shifts]
 
     whole = there(session.used)
     best = int(np.argmax(whole))
-    shift, gain = shifts[best], whole[best] - whole[LARGEST_SHIFT_S]
+    shift, gain = shifts[best], whole[best] - abs(whole[LARGEST_SHIFT_S])
     if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or whole[best] < SURE:
         return session, ""
     if any(abs(int(np.argmax(there(half))) - best) > LEAST_SHIFT_S for half in (first, ~first)):
@@ -63,37 +66,74 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
 
 def check_torque(
     sessions: Sequence[DriveSession], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
-) -> None:
-    """Refuse a torque with a plainly wrong sign or unit, or of a part, with the remedy.
+) -> list[str]:
+    """Refuse a torque with a plainly wrong sign or unit, or of a part, with the remedy; warn where that is in doubt.
 
     `expected` is the torque of each session from the vehicle file [Nm], and `resisting` the same without inertia. The resistance
     may be several times the data sheet's. The inertia may not, because the mass is known. So the torque is compared with the
-    inertia torque where that shows.
+    inertia torque where that shows; for a machine beside any offset and friction.
     """
     used = [s.used for s in sessions]
-    m, e, r = (
+    m, e, r, v = (
         np.concatenate([x[u] for x, u in zip(of, used, strict=True)])
-        for of in ([s.torque for s in sessions], expected, resisting)
+        for of in ([s.torque for s in sessions], expected, resisting, [s.speed for s in sessions])
     )
     where = f"{', '.join(s.name for s in sessions)}: torque"
     if np.ptp(m) == 0.0:
         raise InputError(where, f"always {m[0]:g} Nm", "a torque that changes; is the sensor connected?")
     if not e.any():
         raise InputError(f"{where} of the model", "always 0", "a torque that depends on speed or acceleration")
-    slope, alike = float(m @ e / (e @ e)), float(np.corrcoef(m, e)[0, 1]) if np.ptp(e) > 0.0 else 0.0
-    if alike < -SURE or (slope < 0.0 and abs(m.mean()) > 0.3 * abs(e.mean())):
-        given = f"changes by {slope:.2g} times the expected torque (correlation {alike:.2f})"
-        line = line_to_write("torque", Conversion(-1.0), *(s.bindings for s in sessions))
-        raise InputError(where, given, "a torque that is positive when driving forward", line)
+    # A vehicle that only speeds up hardly separates an offset from its inertia; its resistance has the friction anyway.
+    others = r[:, np.newaxis] if known.is_vehicle else np.stack([r, np.ones(len(r)), np.sign(v)], axis=1)
+    inertia = _inertia(m, e - r, others)
+    notes = _sign_notes(where, (m, e, v), inertia, sessions, known)
     low, high = HEALTHY[0] * known.torque_share[0], HEALTHY[1] * known.torque_share[1]
-    least, most = _share_of_inertia(m, e - r, r)
-    allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm"
-    if not (least <= high and most >= low):
-        share = float(np.sqrt(least * most))
+    allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm" if known.is_vehicle else "the torque of the model"
+    if not (inertia.least <= high and inertia.most >= low):
+        share = float(np.sqrt(inertia.least * inertia.most))
         given = f"about {share:.2g} times the expected torque, by the speed's changes"
-        raise InputError(where, given, allowed, _remedy(share, sessions, known))
-    if not FAR_OFF[0] * known.torque_share[0] < slope < FAR_OFF[1] * known.torque_share[1]:
-        raise InputError(where, f"about {slope:.2g} times the expected torque", allowed, _remedy(slope, sessions, known))
+        if inertia.alike >= SURE:
+            raise InputError(where, given, allowed, _remedy(share, sessions, known))
+        notes.append(_doubt(where, given, _remedy(share, sessions, known)))
+    slope, size = float(m @ e / (e @ e)), float(np.sqrt((m @ m) / (e @ e)))
+    least, most = FAR_OFF[0] * known.torque_share[0], FAR_OFF[1] * known.torque_share[1]
+    if size <= least or size > most + known.friction / float(np.sqrt(np.mean(e**2))):
+        raise InputError(where, f"about {size:.2g} times the expected torque", allowed, _remedy(size, sessions, known))
+    if not least < abs(slope) < most:
+        notes.append(_doubt(where, f"about {slope:.2g} times the expected torque", _remedy(abs(slope), sessions, known)))
+    return notes
+
+
+def _doubt(where: str, given: str, remedy: str) -> str:
+    return WarningNote(f"{where}: {given}, unless the model lacks much; {remedy}")
+
+
+def _sign_notes(
+    where: str, series: tuple[Array, Array, Array], inertia: _Inertia, sessions: Sequence[DriveSession], known: GateSettings
+) -> list[str]:
+    """Refuse a torque whose sign the energy contradicts; warn where only the torque's course does.
+
+    What moves takes energy from its motor, over a drive as a whole. On hills without a recorded slope the torque may
+    nevertheless fall where a rise is expected: uphill one pushes harder, and goes slower. `series` are measured and expected
+    torque [Nm] and speed, of shape (n,).
+    """
+    m, e, v = series
+    work = float(e @ v)
+    energy = float(m @ v) / work if abs(work) > ONE_WAY * float(np.abs(e * v).sum()) else 0.0
+    alike = float(np.corrcoef(m, e)[0, 1]) if np.ptp(e) > 0.0 else 0.0
+    back = energy < -TAKEN_BACK
+    if not (back or alike < -SURE):
+        return []
+    line = line_to_write("torque", Conversion(-1.0), *(s.bindings for s in sessions))
+    of_energy = f"{energy:.2g} times the expected energy" if energy else "an energy of no certain sign"
+    given = f"{of_energy}, and a correlation of {alike:.2f} with the expected torque"
+    against = inertia.alike < SURE if back else not energy and inertia.alike < -SURE
+    if against:
+        motion = "driving forward" if known.is_vehicle else "moving forward"
+        raise InputError(where, given, f"a torque that is positive when {motion}", line)
+    lacks = "a slope that is not recorded" if known.is_vehicle else "something that the model lacks"
+    sure = "its sign is right by the energy" if energy > 0.0 else f"if the sign is wrong, {line}"
+    return [WarningNote(f"{where}: {given}: {lacks} may do this; {sure}")]
 
 
 def faulty_torques(
@@ -110,32 +150,42 @@ def faulty_torques(
     return refused if passed else []
 
 
-def _share_of_inertia(measured: Array, inertia: Array, resisting: Array) -> tuple[float, float]:
-    """Bounds of measured over expected inertia; errors of the speed hide a part of it.
+@dataclass(frozen=True)
+class _Inertia:
+    """Bounds of measured over expected inertia torque, as errors of the speed hide a part of it; and their correlation.
 
-    The lower bound assumes an exact inertia, the upper bound an exact torque. The resistance is removed, robustly.
+    The lower bound assumes an exact inertia, the upper bound an exact torque.
     """
-    weight = np.ones(len(measured))
-    for _ in range(ROBUST_TURNS):
+
+    least: float
+    most: float
+    alike: float
+
+
+def _inertia(measured: Array, inertia: Array, others: Array) -> _Inertia:
+    """The share of the inertia, robustly, beside `others`: resistance, or that, offset and friction, shape (n, k)."""
+    weight, columns = np.ones(len(measured)), np.column_stack([inertia, others])
+    columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+
+    def without(x: Array, of: Array) -> Array:
         root = np.sqrt(weight)
-        columns = np.stack([inertia, resisting], axis=1) * root[:, np.newaxis]
-        left = measured - np.stack([inertia, resisting], axis=1) @ np.linalg.lstsq(columns, measured * root, rcond=None)[0]
+        return np.asarray(x - of @ np.linalg.lstsq(of * root[:, np.newaxis], x * root, rcond=None)[0])
+
+    for _ in range(ROBUST_TURNS):
+        left = without(measured, columns)
         scale = MAD_TO_STD * float(np.median(np.abs(left))) or 1.0
         weight = np.minimum(1.0, OUTLIER * scale / np.maximum(np.abs(left), 1e-12))
-
-    def without_resistance(x: Array) -> Array:
-        return np.asarray(x - resisting * float((weight * x) @ resisting) / max(float((weight * resisting) @ resisting), 1e-12))
-
-    x, y = without_resistance(inertia), without_resistance(measured)
-    both, alone = float((weight * x) @ y), float((weight * x) @ x)
-    if alone <= 0.0 or both <= 0.0:
-        return 0.0, np.inf
-    return both / alone, float((weight * y) @ y) / both
+    x, y = without(inertia, columns[:, 1:]), without(measured, columns[:, 1:])
+    both, alone, whole = (float((weight * a) @ b) for a, b in ((x, y), (x, x), (y, y)))
+    alike = both / np.sqrt(alone * whole) if alone > 0.0 and whole > 0.0 else 0.0
+    return _Inertia(both / alone, whole / both, alike) if alone > 0.0 and both > 0.0 else _Inertia(0.0, np.inf, alike)
 
 
 def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings) -> str:
     """Possible causes of this ratio to the expected torque, and the line for the topics file."""
-    whats = {"in kNm": 1e3, "in mNm": 1e-3, "counted twice": 0.5} | {f"one of {n}": float(n) for n in (2, 3, 4)}
+    whats = {"in kNm": 1e3, "in mNm": 1e-3}
+    if known.is_vehicle:
+        whats |= {"counted twice": 0.5} | {f"one of {n}": float(n) for n in (2, 3, 4)}
     if known.motor_ratio:
         whats["of the motor"] = known.motor_ratio
     fitting = [what for what, factor in whats.items() if 1.0 / NEAR < share * factor < NEAR]
@@ -146,8 +196,10 @@ def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings)
         said.append(f"if the speed is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), *each)}")
     if nearest:
         said.append(f"if it is {nearest}, {line_to_write('torque', Conversion(whats[nearest]), *each)}")
-    else:
+    elif known.is_vehicle:
         said.append("with scale in the topics file, multiply a motor torque by its gear ratio and the torque of one side by two")
+    else:
+        said.append("scale in the topics file converts a unit; if the model is off, widen the ranges of its parameters")
     return "; ".join(said)
 
 
@@ -172,7 +224,7 @@ def nothing_to_conclude(
     )
 
 
-def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequence[Array]) -> list[str]:
+def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequence[Array], is_vehicle: bool) -> list[str]:
     """Notes on recordings whose ratio of measured to expected torque differs from the others."""
     used = [(s.torque[s.used], e[s.used]) for s, e in zip(sessions, expected, strict=True)]
     shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]
@@ -180,17 +232,24 @@ def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequenc
     return [
         WarningNote(
             f"{s.name}: its torque is {share:.2g} times the expected one, but {middle:.2g} times in other recordings: is it the "
-            "same vehicle?"
+            f"same {'vehicle' if is_vehicle else 'machine'}?"
         )
         for s, share in zip(sessions, shares, strict=True)
         if s.used.sum() > 60 and not 1.0 / UNLIKE < share / middle < UNLIKE
     ]
 
 
-def _correlation(a: Array, b: Array, used: Mask) -> float:
-    if used.sum() < FEWEST_COMPARED or np.ptp(a[used]) == 0.0 or np.ptp(b[used]) == 0.0:
+def _correlation(a: Array, b: Array, speed: Array, used: Mask) -> float:
+    """Correlation of two torques beside any offset and friction, thus less their means forward and in reverse."""
+    if used.sum() < FEWEST_COMPARED:
         return 0.0
-    return float(np.corrcoef(a[used], b[used])[0, 1])
+    x, y, forward = a[used], b[used], speed[used] > 0.0
+    for side in (forward, ~forward):
+        if side.any():
+            x[side] -= x[side].mean()
+            y[side] -= y[side].mean()
+    size = float(np.sqrt((x @ x) * (y @ y)))
+    return float(x @ y) / size if size > 1e-12 * float(np.sqrt((a[used] @ a[used]) * (b[used] @ b[used]))) else 0.0
 
 
 def _moved(series: NDArray[Any], steps: int, unknown: Any = None) -> NDArray[Any]:

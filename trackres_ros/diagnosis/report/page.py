@@ -40,7 +40,7 @@ VERDICTS = {
 GRADES = {
     "confirmed": "confirmed by laps left out of the fit",
     "suspected": "suspected: it fits, but is not confirmed",
-    "refuted": "refuted: laps left out of the fit get worse with it, or it replaces a value of the vehicle file",
+    "refuted": "refuted: laps left out of the fit get worse with it, or it replaces a given value",
 }
 
 

@@ -64,7 +64,7 @@ def axis_label(name: str, stage: str) -> str:
 def stages(d: Diagnosis) -> list[Stage]:
     """The completed stages."""
     found = [
-        Stage("nominal", "vehicle file as given", GREY, d.nominal),
+        Stage("nominal", "model as given", GREY, d.nominal),
         Stage("refitted", "base re-fitted", BLUE, [p.torque for p in d.refitted.predicted]),
         Stage("with_effects", "with the effects", VERMILION, [p.torque for p in d.final.predicted]),
     ]

@@ -197,16 +197,16 @@ def _next(r: dict[str, Any]) -> Tile:
         of_place = f"surroundings.yaml has {elsewhere}, for the places where it applies"
         return Tile(name, "Use vehicle.yaml and surroundings.yaml", f"the first has {here}; {of_place}" if here else of_place)
     if lead is not None and lead["grade"] == CONFIRMED and "form" in lead:
-        return Tile(name, "Inspect the vehicle", " or ".join(lead["mechanisms"][:2]))
+        return Tile(name, "Look for the cause", " or ".join(lead["mechanisms"][:2]))
     if lead is not None and lead["grade"] == CONFIRMED and not unexplained:
-        return Tile(name, "Keep your vehicle file", "the result is not written; the full verdict has the reason")
+        return Tile(name, "Keep the given values", "the result is not written; the full verdict has the reason")
     if lead is not None:
         return Tile(name, "Record more laps", "the result is not confirmed")
     if unexplained:
         return Tile(name, "Investigate where the error is largest", "record more channels there: slope, wind, load, brakes")
     if written["base"] and _share(r) >= LEAST_SHARE:
         return Tile(name, "Use vehicle.yaml", "it has the re-fitted parameters")
-    return Tile(name, "Nothing to do", "keep the vehicle file as it is")
+    return Tile(name, "Nothing to do", "keep the given values")
 
 
 def _errors(r: dict[str, Any]) -> str:

@@ -60,7 +60,7 @@ def panels(d: Diagnosis) -> list[Panel]:
     title = f"Re-fitted: mean error {mae['refitted']} Nm on hold-out laps"  # short enough for a phone
     found = terms(d)
     if not found:
-        as_it_is = _line(d, f"measured minus vehicle file as given ({mae['nominal']} Nm)", GREY, d.nominal)
+        as_it_is = _line(d, f"measured minus model as given ({mae['nominal']} Nm)", GREY, d.nominal)
         return [Panel(title, (as_it_is, re_fitted))]
     left = _line(d, "residual", VERMILION, [p.torque for p in d.final.predicted])
     after = f"Residual: mean error {mae['with_effects']} Nm on hold-out laps"

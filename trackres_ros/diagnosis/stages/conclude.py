@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 from trackres_ros.diagnosis.empirical.live_disturbance import drift_to_watch, spells_to_watch
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.next_drives import Advice, advise
 from trackres_ros.diagnosis.findings.verdict import Verdict
+from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import choose_written
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED
@@ -27,8 +29,10 @@ def conclude(
 ) -> tuple[tuple[Advice, ...], FileChanges]:
     """Next drives, and the changes that may be written."""
     options.on_stage("next drives")
-    of_vehicle = all(s.pace == 1.0 for s in prepared.sessions)  # the manoeuvres are for drivers
-    advice = [a for step in chosen.steps.values() if of_vehicle for a in advise(step, prepared.vehicle.known.max_speed)]
+    # The manoeuvres are for drivers.
+    of_vehicle = prepared.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in prepared.sessions)
+    asked = [partial(advise, step, prepared.vehicle.known.max_speed) for step in chosen.steps.values() if of_vehicle]
+    advice = [a for ask in asked for a in attempt("the best next drive", ask) or ()]
     keep_suspected, final = options.keep_suspected, chosen.final
     kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
     believed = believed_in(judged.found, judged.described, judged.verdict, kinds, keep_suspected)

@@ -27,11 +27,18 @@ from trackres_ros.diagnosis.findings.locate import (
     smoothed,
     spans,
 )
+from trackres_ros.diagnosis.findings.machine_words import (
+    effects_of_machine,
+    term_of_machine,
+    terms_of_machine,
+    verdict_of_machine,
+)
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.findings.spread import Spread, find_spread
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.findings.wording import assumed_sensor
+from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
@@ -80,9 +87,12 @@ def judge(
     left_over = slow_residual(final)
     later = only_later(base.refitted, worth.mae["refitted"])
     drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
+    is_vehicle = prepared.vehicle.known.is_vehicle
+    if not is_vehicle:
+        found, terms, drift = effects_of_machine(found), terms_of_machine(terms), drift and term_of_machine(drift)
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
     as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked))
-    spread = find_spread(final)
+    spread = attempt("an oscillation", lambda: find_spread(final)) if is_vehicle else None  # its regimes are a vehicle's
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
         Findings(
@@ -104,6 +114,7 @@ def judge(
             unusable=unusable,
         )
     )
+    verdict = verdict if is_vehicle else verdict_of_machine(verdict)
     return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
 
@@ -133,7 +144,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
     expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
     worth = held_out(base.laps, {"nominal": prepared.nominal, **expected}, as_file)
     names = ", ".join(s.name for s in prepared.sessions)
-    odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal)
+    odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal, prepared.vehicle.known.is_vehicle)
     # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
     has_name = any(c.is_name for c in chosen.explanation.candidates.values())
     stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]

@@ -69,7 +69,7 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
     effects = {
         name: effect.beyond(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
         for name, effect in known.items()
-        if effect.only_of in ("", "rolls" if base.rolls else "slides")
+        if effect.only_of in ("", "rolls" if base.rolls else "slides") and (vehicle.known.is_vehicle or not effect.of_belts)
     }
     gated, base, effects = without_an_offset(gated, base, effects)
     vehicle = replace(vehicle, base=base)
@@ -116,8 +116,8 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float, scale: float)
     shown = figures(scale * mean)
     line = line_to_write("torque", Conversion(offset=-float(shown)), *(s.bindings for s in sessions))
     return WarningNote(
-        f"the torque is {shown} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a "
-        f"slope nor a brake holds the vehicle, the sensor has an offset; {line}"
+        f"the torque is {shown} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a slope, "
+        f"a load nor a brake holds it, the sensor has an offset; {line}"
     )
 
 
@@ -162,11 +162,13 @@ def prepared(
         moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
         sessions = tuple(s for s, _ in moved)
         resisting = by_file([replace(s, accel=np.zeros(len(s))) for s in sessions])
-        faulty = faulty_torques(sessions, expected, resisting, vehicle.known)
+        known = replace(vehicle.known, torque_share=vehicle.base.share_limits(sessions) or vehicle.known.torque_share)
+        faulty = faulty_torques(sessions, expected, resisting, known)
         if not faulty:
             break
         refused += faulty
-    check_torque(sessions, expected, resisting, vehicle.known)
-    notes = (*gated.notes, *(note for _, note in moved if note), *inconsistent_scale_notes(sessions, expected))
+    doubts = check_torque(sessions, expected, resisting, known)
+    moves = [note for _, note in moved if note]
+    notes = (*gated.notes, *moves, *doubts, *inconsistent_scale_notes(sessions, expected, known.is_vehicle))
     corrected = with_fewer_steps(gated, sessions, "torque lost by the correction of its clock")
     return replace(corrected, notes=notes), tuple(expected), passed.sessions

@@ -12,7 +12,7 @@ class TorqueGain(Effect):
     name = "torque_gain"
     acts_on = "sensor"
     belongs_to = "sensor"
-    text = "the torque sensor's scale is off; a wrong sprocket or wheel radius in the vehicle file looks the same"
+    text = "the torque sensor's scale is off; a wrong radius in the model looks the same"
     parameters = (Parameter("error", "1", -0.15, 0.15, 0.03, "relative", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002

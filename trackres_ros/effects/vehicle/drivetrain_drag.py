@@ -16,7 +16,7 @@ class DrivetrainDrag(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"
     text = "gears and brakes drag with a constant torque while turning"
-    parameters = (Parameter("drag", "Nm", 0.0, 600.0, 150.0, "at the sprockets", off=0.0, of_size=True),)
+    parameters = (Parameter("drag", "Nm", 0.0, 600.0, 150.0, "of all gears and brakes", off=0.0, of_size=True),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         return Terms(torque=p.drag * at.direction)

@@ -28,7 +28,7 @@ class DrivetrainEfficiency(Effect):
     name = "drivetrain_efficiency"
     acts_on = "torque"
     belongs_to = "vehicle"
-    text = "gears between the measured torque and the sprockets lose a share of it"
+    text = "gears after the measured torque lose a share of it"
     needs = ("speed", "drive_torque")
     parameters = (Parameter("efficiency", "1", 0.75, 1.0, 0.92, "of the gears", off=1.0),)
 

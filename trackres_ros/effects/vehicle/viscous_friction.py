@@ -17,7 +17,7 @@ class ViscousFriction(Effect):
     name = "viscous_friction"
     acts_on = "torque"
     belongs_to = "vehicle"
-    text = "a film of oil resists in proportion to the speed"
+    text = "friction grows in proportion to the speed"
     only_of = "slides"
     parameters = (Parameter("coefficient", "Nm/(m/s)", 0.0, 1e6, 20000.0, "torque over speed", off=0.0, of_size=True),)
 

@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 
@@ -27,6 +25,7 @@ from trackres_ros.evaluation.fleet.draw import (
     draw_fleet,
     write_recording,
 )
+from trackres_ros.evaluation.processes import workers
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, write
 
@@ -59,7 +58,7 @@ def write_sample(
     write(folder / ANSWERS, (json.dumps({"options": options, "changes": changes}, indent=1) + "\n").encode())
     tasks = begin_recordings(folder, fleet, minutes)
     advance = on_begin(len(tasks))
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
+    with workers() as pool:
         for _ in pool.map(record_one, tasks, chunksize=4):
             advance(1)
     return fleet

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.evaluation.sealed.programs import PROGRAM, draw_program
+from trackres_ros.evaluation.sealed.programs import PROGRAM, TURNS, draw_program
 from trackres_ros.evaluation.sealed.sensors import Sensors, drawn_sensors
 
 Values = dict[str, float]
@@ -23,7 +23,8 @@ LEVELS = {
 }  # fmt: skip
 QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 6, "outside": 12, "street": 8}
 NOT_IN_CATALOGUE = ("outside", "street")  # levels
-SOURCES = ("course", "trapezoids", "town", "recorded")  # of drives; the last only where speeds of real vehicles are given
+RECORDED = "recorded"
+SOURCES = ("course", "trapezoids", "town", RECORDED)  # of drives; the last only where speeds of real vehicles are given
 LOADS = (1.0, 0.8, 1.25)  # of the three drives, over the nominal one
 MASKED_SIZE = (0.2, 0.4)  # of a clear one
 # In towns: share of the cases that are recorded once in a second, and the error of positions and altitudes [m].
@@ -156,6 +157,10 @@ def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) 
     else:
         chosen = [str(name) for name in rng.choice(names, 2 if level == "two" else 1, replace=False)]
     hidden = {name: {key: float(x) for key, x in library[name](rng, size).items()} for name in chosen}
+    source = str(rng.choice(list(sources)))
+    if level == "outside":
+        hidden[PROGRAM]["seed"] = _in_turn(hidden[PROGRAM]["seed"], i // 2)
+        source = _half_recorded(source, i, rng, sources)
     off = rng.normal(1.0, 0.05, 5)
     if level == "none" and i % 2:  # re-fittable parameters that are plainly off
         off = rng.normal(1.0, (0.10, 0.20, 0.12, 0.18, 0.12))
@@ -170,9 +175,21 @@ def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) 
         level == "confounded",
         bool(rng.random() < 0.6) and level != "confounded",
         int(rng.integers(2**31)),
-        str(rng.choice(list(sources))),
+        source,
         draw_program(int(hidden[PROGRAM]["seed"])).description if PROGRAM in hidden else {},
     )
+
+
+def _in_turn(seed: float, turn: int) -> float:
+    """The nearest lower seed of a program whose kind has its turn."""
+    return seed - seed % len(TURNS) + turn % len(TURNS)
+
+
+def _half_recorded(source: str, i: int, rng: np.random.Generator, sources: Sequence[str]) -> str:
+    """Of two cases the first has recorded speeds, where these are given, and the other has not."""
+    if RECORDED not in sources:
+        return source
+    return str(rng.choice([name for name in sources if name != RECORDED])) if i % 2 else RECORDED
 
 
 def draws(case: Case, what: str) -> np.random.Generator:

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from trackres_ros.evaluation.processes import each, write_sealed
-from trackres_ros.evaluation.sealed.cases import LOADS, SOURCES, Case, draw_cases, draws, sensors_of, streets_of
+from trackres_ros.evaluation.sealed.cases import LOADS, RECORDED, SOURCES, Case, draw_cases, draws, sensors_of, streets_of
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.profiles import read_profiles
@@ -80,6 +80,8 @@ def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -
     def joined(series: Sequence[Array]) -> Array:
         return np.concatenate([one[::EVERY] for one in series])
 
+    way = [np.cumsum(np.abs(d.speed)) * d.step for d in driven]
+    earlier = np.cumsum([0.0, *(one[-1] for one in way)])[:-1]
     found = {f"added/{name}": np.concatenate([means(one.added[name]) for one in runs]) for name in case.hidden}
     over = {
         "speed": [d.speed for d in driven],
@@ -92,7 +94,8 @@ def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -
         "driving torque": [one.torque for one in runs],
         "heading": [np.angle(np.exp(1j * d.heading)) for d in driven],
         "time since start": [np.arange(len(d)) * d.step for d in driven],
-        "distance": [np.cumsum(np.abs(d.speed)) * d.step for d in driven],
+        "distance": way,
+        "distance run": [before + one for before, one in zip(earlier, way, strict=True)],
         "curvature": [np.abs(d.yaw_rate) / np.maximum(np.abs(d.speed), 0.3) for d in driven],
     }
     lengths = np.array([len(one.torque[::EVERY]) for one in runs])
@@ -149,7 +152,7 @@ def _drives(case: Case, minutes: float, name: str, profiles: Sequence[Array] = (
             return _dull(minutes, weight, rng)
         if town is not None:  # level, and only the channels of every recording
             return replace(street_drive(minutes, share * weight, air, town, 0.0, rng), street=None)
-        if case.source == "recorded":
+        if case.source == RECORDED:
             return recorded(minutes, share * weight, air, FASTEST_MPS, profiles, rng)
         return {"course": drive, "trapezoids": trapezoids}[case.source](minutes, share * weight, air, FASTEST_MPS, rng)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
@@ -68,10 +67,10 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
 
     That torque is given in each second of each drive [Nm]. Of the `rivals`, those with nearly the same gain are `alike`.
     """
-    paths, loaded = opened(folder)
+    _, recordings, loaded = opened(folder)
     base = loaded.base
     effects = catalogue(size=base.facts.weight * base.facts.radius)
-    sessions = gate(read_recordings(paths, None), loaded.known).sessions
+    sessions = gate(recordings, loaded.known).sessions
     chosen = split(sessions)
     before = fit(Problem(base, sessions, tuple(chosen.training_mask(s) for s in sessions)))
     held = [chosen.held_out_mask(s) for s in sessions]

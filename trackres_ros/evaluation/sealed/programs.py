@@ -3,8 +3,8 @@
 
 """Draws physics outside of any catalogue, as programs: where it acts, its variable, when, and its memory.
 
-The parts are drawn independently, so a run has unforeseen combinations. No code of the effects or of the described
-terms is used here, as a test checks.
+The parts are drawn independently, so a run has unforeseen combinations. Half of the programs are of the kinds in `kinds`
+instead. No code of the effects or of the described terms is used here, as a test checks.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.evaluation.sealed.drives import Array
+from trackres_ros.evaluation.sealed.kinds import KINDS
 from trackres_ros.evaluation.sealed.phenomenon import Journey
 
 PROGRAM = "program"  # its name among the hidden phenomena; parameters: seed, and size once it is known
 STANDING_MPS, BRAKING_MPS2, BEND_PER_M = 0.1, -0.35, 0.02  # what resets a memory
 UNEVEN, UNEVEN_S = 0.05, 20.0  # how much a size varies, and within what time
 GATED, REMEMBERS = 0.4, 0.6  # shares of the programs
+TURNS = (*KINDS, *(None for _ in KINDS))  # kind of a program by its seed, in turn; None: its parts are drawn
 SPREAD = 4.0  # a variable is seen up to so many of its ranges away
 
 
@@ -157,6 +159,7 @@ class Program:
     memory: tuple[str, Array] | None  # one of `MEMORIES` and its draws
     words: str  # description, for people
     seed: int
+    kind: tuple[str, Array] | None = None  # one of `KINDS` and its draws, instead of parts, gate and memory
 
     @property
     def description(self) -> dict[str, Any]:
@@ -164,7 +167,8 @@ class Program:
         return {
             "words": self.words,
             "entry": self.entry,
-            "variables": [name for name, _, _ in self.parts],
+            "kind": self.kind and self.kind[0],
+            "variables": [name for name, _, _ in self.parts] if self.kind is None else list(KINDS[self.kind[0]].variables),
             "functions": [kind for _, kind, _ in self.parts],
             "gate": self.gate and self.gate[0],
             "memory": self.memory and self.memory[0],
@@ -172,8 +176,8 @@ class Program:
         }
 
     def series(self, seen: Seen) -> Array:
-        """How strong it is over a drive, between about -1 and 1."""
-        x = np.ones(len(seen.belt))
+        """How strong it is over a drive, between about -1 and 1; a kind may have another range."""
+        x = np.ones(len(seen.belt)) if self.kind is None else KINDS[self.kind[0]].strength(seen.at, seen.torque, *self.kind[1])
         for name, kind, drawn in self.parts:
             x = x * FUNCTIONS[kind][1](_scaled(name, seen), *drawn)
         if self.gate is not None:
@@ -190,6 +194,10 @@ class Program:
 def draw_program(seed: int) -> Program:
     """The program of a seed."""
     g = np.random.default_rng([seed, *PROGRAM.encode()])
+    turn = TURNS[seed % len(TURNS)]
+    if turn is not None:
+        known = KINDS[turn]
+        return Program(known.entry, (), None, None, known.words, seed, (turn, g.uniform(*np.transpose(known.ranges))))
     entry = str(g.choice(list(ENTRIES), p=(0.4, 0.12, 0.12, 0.1, 0.1, 0.16)))
     names = [str(name) for name in g.permutation(list(VARIABLES))]
     count = 2 if g.random() < 0.35 else 1

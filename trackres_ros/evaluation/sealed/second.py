@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scores cases that another simulator made: a folder with labels.json and cases/NAME/session*.csv.
+"""Scores cases that another simulator made, or the groomer's: a folder with labels.json and cases/NAME/session*.csv.
 
 The scores have the names and targets of the project's own cases. Scores that need more than the labels (where an effect acts)
 are omitted.
@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.processes import each, read_json
-from trackres_ros.evaluation.sealed.answers import ABOUT, BASELINES, DESCRIBED, of_names, of_report, words
+from trackres_ros.evaluation.sealed.answers import ABOUT, BASELINES, CONFIRMED, DESCRIBED, SURE, of_names, of_report, words
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
 from trackres_ros.evaluation.sealed.page import write_all
@@ -33,18 +34,23 @@ TRUE = {
     "backlash": ((), ("driving torque",)), "cyclic_joint": (("wave",), ()), "zero_drift": (("drift",), ()),
     "gear_state": (("spells", "latch"), ("speed",)), "overload_rub": ((), ("load", "heavy")),
     "regen_misread": ((), ("driving torque", "slow", "brak")),
+    "cold": ((), ("ambient",)), "cool": ((), ("ambient",)), "load": ((), ("load", "heavy", "light")),
+    "late": ((), ("since start", "since the start")),
 }  # fmt: skip
 """For physics outside that catalogue: its true forms, and words of which a true description has one."""
 NOT_DRAWN = {"air_drag", "speed_scale"}  # effects of the catalogue that the project's own cases do not have
 GROUND, SPEED = "soft_ground", "speed_scale"
 BY_CHANCE = ("pump", "brake", "zero_drift")
+THRESHOLD_K, SIZE_SHARE = 1.0, 0.1  # a described switch by air temperature is true within these
+HINGE_K = 10.0  # a drag that grows in the cold has its size so far below its threshold
+ENDS = 4  # parts of the points of a term: its first and its last are the ends of a switch
 
 
 def main(source: Path, folder: Path, first: int | None = None) -> None:
     """Score the cases of a source, whose results of `blind` are in folder/results."""
     labels = read_labels(source)
     chosen = sorted(labels["cases"], key=lambda label: label["case"])[:first]
-    scored = each(partial(_scored, source / "cases", folder / "results"), chosen)
+    scored = each(partial(_read_and_scored, source / "cases", folder / "results"), chosen)
     seal = hashlib.sha256((source / "labels.json").read_bytes()).hexdigest()
     write_all(folder, scored, seal, labels["seed"], len(labels["cases"]), source / "cases")
 
@@ -68,8 +74,11 @@ def read_labels(source: Path) -> dict[str, Any]:
     return labels
 
 
-def _scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
-    result = read_json(results / f"{label['case']}.json")
+def _read_and_scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
+    return _scored(cases, label, read_json(results / f"{label['case']}.json"))
+
+
+def _scored(cases: Path, label: Mapping[str, Any], result: Mapping[str, Any]) -> Scored:
     report, effects = result["report"], label["effects"]
     level = {"parameters_off": "none"}.get(label["level"], label["level"])
     names = [e["name"] for e in effects]
@@ -83,6 +92,7 @@ def _scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
     ignored = set(label["tolerated"]) - set(names)
     named = [_accepted(e, effects) for e in report["effects"] if e["name"] not in ignored]
     report = {**report, "effects": [*named, *_by_place(names, report)]}
+    report["verdict"] = _verdict_on_rest(result["report"], report)
     if level == "outside":  # hidden physics is known by its name alone: the residual is at least the noise
         before = float(report["heldout"]["mae"]["refitted"])
         known = OracleAnswer(0.5 * effects[0]["d_prime"] ** 2, (), seen, False, before, label["noise_mae"][-1]["one_s"])
@@ -92,7 +102,7 @@ def _scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
     answers = {name: of_names(result["simple"][name]) for name in BASELINES if name in result["simple"]}
     return Scored(
         case, report, known, {OURS: of_report(report), **answers}, np.nan, np.nan, None, result["learned"],
-        _stated(names, report) if level == "outside" else None, _comparable(effects, report),
+        _stated(effects, report, result.get("over", {})) if level == "outside" else None, _comparable(effects, report),
     )  # fmt: skip
 
 
@@ -110,12 +120,50 @@ def _by_place(names: Sequence[str], report: Mapping[str, Any]) -> list[dict[str,
     return [{"name": name, "class": [name], "grade": "confirmed", "parameters": {}} for name in found]
 
 
-def _stated(names: Sequence[str], report: Mapping[str, Any]) -> bool | None:
+def _verdict_on_rest(given: Mapping[str, Any], rest: Mapping[str, Any]) -> dict[str, Any]:
+    """The verdict where all names that were given are tolerated ones: on what else is confirmed."""
+    if given["verdict"]["status"] not in SURE or rest["effects"]:
+        return dict(given["verdict"])
+    confirmed = any(term["grade"] == CONFIRMED for term in given.get("described", ()))
+    return {**given["verdict"], "status": DESCRIBED if confirmed else "none"}
+
+
+def _stated(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any], over: Mapping[str, Any]) -> bool | None:
     if report["verdict"]["status"] != DESCRIBED or not report.get("described"):
         return None
     first = report["described"][0]
     about = " ".join(words(first.get(key)) for key in ABOUT)
-    return any(first["form"] in TRUE[name][0] or any(word in about for word in TRUE[name][1]) for name in names)
+    return any(
+        (first["form"] in TRUE[e["name"]][0] or any(word in about for word in TRUE[e["name"]][1]))
+        and ("threshold" not in e or _close(e, over.get(first["name"])))
+        for e in effects
+    )
+
+
+def _close(effect: Mapping[str, Any], points: Sequence[Sequence[float]] | None) -> bool:
+    """Whether a described term has the threshold [degC] and the size [Nm] of a label, see `threshold_and_size`."""
+    if not points:
+        return False
+    at, size = threshold_and_size(np.array(points[0]), np.array(points[1]), grows=effect["name"] == "cool")
+    return bool(abs(at - effect["threshold"]) <= THRESHOLD_K and abs(size / effect["size_nm"] - 1.0) <= SIZE_SHARE)
+
+
+def threshold_and_size(x: Array, torque: Array, grows: bool) -> tuple[float, float]:
+    """Threshold [degC] of a torque over the air temperature, and its additional size in the cold [Nm].
+
+    That of a torque that `grows` below the threshold is where a line bends best, and `HINGE_K` below it. That of a switch is
+    halfway between the levels at both ends. Temperatures rise.
+    """
+    if grows:
+        bends = [np.column_stack((np.ones(len(x)), np.maximum(at - x, 0.0))) for at in x[1:]]
+        found = [np.linalg.lstsq(columns, torque, rcond=None)[0] for columns in bends]
+        errors = [((torque - columns @ q) ** 2).sum() for columns, q in zip(bends, found, strict=True)]
+        best = int(np.argmin(errors))
+        return float(x[1:][best]), float(HINGE_K * found[best][1])
+    part = max(len(x) // ENDS, 1)
+    cold, warm = float(np.median(torque[:part])), float(np.median(torque[-part:]))
+    beyond = (torque - 0.5 * (cold + warm)) * (cold - warm) <= 0.0
+    return float(x[int(np.argmax(beyond))]), cold - warm
 
 
 def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> dict[str, tuple[str, float]]:

@@ -13,31 +13,35 @@ import numpy as np
 
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
-from trackres_ros.evaluation.sealed.programs import ENTRIES, PROGRAM, draw_program
+from trackres_ros.evaluation.sealed.programs import ENTRIES, PROGRAM, TURNS, draw_program
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 
 SLOW_NM, SLOW_S, WHITE_NM = 50.0, 6.0, 15.0  # a torque's noise over a second: a road that no one measured, and white
 CHANGE = 0.03  # of each value of the build, to find the part absorbed by a re-fit
-ROUNDS, TRIES = 3, 20
+ROUNDS, TRIES, TRIES_OF_KIND = 3, 20, 5
 LEAST = 20.0  # of d'
 
 
 def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
-    """The case with the size of its program and its detectability; an undetectable program is replaced by another."""
+    """The case with the size of its program and its detectability; an undetectable program is replaced by another, if possible
+    of its kind.
+    """
     if PROGRAM not in case.hidden:
         return case
     build, wanted = Build(**case.build), case.hidden[PROGRAM]["d_prime"]
-    plain = _whitened([run.shown for run in simulate_truth(sheet, build, {}, drives)], drives)
+    plain = whitened([run.shown for run in simulate_truth(sheet, build, {}, drives)], drives)
     others = [replace(build, **{name: (1.0 + CHANGE) * value}) for name, value in case.build.items()]
-    base = [_whitened([run.shown for run in simulate_truth(sheet, other, {}, drives)], drives) - plain for other in others]
+    base = [whitened([run.shown for run in simulate_truth(sheet, other, {}, drives)], drives) - plain for other in others]
     taken = np.linalg.qr(np.column_stack([*base, plain]))[0]
 
     def seen(seed: float, size: float) -> float:
         runs = simulate_truth(sheet, build, {PROGRAM: {"seed": seed, "size": size}}, drives)
-        added = _whitened([run.added[PROGRAM] for run in runs], drives)
+        added = whitened([run.added[PROGRAM] for run in runs], drives)
         return float(np.linalg.norm(added - taken @ (taken.T @ added)))
 
-    for seed in case.hidden[PROGRAM]["seed"] + np.arange(TRIES):
+    # Drives without a long stop show no parking brake, whatever its size: then the next kind has its turn.
+    others_of_kind = len(TURNS) * np.arange(TRIES_OF_KIND)
+    for seed in case.hidden[PROGRAM]["seed"] + np.append(others_of_kind, np.arange(1, TRIES)):
         program, size = draw_program(int(seed)), 1.0
         for _ in range(ROUNDS):
             most = ENTRIES[program.entry].largest
@@ -49,7 +53,7 @@ def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
     return replace(case, hidden=hidden, program=program.description)
 
 
-def _whitened(series: Sequence[Array], drives: Sequence[SealedDrive]) -> Array:
+def whitened(series: Sequence[Array], drives: Sequence[SealedDrive]) -> Array:
     """Torques over seconds, over the noise in them that cannot be known from the second before."""
     keep, parts = np.exp(-1.0 / SLOW_S), list[Array]()
     for torque, one in zip(series, drives, strict=True):

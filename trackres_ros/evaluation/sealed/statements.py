@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.arrays import Array
 from trackres_ros.evaluation.sealed.answers import words
+from trackres_ros.evaluation.sealed.kinds import LONG_STOP_S
 
 BOUND = 0.4
 ALL, LEVELS = 0.7, 0.92  # correlations: with the main part of a torque; with its levels (a sine has 0.90)
@@ -30,6 +31,12 @@ MEANT = {
     "time since start": ("time of day", "since start"), "speed": ("pulls away", "to a stop", "m/s"),
 }  # fmt: skip
 """Words that mean a variable without its own name."""
+ALSO = {
+    "distance": "distance run", "distance since a stop": "distance since a long stop",
+    "time since a stop": "time since a long stop",
+}  # fmt: skip
+"""Second meaning of a variable: since the vehicle's first drive, and since a stop of at least `kinds.LONG_STOP_S`."""
+CLOCKS = ("distance", "distance run", "time since start")
 
 
 def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, lengths: Array) -> bool:
@@ -47,16 +54,18 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
         edges = range(BLOCK_S, len(added) - BLOCK_S, 10)
         return max((abs(_correlation((np.arange(len(added)) >= k).astype(float), added)) for k in edges), default=0.0) >= ALL
     if form == "drift":  # slow, and no single variable explains it
-        rivals = [x for name, x in over.items() if name not in ("distance", "time since start")]
+        rivals = [x for name, x in over.items() if name not in CLOCKS]
         return _correlation(_smooth(added, 60), added) >= ALL > max(partial([_bins(x, BINS)], over, added) for x in rivals)
     if form in ("wave", "place"):
         period = term.get("period_m")
         return period is not None and partial([_bins(series["distance"] % float(period), 2 * BINS)], over, added) >= BOUND
     target = np.abs(added - _smooth(added, 20)) if form == "spread" else added
     named = [*_named(words(term.get("variable")), series)[:1], *_named(words(term.get("gate")), series)[:1]]
-    if not named:
-        return False
-    return partial([_bins(series[name], count) for name, count in zip(named, (BINS, SIDES), strict=False)], over, target) >= BOUND
+    meant = [[series[x] for x in (name, ALSO.get(name)) if x in series] for name in named]
+    return any(
+        partial([_bins(x, count) for x, count in zip(xs, (BINS, SIDES), strict=False)], over, target) >= BOUND
+        for xs in product(*meant) if xs
+    )  # fmt: skip
 
 
 def partial(groups: list[NDArray[np.int64]], over: Mapping[str, Array], target: Array) -> float:
@@ -91,7 +100,9 @@ def _bins(x: Array, count: int) -> NDArray[np.int64]:
 
 
 def _since_stops(over: Mapping[str, Array], lengths: Array) -> dict[str, Array]:
-    """Distance [m] and time [s] since a stop, and time since a deceleration; they restart in each drive."""
+    """Distance [m] and time [s] since a stop and since a long one, and time since a deceleration; they restart in each drive.
+    Before its first long stop a drive has the largest values.
+    """
     second, way = np.arange(len(over["speed"]), dtype=float), np.cumsum(np.abs(over["speed"]))
     begins = np.isin(second, np.cumsum(lengths) - lengths)
 
@@ -99,9 +110,13 @@ def _since_stops(over: Mapping[str, Array], lengths: Array) -> dict[str, Array]:
         return np.asarray(series - np.maximum.accumulate(np.where(event | begins, series, 0.0)))
 
     stops, slows = np.abs(over["speed"]) < STANDING_MPS, over["acceleration"] < BRAKING_MPS2
+    long = stops & (since(second, ~stops) >= LONG_STOP_S)
+    none_yet = np.concatenate([np.cumsum(one) == 0 for one in np.split(long, np.cumsum(lengths)[:-1].astype(int))])
     return {
         "distance since a stop": since(way, stops),
         "time since a stop": since(second, stops),
+        "distance since a long stop": np.where(none_yet, way[-1], since(way, long)),
+        "time since a long stop": np.where(none_yet, second[-1], since(second, long)),
         "braking": since(second, slows),
     }
 

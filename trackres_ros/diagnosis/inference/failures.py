@@ -1,0 +1,44 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Parts of a diagnosis that fail become notes: what one finder cannot compute ends no diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeVar
+
+from trackres_ros.diagnosis.prepare.notes import WarningNote
+
+Result = TypeVar("Result")
+
+_notes: ContextVar[dict[str, None] | None] = ContextVar("failures", default=None)
+
+
+@contextmanager
+def failures() -> Iterator[dict[str, None]]:
+    """The notes on attempts that fail meanwhile, each once, as the keys of a growing dictionary."""
+    found = dict[str, None]()
+    token = _notes.set(found)
+    try:
+        yield found
+    finally:
+        _notes.reset(token)
+
+
+def attempt(what: str, part: Callable[[], Result]) -> Result | None:
+    """The result of a part of a diagnosis; None with a note if it fails.
+
+    Outside `failures` nobody would read the note, so the error is raised.
+    """
+    found = _notes.get()
+    if found is None:
+        return part()
+    try:
+        return part()
+    except Exception as error:  # of any kind: a finder adds to a diagnosis, and never ends it
+        text = f"{what} was not looked for: its search failed with {type(error).__name__}: {error}; please report this"
+        found[WarningNote(text)] = None
+        return None
