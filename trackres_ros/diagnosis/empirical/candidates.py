@@ -118,7 +118,7 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     """Possible thresholds of a gate; none if it would be always or never open."""
     if gate in (learned.HEAVY, learned.LIGHT):
         x = driven(learned.LOAD, fit)
-        if not varies(x):
+        if not shows(learned.LOAD, fit):  # whatever differs at one load, may be any other difference between recordings
             return []
         levels = np.unique(x)
         steps = np.diff(levels)
@@ -144,7 +144,7 @@ def followed(fit: Fit) -> list[int]:
     torque, which includes that inertia, needs a small error.
     """
     measured = all("accel" in s.given for s in fit.problem.sessions)
-    return [code for code in KNOTS if shows(code, fit) and (code != learned.ACCELERATION or measured)]
+    return [code for code in KNOTS if varies(driven(code, fit)) and (code != learned.ACCELERATION or measured)]
 
 
 def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
@@ -162,14 +162,12 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
         found += [SidedGain(side, one) for side, one in most.items() if min(most.values()) > 0.0]
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
-            by_level = gate in (learned.HEAVY, learned.LIGHT) and not shows(learned.LOAD, fit)
             for code in codes:
-                if code == learned.ALWAYS and not by_level:
+                if code == learned.ALWAYS:
                     found.append(Curve(learned.ALWAYS, gate, [0.0], threshold))
-                elif code != learned.ALWAYS and varies(x[code]):
+                elif varies(x[code]):
                     count = KNOTS[learned.SPEED] if code == learned.SPEED else GATED_KNOTS
-                    # If loads differ only between recordings, a constant at high load may be any other difference between them.
-                    found.append(Curve(code, gate, knots(code, x[code], count), threshold, constant=not by_level))
+                    found.append(Curve(code, gate, knots(code, x[code], count), threshold))
     found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in learned.BUILD_UPS]
     size = facts.weight * facts.radius
     return {f"{effect.name} {i}": learned.sized(effect, size) for i, effect in enumerate(found)}

@@ -20,14 +20,16 @@ from trackres_ros.diagnosis.empirical.finders import SURE, Term
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
-from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
+from trackres_ros.diagnosis.search.cross_validation import Score
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
 from trackres_ros.diagnosis.search.proposals import TIED
 from trackres_ros.diagnosis.search.stability import unstable
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, NAME
-from trackres_ros.diagnosis.selection.grade import Graded, displaced, far_from_file, on_bounds
+from trackres_ros.diagnosis.selection.grade import ON_BOUND, Graded, displaced, on_bounds
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.text.numbers import figures
@@ -68,9 +70,10 @@ class Chosen:
         return self.explanation.terms.get(name) or Term(self.explanation.candidates[name])
 
     def instead_of(self, name: str) -> str:
-        """The name that would gain most in place of a term, if more than by chance; empty without one."""
+        """The name that would gain most in place of a term, if more than half as much; empty without one."""
         step = self.steps[name]
-        names = [c for c in step.candidates if c.is_name and c.name != name and c.matters and c.level > step.cost]
+        least = max(step.cost, 0.5 * step.chosen.level) if step.chosen is not None else step.cost
+        names = [c for c in step.candidates if c.is_name and c.name != name and c.matters and c.level > least]
         return max(names, key=lambda c: c.level).name if names else ""
 
     @property
@@ -85,7 +88,8 @@ class Choice:
     def __init__(self, search: Search, laps: HeldOutLaps, use: AsUsed) -> None:
         self._search, self._validation, self._laps = search, search.validation, laps
         self._beyond_base = self._validation.beyond(search.nothing.fit)
-        self._by_file = use.error(None)
+        self._use, self._by_file = use, use.error(None)
+        self._wide: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
         self._graded: dict[tuple[Key, str], Graded] = {}
 
     def graded(self, explanation: Explanation, name: str) -> Graded:
@@ -132,7 +136,23 @@ class Choice:
             found += unstable(explanation.fit, name, validation.scored)
         if candidate.kind != NAME and not found:
             found += self._clock_rivals(explanation, name, without)
-        return found
+        return found or self._values_instead(explanation, without)
+
+    def _values_instead(self, explanation: Explanation, without: Explanation) -> list[str]:
+        """Values outside the ranges of the vehicle file that predict as well as a term."""
+        fitted = without.fit
+        held = [(q, fitted.base_values[q.name]) for q in fitted.problem.base.parameters]
+        if not any(min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low) for q, value in held):
+            return []
+        if without.key not in self._wide:
+            problem = replace(fitted.problem, base=self._use.base)
+            wide = fit(problem, [a.effect for a in fitted.effects], fitted.at, fitted.noises, largest_root=SHORT_ROOT)
+            self._wide[without.key] = wide, self._validation.score(wide)
+        wide, score = self._wide[without.key]
+        if self._validation.least_gain(score, explanation.score) > 0.0:
+            return []
+        names = [q.name for q in wide.problem.base.parameters if q.outside(wide.base_values[q.name])]
+        return [f"predicts no better than {', '.join(names)} outside the range in the vehicle file"] if names else []
 
     @staticmethod
     def _only_between(explanation: Explanation, name: str) -> bool:
@@ -174,7 +194,7 @@ class Choice:
         whole = self._validation.improvement(self._search.nothing.score, explanation.score, for_good=once)
         kept = self._kept(explanation)
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
-        if not whole.confirmed or kept.after > min(kept.before, self._by_file) or far_from_file(explanation.fit):
+        if not whole.confirmed or kept.after > min(kept.before, self._by_file):
             return False
         return all(self.graded(explanation, name).confirmed for name in explanation.candidates)
 
@@ -233,14 +253,14 @@ class Choice:
     def _beats(self, one: Explanation, other: Explanation) -> bool:
         """Whether one explanation predicts significantly better than another.
 
-        A form beside a name, or in its place, needs a larger margin, because a named function is accurate to about 10 %: the
-        mean square error must fall by more than the square of a tenth of the names' torque.
+        A further form, or one in place of a name, needs a larger margin, because a function is accurate to about 10 %: the
+        mean square error must fall by more than the square of a tenth of the others' torque.
         """
         more_forms = one.without_a_name > other.without_a_name
         once = any(term.change is not None for name, term in one.terms.items() if name not in other.key)
         if self._validation.least_gain(other.score, one.score, once) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
-        torques = [self._beyond_base(other.fit.contribution(name)) for name in names_of(other)]
+        torques = [self._beyond_base(other.fit.contribution(name)) for name in other.key]
         by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2
         return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
 

@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
 from trackres_ros.diagnosis.search.linear_sets import Columns, LinearSets
 from trackres_ros.diagnosis.search.proposals import Proposals, Proposer
-from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared
+from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared, share
 from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns, is_name
 from trackres_ros.effects.effect import Effect
 from trackres_ros.progress import counted
@@ -99,7 +99,7 @@ class Search:
             if name in sensed:
                 continue
             low, high = amplitude_bounds(p.effect)
-            terms[name] = Columns(p.sensitivity.columns * amplitude_spans(p.effect), low, high)
+            terms[name] = Columns(p.effect, p.sensitivity.columns * amplitude_spans(p.effect), low, high)
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
         own = _by_parameter(base, proposals.own)
         catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
@@ -127,7 +127,8 @@ class Search:
         if known.settled:
             return known
         found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {})
-        explained = self._explained(found, self.validation.score(found), known.candidates, known.terms)
+        candidates = {name: replace(c, share=share(found, name)) for name, c in known.candidates.items()}
+        explained = self._explained(found, self.validation.score(found), candidates, known.terms)
         self.known[known.key] = replace(explained, settled=True)
         return self.known[known.key]
 

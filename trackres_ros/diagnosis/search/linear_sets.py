@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.inference.bounded import bounded
 from trackres_ros.diagnosis.inference.fitting import Fit, valid_rows
 from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.selection.candidate import same_variable
 from trackres_ros.diagnosis.selection.level_errors import PRIOR, RIDGE
+from trackres_ros.effects.effect import Effect
 
 Names = tuple[str, ...]
 
@@ -28,6 +30,7 @@ FEWEST_RECORDINGS = 3  # to leave whole ones out
 class Columns(NamedTuple):
     """Derivatives of a term's amplitudes in units of their typical sizes, shape (n, amplitudes), and bounds in these units."""
 
+    effect: Effect
     derivatives: Array
     low: Array
     high: Array
@@ -52,6 +55,7 @@ class LinearSets:
         scale, std, nominal, low, high = (
             np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal", "low", "high")
         )
+        self._effects = {name: term.effect for name, term in terms.items()}
         self._own, count = len(scale), len(scale)
         self._at: dict[str, NDArray[np.int64]] = {}
         for name, term in terms.items():
@@ -114,13 +118,18 @@ class LinearSets:
             )
         return found
 
+    def _fits(self, name: str, names: Names) -> bool:
+        return name not in names and not any(same_variable(self._effects[name], self._effects[other]) for other in names)
+
     def best(self, among: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
         """The `count` sets of each size of some terms with the highest gain less a `cost` for each term, best first."""
         beam: list[Names] = [()]
         found: dict[frozenset[str], float] = {}
         chosen: list[Names] = []
         for size in range(1, most_terms + 1):
-            sets = {frozenset((*names, name)) for names in beam for name in among if name not in names}
+            sets = {
+                frozenset((*names, name)) for names in beam for name in among if name not in names and self._fits(name, names)
+            }
             gains = {key: self.gain(key) - cost * size for key in sets}
             found |= gains
             ordered = sorted(gains, key=lambda key: -gains[key])

@@ -19,6 +19,7 @@ from trackres_ros.diagnosis.empirical.candidates import candidates, followed, se
 from trackres_ros.diagnosis.empirical.thresholds import found_by_clock, found_by_scan
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.selection.candidate import same_variable
 from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels
 from trackres_ros.diagnosis.selection.visibility import (
     EffectColumns,
@@ -78,8 +79,9 @@ class Proposer:
         """The best additions to a fit."""
         own = base_columns(current)
         levels = Levels(current, own, self._used)
-        pool = {key: e for key, e in self._pool.items() if e.name not in current.effect_names}
-        pool |= self._scanned(current, levels)
+        present = [a.effect for a in current.effects]
+        pool = {**self._pool, **self._scanned(current, levels)}
+        pool = {key: e for key, e in pool.items() if not any(e.name == p.name or same_variable(e, p) for p in present)}
         seen = separability(pool, current, own, self._columns)
         every: dict[str, Proposal] = {}
         for s in counted(seen.visible, "levels left out", len(seen.visible)):
@@ -103,8 +105,6 @@ class Proposer:
         self._columns.forget()
         forms = found_by_scan(current, levels, {code: series(code, current) for code in followed(current)})
         for form, rows in (*forms, *found_by_clock(current, levels)):
-            if form.name in current.effect_names:
-                continue
             effect = sized(form, facts.weight * facts.radius) if isinstance(form, EmpiricalEffect) else form
             self._columns.give(effect, rows[:, np.newaxis])
             found[f"scanned {form.name}"] = effect

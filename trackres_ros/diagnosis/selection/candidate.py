@@ -65,11 +65,21 @@ class Candidate:
         return self.share >= LEAST_SHARE
 
 
+def same_variable(one: Effect, other: Effect) -> bool:
+    """Whether both are forms over the same variable: then one of them describes it, and not a sum of both."""
+    mine, its = (e.over if isinstance(e, EmpiricalEffect) else None for e in (one, other))
+    return mine is not None and mine == its
+
+
 def compared(current: Fit, found: Fit, name: str, cost: float = 0.0, kept: float = 1.0, d_prime: float = math.nan) -> Candidate:
     """Gain of a fit with one more term over the one without."""
-    share = rms(found.contribution(name), found) / max(rms([s.torque for s in found.problem.sessions], found), 1e-12)
     evidence = found.log_evidence - current.log_evidence - cost
-    return Candidate(name, found, found.log_likelihood - current.log_likelihood, evidence, share, kept, d_prime)
+    return Candidate(name, found, found.log_likelihood - current.log_likelihood, evidence, share(found, name), kept, d_prime)
+
+
+def share(found: Fit, name: str) -> float:
+    """Root mean square of a term's torque over that of the torque."""
+    return rms(found.contribution(name), found) / max(rms([s.torque for s in found.problem.sessions], found), 1e-12)
 
 
 def spurious_gain(current: Fit) -> float:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Refitted:
     """The base re-fitted."""
 
     refitted: Fit  # with values by `levels.with_levels`
+    compared: Fit  # what terms are added to: the same, or one with values further outside the file's ranges, if surely better
     laps: HeldOutLaps
     validation: CrossValidation  # over laps
     use: AsUsed  # evaluation of a file in use
@@ -42,16 +43,24 @@ def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.
     held_out = [split.held_out_mask(s) for s in sessions]
     laps = HeldOutLaps(sessions, held_out, rng)
     use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
-    refitted = inside_ranges(with_levels(tested), use)
+    anywhere = with_levels(tested)
+    refitted = inside_ranges(anywhere, use)
+    validation = CrossValidation(refitted, held_out, rng)
+    # A file that cannot describe the vehicle within its ranges would leave its error to the terms.
+    better = validation.least_gain(validation.score(refitted), validation.score(anywhere)) > 0.0
     options.on_stage("residual by regime")
-    return Refitted(refitted, laps, CrossValidation(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))
+    at_base = regime_map(for_tests(refitted), rng)
+    return Refitted(refitted, anywhere if better else refitted, laps, validation, use, at_base)
 
 
 def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions) -> Chosen:
     """Search explanations, and choose one."""
     kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
     roads = roads_of(prepared.sessions) if kinds else None
-    found = Search(base.refitted, prepared.effects, roads, kinds, base.validation, options.on_stage)
+    found = Search(base.compared, prepared.effects, roads, kinds, base.validation, options.on_stage)
     found.run()
     options.on_stage("cross-validation over laps")
-    return Choice(found, base.laps, base.use).best(options.keep_suspected)
+    chosen = Choice(found, base.laps, base.use).best(options.keep_suspected)
+    if chosen.explanation.key:
+        return chosen
+    return replace(chosen, explanation=replace(chosen.explanation, fit=base.refitted))
