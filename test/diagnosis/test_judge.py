@@ -216,7 +216,7 @@ def judged_with(of, explanation, name, **changed):
     """The grade of a term of an explanation whose score has other values, by a judge that has seen nothing yet."""
     known = dict(of.search.known)
     try:
-        choice = Choice(of.search, of.laps, of.use)
+        choice = Choice(of.search, of.search.nothing.fit, of.laps, of.use)
         return choice.graded(replace(explanation, score=replace(explanation.score, **changed)), name)
     finally:
         of.search.known.clear()
@@ -324,7 +324,7 @@ def test_a_channel_that_moves_again_and_again_is_confirmed():
 def test_only_what_is_confirmed_is_chosen_unless_asked_otherwise(hidden, monkeypatch):
     of, _, _ = hidden
     monkeypatch.setattr(Choice, "_is_confirmed", lambda *_: False)
-    nothing, first = (Choice(of.search, of.laps, of.use).best(keep) for keep in (False, True))
+    nothing, first = (Choice(of.search, of.search.nothing.fit, of.laps, of.use).best(keep) for keep in (False, True))
     assert nothing.explanation is of.search.nothing
     assert not nothing.graded
     assert nothing.shares == {"none of these": 1.0}

@@ -64,7 +64,7 @@ def test_a_set_that_two_ways_reach_is_one_the_better(both):
     count = len(search.known)
     for nm, kept in ((1e4, True), (0.0, False)):
         search.known[key] = replace(known, worth=known.worth + nm)
-        search._add(search.nothing, candidate, None, search.cost)
+        search._add(search.nothing, candidate, None)
         assert len(search.known) == count
         assert (search.known[key].worth == known.worth + nm) == kept or search.known[key].worth == pytest.approx(known.worth)
     search.known[key] = known
@@ -89,8 +89,8 @@ def test_without_a_term_the_others_are_fitted_anew(both):
         assert fitted.terms.keys() <= fitted.candidates.keys() == single.key
         again = fit_with(both.refitted, *(a.effect for a in fitted.fit.effects))
         assert fitted.fit.log_likelihood == pytest.approx(again.log_likelihood, abs=3.0)
-        lost = both.validation.gain(pair.score, fitted.score)
-        assert fitted.worth == pytest.approx(pair.worth + lost, abs=1e-6)
+        gained = both.validation.gain(search.nothing.score, fitted.score)
+        assert fitted.worth == pytest.approx(gained - search.cost, abs=1e-6)
     finally:
         search.known[single.key] = single
 
@@ -98,7 +98,6 @@ def test_without_a_term_the_others_are_fitted_anew(both):
 def test_a_polished_explanation_has_a_settled_fit_and_its_score(both):
     search = both.search
     rough = next(e for e in search.known.values() if not e.settled)
-    worth = rough.worth
     fine = search.polished(rough)
     assert fine.settled
     assert fine is search.known[rough.key] is search.polished(rough)
@@ -106,7 +105,8 @@ def test_a_polished_explanation_has_a_settled_fit_and_its_score(both):
     assert fine.fit.log_likelihood >= rough.fit.log_likelihood - 1.0
     again = both.validation.score(fine.fit)
     np.testing.assert_allclose(fine.score.density, again.density)
-    assert fine.worth == pytest.approx(worth + both.validation.gain(rough.score, again), abs=1e-6)
+    gained = both.validation.gain(search.nothing.score, again)
+    assert fine.worth == pytest.approx(gained - search.cost * len(fine.key), abs=1e-6)
 
 
 def test_an_expanded_explanation_is_expanded_once(both):

@@ -150,7 +150,7 @@ def judging(found: Fit, effects: Mapping[str, Effect]) -> SimpleNamespace:
     use = AsUsed(found.problem.base, sessions, sessions, laps)
     validation = validation_of(found)
     search = Search(found, effects, None, (), validation, lambda _: None)
-    choice = Choice(search, laps, use)
+    choice = Choice(search, search.nothing.fit, laps, use)
     return SimpleNamespace(search=search, choice=choice, validation=validation, laps=laps, use=use, refitted=found)
 
 
@@ -159,7 +159,7 @@ def explained(of: SimpleNamespace, *effects: Effect) -> Explanation:
     search, last = of.search, of.search.nothing
     for i, effect in enumerate(effects, start=1):
         found = fit_with(of.refitted, *effects[:i])
-        search._add(last, compared(last.fit, found, effect.name), None, 0.0)
+        search._add(last, compared(last.fit, found, effect.name), None)
         last = search.polished(search.known[last.key | {effect.name}])
     return last
 

@@ -83,10 +83,10 @@ class Chosen:
 
 
 class Choice:
-    """Judges the explanations of a search."""
+    """Judges the explanations of a search; on hold-out laps none may be worse than the base as it was `refitted`."""
 
-    def __init__(self, search: Search, laps: HeldOutLaps, use: AsUsed) -> None:
-        self._search, self._validation, self._laps = search, search.validation, laps
+    def __init__(self, search: Search, refitted: Fit, laps: HeldOutLaps, use: AsUsed) -> None:
+        self._search, self._validation, self._refitted, self._laps = search, search.validation, refitted, laps
         self._beyond_base = self._validation.beyond(search.nothing.fit)
         self._use, self._by_file = use, use.error(None)
         self._wide: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
@@ -193,13 +193,16 @@ class Choice:
         once = any(term.change is not None for term in explanation.terms.values())
         whole = self._validation.improvement(self._search.nothing.score, explanation.score, for_good=once)
         kept = self._kept(explanation)
+        # Terms that pass only together were chosen from many more sets, and cancel each other as they please.
+        if explanation.worth <= SURE * (len(explanation.key) - 1):
+            return False
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
         if not whole.confirmed or kept.after > min(kept.before, self._by_file):
             return False
         return all(self.graded(explanation, name).confirmed for name in explanation.candidates)
 
     def _kept(self, explanation: Explanation) -> Improvement:
-        return self._laps.improvement_of(self._search.nothing.fit, explanation.fit)
+        return self._laps.improvement_of(self._refitted, explanation.fit)
 
     def best(self, keep_suspected: bool = False) -> Chosen:
         """The best explanation; each of its terms is compared with all possible replacements.

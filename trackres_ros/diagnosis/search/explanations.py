@@ -85,9 +85,10 @@ class Search:
         self._add_sets(self.expand(self.nothing))
         for explanation in self._best_unexpanded(EXPANDED):
             self._swap(self.polished(explanation))
-        best = self._best_known()
-        for explanation in {best.key: best, frozenset(): self.nothing}.values():
+        for explanation in {e.key: e for e in (self._best_known(), self.nothing)}.values():
             self._follow_clock(explanation)
+        if self._best_known().terms:  # a slope by place and spells may pass only together
+            self._follow_clock(self._best_known())
         for explanation in self._best_unexpanded(1):
             self._swap(self.polished(explanation))
 
@@ -187,10 +188,13 @@ class Search:
         self._keep(self._explained(candidate.fit, score, added, terms))
 
     def _keep(self, explanation: Explanation) -> None:
-        """Keep the better one of two ways to the same set."""
+        """Keep the better one of two ways to the same set. A slope by place has the name of a constant one."""
         same = self.known.get(explanation.key)
-        if same is None or (explanation.worth > same.worth and not same.settled):
+        if same is None or (
+            explanation.worth > same.worth and not (same.settled and same.terms.keys() == explanation.terms.keys())
+        ):
             self.known[explanation.key] = explanation
+            self.rounds.pop(explanation.key, None)
 
     def without(self, explanation: Explanation, name: str) -> Explanation:
         """An explanation without one of its terms."""

@@ -60,7 +60,7 @@ def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions
     found = Search(base.compared, prepared.effects, roads, kinds, base.validation, options.on_stage)
     found.run()
     options.on_stage("cross-validation over laps")
-    chosen = Choice(found, base.laps, base.use).best(options.keep_suspected)
+    chosen = Choice(found, base.refitted, base.laps, base.use).best(options.keep_suspected)
     if chosen.explanation.key:
         return chosen
     return replace(chosen, explanation=replace(chosen.explanation, fit=base.refitted))
