@@ -55,7 +55,7 @@ def test_the_root_mean_square_is_of_what_counts():
     assert rms([np.array([3.0, np.nan, 99.0]), np.array([4.0, 5.0])], found) == pytest.approx(math.sqrt(50.0 / 3.0))
 
 
-def test_the_models_own_error_gains_more_in_longer_and_quieter_drives():
+def test_the_models_own_error_gains_more_in_long_quiet_drives():
     whole = spurious_gain(fitted())
     half = fitted()
     half.problem.masks = (half.problem.masks[0] & (np.arange(SAMPLES) % 2 == 0),)
@@ -77,7 +77,7 @@ def test_a_name_goes_before_a_form_and_a_form_before_the_clock(effect, kind):
     assert NAME < FORM < CLOCK
 
 
-def test_the_hint_is_the_best_name_that_gains_more_than_by_chance():
+def test_the_hint_is_the_best_name_beyond_chance():
     def hint(candidates, chosen=None):
         return Step(None, None, tuple(candidates), COST, chosen).hint
 

@@ -107,7 +107,7 @@ def test_a_torque_of_the_clock_is_found_with_its_threshold(fitted, variable, kin
     assert first.threshold == pytest.approx(at, abs=0.15 * (high - low))
 
 
-def test_a_long_stop_begins_the_time_since_it_and_a_short_one_not(fitted):
+def test_only_a_long_stop_begins_the_time_since_it(fitted):
     session = fitted.problem.sessions[0]
     speed, time = np.full(len(session), 5.0), session.time
     for begin_s, length_s in ((100.0, 0.5 * LONG_STOP_S), (200.0, 2.0 * LONG_STOP_S)):
