@@ -50,7 +50,7 @@ def test_a_slow_step_in_a_random_walk_is_first_by_its_level(cold):
     assert found.problem.noises(found.residuals)["torque"].phi.sum() > 0.9
     first = max(proposals.every.values(), key=lambda p: p.level)
     assert first.effect.name == "step_of_ambient"
-    assert first in proposals.best
+    assert first in proposals.best(())
     assert first.start["threshold"] == pytest.approx(COLD_DEGC, abs=0.5)
     assert first.start["y1"] == pytest.approx(-COLD_NM, rel=0.4)  # the base takes a part
     # To the whitened residual it is nearly nothing.
@@ -61,7 +61,7 @@ def test_a_delay_is_proposed_by_the_whitened_residual(delayed):
     _, proposals = delayed
     assert rank(proposals, "delay", "fast") == 0
     of = proposals.every["delay"]
-    assert of in proposals.best
+    assert of in proposals.best(())
     assert of.level < 0.2 * of.fast
     assert of.start["time"] > 0.0
 
@@ -73,13 +73,13 @@ def test_the_best_of_both_lists_are_proposed_if_beyond_chance(cold, delayed):
         expected = {p.effect.name for p in (*lists[0], *lists[1]) if max(p.level, p.fast) > least}
         if expected & set(TIED):
             expected |= set(TIED) & proposals.every.keys()
-        assert {p.effect.name for p in proposals.best} == expected
+        assert {p.effect.name for p in proposals.best(())} == expected
         assert len(expected) > BEST
 
 
 def test_nothing_is_proposed_twice_nor_what_is_there_already(delayed):
     found, proposals = delayed
-    names = [p.effect.name for p in proposals.best]
+    names = [p.effect.name for p in proposals.best(())]
     assert len(names) == len(set(names))
     assert all(name == p.effect.name for name, p in proposals.every.items())
     with_it = replace(found, effects=(Active(named()["delay"], {"time": LATE_S}),))
@@ -90,7 +90,7 @@ def test_nothing_is_proposed_twice_nor_what_is_there_already(delayed):
 
 def test_each_start_is_within_bounds_and_not_at_zero(cold, delayed):
     for _, proposals in (cold, delayed):
-        for p in proposals.best:
+        for p in proposals.best(()):
             assert p.start.keys() == {q.name for q in p.effect.parameters}
             sizes = [q for q in p.effect.parameters if q.off is not None]
             assert all(q.low <= p.start[q.name] <= q.high for q in p.effect.parameters if q.fitted)
@@ -101,7 +101,7 @@ def test_each_start_is_within_bounds_and_not_at_zero(cold, delayed):
 def test_names_that_drives_hardly_separate_come_together():
     gain = driven(1.1)
     names = {name: named()[name] for name in ("delay", "torque_gain", "speed_scale", "grade")}
-    proposed = {p.effect.name for p in Proposer(gain, names, scored(gain)).proposals(gain).best}
+    proposed = {p.effect.name for p in Proposer(gain, names, scored(gain)).proposals(gain).best(())}
     assert {"torque_gain", "speed_scale", "grade"} <= proposed
     assert "delay" not in proposed
 
@@ -119,4 +119,4 @@ def test_nothing_hidden_proposes_next_to_nothing():
     names = {name: named()[name] for name in ("delay", "warmup", "stribeck", "mullins")}
     proposals = Proposer(found, names, scored(found)).proposals(found)
     assert len(proposals.every) > 20
-    assert all(p.level < 12.0 for p in proposals.best)
+    assert all(p.level < 12.0 for p in proposals.best(()))

@@ -38,6 +38,7 @@ MOST_JUDGED = 5  # explanations, those with the highest worth
 MOST_NAMED = 2  # explanations by names alone: forms bend to the data
 ALIKE_WITHIN = 3.0  # in log-likelihood: a smaller difference decides nothing
 MOVES = 0.2  # of the most: with a smaller spread in a recording, a term does not act there
+SLOW = 0.1  # of the largest speed
 LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: with a smaller fall of the error, it cancels another term
 NEAR = 100.0  # in level score: no rival further behind is as good
 CLASS_SHARE = 0.8
@@ -91,6 +92,7 @@ class Choice:
         self._use, self._by_file = use, use.error(None)
         self._wide: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
         self._graded: dict[tuple[Key, str], Graded] = {}
+        self._unstable = set[str]()  # names whose size changes
 
     def graded(self, explanation: Explanation, name: str) -> Graded:
         """Cross-validated grade of a term of an explanation."""
@@ -133,10 +135,24 @@ class Choice:
         if acts.sum() >= 3 and after > NO_WORSE * before:
             found.append(f"predicts recordings left out worse: {figures(before)} to {figures(after)} Nm")
         if candidate.kind == NAME and not found:
-            found += unstable(explanation.fit, name, validation.scored)
+            found += self._unsteady(explanation, name)
         if candidate.kind != NAME and not found:
             found += self._clock_rivals(explanation, name, without)
         return found or self._values_instead(explanation, without)
+
+    def _unsteady(self, explanation: Explanation, name: str) -> list[str]:
+        """A name without one size, or that passes only beside a form."""
+        found = unstable(explanation.fit, name, self._validation.scored)
+        if found:
+            self._unstable.add(name)
+            return found
+        named = explanation
+        for form in explanation.key - set(names_of(explanation)):
+            named = self._search.without(named, form)
+        if named.key == explanation.key:
+            return []
+        improvement = self._validation.improvement(self._search.without(named, name).score, named.score)
+        return [] if improvement.confirmed else ["passes only beside a form, which bends to the data"]
 
     def _values_instead(self, explanation: Explanation, without: Explanation) -> list[str]:
         """Values outside the ranges of the vehicle file that predict as well as a term."""
@@ -159,8 +175,9 @@ class Choice:
         """Whether the torque of a term hardly varies within recordings, but varies between them."""
         problem = explanation.fit.problem
         resists = against_travel(problem.sessions, explanation.fit.contribution(name))
+        slow = min(SLOWEST_MPS, SLOW * max(float(np.nanmax(np.abs(s.speed))) for s in problem.sessions))
         moving = [
-            x[m & np.isfinite(x) & (np.abs(s.speed) > SLOWEST_MPS)]
+            x[m & np.isfinite(x) & (np.abs(s.speed) > slow)]
             for x, m, s in zip(resists, problem.masks, problem.sessions, strict=True)
         ]
         every = np.concatenate(moving)
@@ -197,7 +214,7 @@ class Choice:
         if explanation.worth <= SURE * (len(explanation.key) - 1):
             return False
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
-        if not whole.confirmed or kept.after > min(kept.before, self._by_file):
+        if not whole.confirmed or kept.after > min(kept.before, self._by_file) or not self._laps.predicts(explanation.fit):
             return False
         return all(self.graded(explanation, name).confirmed for name in explanation.candidates)
 
@@ -214,6 +231,11 @@ class Choice:
             judged = self._judged()
             confirmed = [e for e in judged if self._is_confirmed(e)]
             best = self._pick(confirmed)
+            # A name whose size changes hides what is there instead.
+            if judged and judged[0].worth > best.worth and self._search.leave_out(judged[0].key & self._unstable):
+                judged = self._judged()
+                confirmed = [e for e in judged if self._is_confirmed(e)]
+                best = self._pick(confirmed)
             for explanation in (best, *(self._search.without(best, name) for name in names_of(best))):
                 self._search.expand(explanation)
         first = judged[0] if judged else nothing
@@ -228,7 +250,7 @@ class Choice:
     def _judged(self) -> list[Explanation]:
         """The explanations with the highest worth and all with a term by place, and each without some of its terms."""
         known = self._search.known
-        room = (e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0)
+        room = (e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0 and not self._search.has_left_out(e))
         found = sorted(room, key=lambda e: -e.worth)
         named = [e for e in found if not e.without_a_name][:MOST_NAMED]
         queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or e in named or any(map(e.goes_by_place, e.key))]

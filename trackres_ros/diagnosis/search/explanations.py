@@ -78,13 +78,12 @@ class Search:
         self.nothing = Explanation(base, validation.score(base), settled=True)
         self.known: dict[Key, Explanation] = {self.nothing.key: self.nothing}
         self.rounds: dict[Key, Proposals] = {}
+        self._left_out = set[str]()
         self._linear: tuple[Fit, Mapping[tuple[str, str], Array]] | None = None
 
     def run(self) -> None:
         """Explore the promising explanations: names and forms first, then the clock for what they leave."""
-        self._add_sets(self.expand(self.nothing))
-        for explanation in self._best_unexpanded(EXPANDED):
-            self._swap(self.polished(explanation))
+        self._names_and_forms()
         for explanation in {e.key: e for e in (self._best_known(), self.nothing)}.values():
             self._follow_clock(explanation)
         if self._best_known().terms:  # a slope by place and spells may pass only together
@@ -92,12 +91,30 @@ class Search:
         for explanation in self._best_unexpanded(1):
             self._swap(self.polished(explanation))
 
+    def leave_out(self, names: Collection[str]) -> bool:
+        """Go on without some names; whether any of them was not left out before."""
+        new = set(names) - self._left_out
+        if new:
+            self._left_out |= new
+            self.rounds.pop(self.nothing.key)
+            self._names_and_forms()
+        return bool(new)
+
+    def has_left_out(self, explanation: Explanation) -> bool:
+        """Whether the search goes on without one of its terms."""
+        return not explanation.key.isdisjoint(self._left_out)
+
+    def _names_and_forms(self) -> None:
+        self._add_sets(self.expand(self.nothing))
+        for explanation in self._best_unexpanded(EXPANDED):
+            self._swap(self.polished(explanation))
+
     def _add_sets(self, proposals: Proposals) -> None:
         """Fit the sets of proposals that predict laps and recordings left out best to first order."""
         base = self.nothing.fit
         terms, sensed = {}, {a.effect.name for a in base.instrument}  # an error of the sensors is free in the base already
         for name, p in proposals.every.items():
-            if name in sensed:
+            if name in sensed or name in self._left_out:
                 continue
             low, high = amplitude_bounds(p.effect)
             terms[name] = Columns(p.effect, p.sensitivity.columns * amplitude_spans(p.effect), low, high)
@@ -146,7 +163,7 @@ class Search:
         current = explanation.fit
         found = self._proposer.proposals(current)
         by_place = any(map(explanation.goes_by_place, explanation.key))
-        best = [p for p in found.best if not (by_place and p.effect.name in SLOPES)]
+        best = [p for p in found.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
         self.rounds[explanation.key] = found
         own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
         for proposal in counted(best, "fits of candidate effects", len(best)):
@@ -218,7 +235,8 @@ class Search:
 
     def _best_unexpanded(self, count: int) -> list[Explanation]:
         """The best explanations with room for a term; not those that are worth less than the base alone."""
-        room = [e for key, e in self.known.items() if key not in self.rounds and 0 < len(key) < MOST_TERMS and e.worth > 0.0]
+        among = (e for key, e in self.known.items() if key not in self.rounds and not self.has_left_out(e))
+        room = [e for e in among if 0 < len(e.key) < MOST_TERMS and e.worth > 0.0]
         return sorted(room, key=lambda e: -e.worth)[:count]
 
 

@@ -10,7 +10,7 @@ a delay, a gain, an inertia. Neither judges; both lists go to the laps left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -62,10 +62,20 @@ class Proposal:
 class Proposals:
     """The proposals for one explanation, and how many terms they were chosen from."""
 
-    best: tuple[Proposal, ...]
     own: Array = field(default_factory=lambda: np.empty((0, 0)))  # derivatives of the fit's own parameters
     every: Mapping[str, Proposal] = field(default_factory=dict)  # by name
     separability: Separability = field(default_factory=lambda: Separability((), (), (), np.empty((0, 0))))
+
+    def best(self, left_out: Collection[str]) -> tuple[Proposal, ...]:
+        """The best of each list, without some names, and what is tied with one of them."""
+        among = [p for name, p in self.every.items() if name not in left_out]
+        least = math.log(max(len(self.every), 1))  # the best of as many gains that by chance
+        by_level = sorted(among, key=lambda p: -p.level)[:BEST]
+        by_white = sorted(among, key=lambda p: -p.fast)[:BEST]
+        found = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > least}
+        if not found.keys().isdisjoint(TIED):
+            found |= {p.effect.name: p for p in among if p.effect.name in TIED}
+        return tuple(found.values())
 
 
 class Proposer:
@@ -91,13 +101,7 @@ class Proposer:
                 every[found.effect.name] = found
             else:
                 every[found.effect.name] = _stronger(before, found)
-        least = math.log(max(len(every), 1))  # the best of as many gains that by chance
-        by_level = sorted(every.values(), key=lambda p: -p.level)[:BEST]
-        by_white = sorted(every.values(), key=lambda p: -p.fast)[:BEST]
-        best = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > least}
-        if not best.keys().isdisjoint(TIED):
-            best |= {name: every[name] for name in TIED if name in every}
-        return Proposals(tuple(best.values()), own, every, seen)
+        return Proposals(own, every, seen)
 
     def _scanned(self, current: Fit, levels: Levels) -> dict[str, Effect]:
         """Forms whose thresholds depend on the residual."""

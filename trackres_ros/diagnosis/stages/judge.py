@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm, by_improvement, changed_values
 from trackres_ros.diagnosis.findings.locate import (
+    is_like_slope,
     locate,
     only_later,
     regime_of,
@@ -150,7 +151,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
     stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]
     r2, mae = ({stage: of[stage] for stage in stages} for of in (worth.r2, worth.mae))
     refused = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), odd)
-    if refused:
+    if refused and not is_like_slope(base.refitted):
         raise refused
     final = chosen.final
     if final.effects:  # a vehicle file holds no assumed errors of the sensor
