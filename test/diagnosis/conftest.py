@@ -3,14 +3,13 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.optimize import least_squares
-from worlds import Model, World
+from worlds import judging
 
 import trackres_ros as tr
 import trackres_ros.diagnosis.report
@@ -18,12 +17,6 @@ from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.search import explanations
-from trackres_ros.diagnosis.search.choice import Choice
-from trackres_ros.diagnosis.search.cross_validation import CrossValidation
-from trackres_ros.diagnosis.search.explanations import Search
-from trackres_ros.diagnosis.selection import naming
-from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
-from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 
@@ -130,29 +123,11 @@ def scrubbed(run, recorded, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def judging():
-    """Makes what searches and judges explanations of a fitted base's residual; hold-out laps are not fitted."""
-
-    def make(found, effects):
-        problem, rng = found.problem, np.random.default_rng(1)
-        masks = [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
-        laps = HeldOutLaps(problem.sessions, masks, rng)
-        use = AsUsed(problem.base, problem.sessions, problem.sessions, laps)
-        refitted = inside_ranges(with_levels(found), use)
-        validation = CrossValidation(refitted, masks, rng)
-        search = Search(found, effects, None, (), 19, rng, lambda _: None)
-        choice = Choice(search, refitted, validation, laps, use)
-        return SimpleNamespace(search=search, choice=choice, validation=validation, laps=laps, use=use, refitted=refitted)
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def explained(judging):
+def explained():
     """Searches explanations of a fitted base's residual, and chooses one."""
 
     def explain(found, effects, **given):
-        of = judging(found, effects)
+        of = judging(with_levels(found), effects)
         with pytest.MonkeyPatch.context() as changed:
             changed.setattr(explanations, "MOST_TERMS", 2)  # enough for what tests hide
             of.search.run()
@@ -160,27 +135,6 @@ def explained(judging):
         return of
 
     return explain
-
-
-@pytest.fixture
-def play(monkeypatch):
-    """A round of the search in a world, with some of its effects: the round, and the world."""
-
-    def it(gains, effects=None, chosen=(), by_noise=None, **given):
-        world = World(gains, **given)
-        for name, changed in (effects or {}).items():
-            world.effects[name] = changed
-        return run(world, chosen, by_noise)
-
-    def run(world, chosen=(), by_noise=None):
-        for name in ("fit", "separability", "screen"):
-            monkeypatch.setattr(naming, name, getattr(world, name))
-        current = Model(world, [world.effects[name] for name in chosen])
-        step = naming.one_round(current, naming.Pool(world.effects, None, by_noise), 19, np.random.default_rng(0))
-        return SimpleNamespace(step=step, world=world, names=[c.name for c in step.candidates])
-
-    it.run = run
-    return it
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The gain of a candidate, on constructed candidates."""
+"""The gain of a candidate, and what a round of the search tells, on constructed candidates."""
 
 import math
 from dataclasses import FrozenInstanceError
@@ -9,87 +9,105 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from worlds import LAP, LAPS, Kind, Model, World, candidate
 
-from trackres_ros.diagnosis.selection import naming
-from trackres_ros.diagnosis.selection.naming import Step
+from trackres_ros.diagnosis.base.patterns import ByPlace, ResidualPattern
+from trackres_ros.diagnosis.report.content import _why
+from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, NAME, Candidate, compared, rms, spurious_gain
+from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.learned import OPEN, SPEED, Curve
 
-# Gain of a candidate
+SAMPLES = 1000
+COST = 3.0  # logarithm of the number of candidates
 
 
-def test_a_candidate_counts_by_gain_net_of_other_forms_and_costs():
-    one = candidate(gain=10.0, criterion=8.0, taken=3.0)
-    assert (one.net_gain, one.net_evidence) == (7.0, 5.0)
-    assert one.counts(6.9)
-    assert not one.counts(7.0)
-    assert not candidate(gain=10.0, criterion=3.0, taken=3.0).counts(1.0)
-    assert candidate(gain=10.0, criterion=3.1, taken=3.0).counts(1.0)
-    # What hardly adds to the torque is not worth a name.
-    assert candidate(share=0.005).counts(1.0)
-    assert not candidate(share=0.00499).counts(1.0)
+def candidate(name="x", level=10.0, share=0.1, effect=None):
+    fit = SimpleNamespace(effects=[SimpleNamespace(effect=effect or SimpleNamespace(name=name))])
+    return Candidate(name, fit, gain=level, evidence=level, share=share, level=level)
 
 
-def test_the_hint_is_the_likeliest_candidate_above_noise():
-    def of(name, gain, criterion, effect=None):
-        return candidate(name, gain, criterion, fit=Model(World({name: gain}), [effect or Kind(name)]))
-
-    several = (of("a", 9.0, 4.0), of("b", 8.0, 6.0), of("c", 4.0, 9.0), of("d", 9.0, -1.0))
-
-    def hint(candidates, chosen=None):
-        return Step(None, None, 5.0, 50.0, (), candidates, chosen, (), {}, 0.0).hint
-
-    assert hint(several) == "b"
-    assert hint(several, several[0]) == ""
-    assert hint(several[2:]) == ""
-    assert hint((of("e", 5.0, 4.0),)) == ""
-    assert hint((of("e", 9.0, 0.0),)) == ""
-    assert hint((of("e", 9.0, 0.5),)) == "e"
-    assert hint((of("e", 9.0, -0.5),)) == ""
-    assert hint(()) == ""
-    curve = Curve(SPEED, OPEN, [1.0, 5.0])
-    assert hint((of(curve.name, 9.0, 8.0, curve),)) == ""  # a form is no name
-
-
-def test_what_was_found_cannot_be_changed_afterwards():
-    step = Step(None, None, 5.0, 5.0, (), (), candidate(), ("x",), {"x": 1.0}, 1.0)
-    for found, attribute in ((candidate(), "gain"), (step, "chosen")):
-        with pytest.raises(FrozenInstanceError):
-            setattr(found, attribute, None)
-
-
-def test_parameters_count_as_far_as_the_data_settle_them():
-    found = SimpleNamespace(
-        free=[SimpleNamespace(key=key, std=2.0) for key in (("a", "p"), ("a", "q"), ("a", "r"), ("b", "p"), ("", "base"))],
-        std_of=lambda effect, name: {"p": 0.0, "q": 1.0, "r": 5.0}[name],
+def fitted(torque=100.0, added=0.0, log_likelihood=0.0, log_evidence=0.0, dc_gain=0.5, std=2.0):
+    mask = np.arange(SAMPLES) >= 100  # what is not used is far off, and must not count
+    session = SimpleNamespace(torque=np.where(mask, torque, 1e9))
+    return SimpleNamespace(
+        problem=SimpleNamespace(sessions=(session,), masks=(mask,)),
+        contribution=lambda name: [np.where(mask, added, 1e9)],
+        log_likelihood=log_likelihood,
+        log_evidence=log_evidence,
+        noise=SimpleNamespace(dc_gain=dc_gain, std=std),
     )
-    assert naming.effective_parameters(found, "a") == pytest.approx(1.75)
-    assert naming.effective_parameters(found, "b") == 1.0
-
-
-@pytest.mark.parametrize(
-    ("gain", "std", "expected"), [(1.0, 1.0, 100.0), (0.5, 1.0, 25.0), (0.1, 1.0, 10.0), (1.0, 0.5, 100.0), (1.0, 2.0, 25.0)]
-)
-def test_autocorrelated_residuals_reduce_the_effective_samples(gain, std, expected):
-    rows = [np.where(np.arange(120) % 2, 1.0, -1.0), np.full(50, 1e9)]
-    mask = np.arange(120) < 100
-    segments = [SimpleNamespace(kind="torque", mask=mask), SimpleNamespace(kind="belt", mask=np.ones(50, dtype=bool))]
-    noise = SimpleNamespace(dc_gain=gain, std=std)
-    found = SimpleNamespace(residuals=rows, problem=SimpleNamespace(segments=segments), noise=noise)
-    assert naming.effective_samples(found) == pytest.approx(expected)
-
-
-def test_the_root_mean_square_is_of_what_counts():
-    found = SimpleNamespace(problem=SimpleNamespace(masks=[np.array([True, True, False]), np.array([True, True])]))
-    assert naming.rms([np.array([3.0, np.nan, 99.0]), np.array([4.0, 5.0])], found) == pytest.approx(math.sqrt(50.0 / 3.0))
 
 
 @pytest.mark.parametrize(
     ("torque", "added", "share"), [(100.0, 5.0, 0.05), (1e-3, 1e-4, 0.1), (1e-3, 2e-3, 2.0), (0.0, 0.0, 0.0)]
 )
 def test_the_share_is_relative_to_the_measured_torque(torque, added, share):
-    world = World({"a": 40.0})
-    world.problem.sessions = (SimpleNamespace(torque=np.full(LAPS * LAP, -torque)),)
-    found = Model(world, [world.effects["a"]])
-    found.contribution = lambda name: [np.full(LAPS * LAP, added)]
-    assert naming.compared(Model(world, ()), found, "a", 1.0, 5.0, 0.0).share == pytest.approx(share)
+    assert compared(fitted(torque), fitted(torque, added), "a").share == pytest.approx(share)
+
+
+def test_a_gain_is_over_the_fit_without_and_its_evidence_costs():
+    one = compared(fitted(log_likelihood=-50.0, log_evidence=-60.0), fitted(log_likelihood=-40.0, log_evidence=-53.0), "a", 3.0)
+    assert (one.gain, one.evidence) == (10.0, 4.0)
+    assert math.isnan(one.level)  # no lap has judged it
+
+
+def test_the_root_mean_square_is_of_what_counts():
+    found = SimpleNamespace(problem=SimpleNamespace(masks=[np.array([True, True, False]), np.array([True, True])]))
+    assert rms([np.array([3.0, np.nan, 99.0]), np.array([4.0, 5.0])], found) == pytest.approx(math.sqrt(50.0 / 3.0))
+
+
+def test_the_models_own_error_gains_more_in_long_quiet_drives():
+    whole = spurious_gain(fitted())
+    half = fitted()
+    half.problem.masks = (half.problem.masks[0] & (np.arange(SAMPLES) % 2 == 0),)
+    assert spurious_gain(half) == pytest.approx(0.5 * whole)
+    assert spurious_gain(fitted(std=4.0)) == pytest.approx(0.25 * whole)
+    assert spurious_gain(fitted(dc_gain=1.0)) == pytest.approx(4.0 * whole)
+    assert spurious_gain(fitted(torque=200.0)) == pytest.approx(4.0 * whole)
+
+
+CURVE = Curve(SPEED, OPEN, [1.0, 5.0])
+SERIES = ResidualPattern("spells", "of a test", [np.ones(5)], 1e4)
+PLACE = ByPlace("place", "of a test", [np.ones(5)], 1e4, None, 1.0)
+
+
+@pytest.mark.parametrize(("effect", "kind"), [(None, NAME), (CURVE, FORM), (PLACE, FORM), (SERIES, CLOCK)])
+def test_a_name_goes_before_a_form_and_a_form_before_the_clock(effect, kind):
+    of = candidate("x" if effect is None else effect.name, effect=effect)
+    assert (of.kind, of.is_name) == (kind, kind == NAME)
+    assert NAME < FORM < CLOCK
+
+
+def test_the_hint_is_the_best_name_beyond_chance():
+    def hint(candidates, chosen=None):
+        return Step(None, None, tuple(candidates), COST, chosen).hint
+
+    several = [candidate("a", 4.0), candidate("b", 6.0), candidate("c", COST)]
+    assert hint(several) == "b"
+    assert hint(several, several[0]) == ""
+    assert hint(several[2:]) == ""
+    assert hint(()) == ""
+    assert hint([candidate("small", 9.0, share=0.00499), candidate("a", 4.0, share=0.005)]) == "a"
+    assert hint([candidate(CURVE.name, 9.0, effect=CURVE), *several]) == "b"  # a form is no name
+    assert hint([candidate("unjudged", math.nan)]) == ""
+
+
+def test_each_candidate_says_why_it_was_not_chosen():
+    def why(c, chosen=None, **given):
+        others = () if chosen is None else (chosen,)
+        return _why(c, Step(None, None, (*others, c), COST, chosen, **given))
+
+    best = candidate("best", 20.0)
+    assert why(best, best) == "chosen"
+    assert why(candidate("tied", 1.0), best, members=("best", "tied")) == "not distinguishable from best here"
+    assert "by chance" in why(candidate("weak", COST), best)
+    assert "by chance" not in why(candidate("weak", COST + 0.1), best)
+    assert why(candidate("small", 9.0, share=0.001), best) == "adds only 0.1% of the torque"
+    assert why(candidate("far", 18.0), best) == "7 times less likely than best"
+    assert "laps left out in turn decide for best" in why(candidate("near", 19.5), best, worse=("near",))
+    assert "bends to the data" in why(candidate(CURVE.name, 19.5, effect=CURVE), best)
+
+
+def test_what_was_found_cannot_be_changed_afterwards():
+    for found, attribute in ((candidate(), "gain"), (Step(None, None, ()), "chosen")):
+        with pytest.raises(FrozenInstanceError):
+            setattr(found, attribute, None)

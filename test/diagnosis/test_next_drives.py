@@ -16,7 +16,8 @@ from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, ap
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.split import lap_name, split
-from trackres_ros.diagnosis.selection.naming import Step, compared
+from trackres_ros.diagnosis.selection.candidate import compared
+from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.errors import InputError
 
 FASTEST_MPS = 14.0
@@ -60,12 +61,10 @@ def tied(recorded, loaded, effects):
     """A round in which drag and offset are tied, as they are as long as one drives forwards only."""
     sessions = gate(read_recordings(recorded("drivetrain_drag"), None), loaded.known).sessions
     before = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
-    found = [
-        compared(before, fit(before.problem, [effects[name]], before.at, before.noises), name, 1.0, 9.0, 0.0)
-        for name in ("drivetrain_drag", "torque_offset")
-    ]
-    names = tuple(c.name for c in found)
-    return Step(before, None, 0.0, 5.0, (), tuple(found), found[0], names, dict.fromkeys(names, 0.5), 1.0)
+    fits = {name: fit(before.problem, [effects[name]], before.at, before.noises) for name in ("drivetrain_drag", "torque_offset")}
+    found = [compared(before, with_it, name) for name, with_it in fits.items()]
+    scored = tuple(replace(c, level=c.gain) for c in found)
+    return Step(before, None, scored, 5.0, scored[0], tuple(fits), dict.fromkeys(fits, 0.5), 1.0)
 
 
 def test_drag_and_offset_are_told_apart_in_reverse(tied):
@@ -87,7 +86,7 @@ def test_standing_adds_no_evidence_beyond_the_models_own_error(tied):
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](like)
     nothing_hidden = [tied.before, tied.before]
     assert apart(nothing_hidden, drive)[0, 1] < 0.0
-    assert known(tied, ["drivetrain_drag"])[0, 1] == pytest.approx(2.0 * (tied.candidates[0].net_gain - tied.threshold))
+    assert known(tied, ["drivetrain_drag"])[0, 1] == pytest.approx(2.0 * (tied.candidates[0].level - tied.cost))
 
 
 def test_laps_can_be_held_out_by_name(tied):

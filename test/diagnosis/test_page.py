@@ -30,7 +30,7 @@ def widest(scrubbed, tmp_path_factory):
     r["recordings"] = [f"/data/vehicles/seventeen/winter/{lap}"] * 3
     r["candidates"] = [
         {**r["candidates"][0], "round": 1 + i // 6, "name": "drivetrain_efficiency", "chosen": i == 0, "delta_loglik": 123456.7,
-         "log_evidence": -123456.7, "threshold": 1650.4, "d_prime": 1e-3, "why": f"{WHY} last{i}"} for i in range(12)
+         "level_score": -123456.7, "threshold": 1650.4, "d_prime": 1e-3, "why": f"{WHY} last{i}"} for i in range(12)
     ]  # fmt: skip
     page = tmp_path_factory.mktemp("widest") / "report.html"
     write_page(page, r, shown(out), "Diagnosis of a vehicle with a long name")

@@ -71,8 +71,6 @@ def winter(run, tmp_path_factory):
 
 
 def test_in_winter_nothing_is_named_but_what_warms_up(winter):
-    # The trips hold evidence at the edge of what is named: a class in which it warms up, or no name at all.
-    assert winter["verdict"]["status"] in ("one_of", "unexplained", "described")
     for effect in winter["effects"]:
         assert {"roadwheel_tyres", "warmup", "viscous_bearing"} & set(effect["class"])
     assert winter["heldout"]["mae"]["with_effects"] <= winter["heldout"]["mae"]["refitted"]

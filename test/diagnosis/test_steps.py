@@ -24,10 +24,8 @@ from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, Cum
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock
-from trackres_ros.diagnosis.selection import screening
-from trackres_ros.diagnosis.selection.form_error import FORM_ERROR, other_forms
+from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
-from trackres_ros.diagnosis.selection.screening import screen
 from trackres_ros.diagnosis.selection.visibility import separability
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
@@ -263,23 +261,6 @@ def test_effects_that_the_base_absorbs_are_not_visible(problem, effects):
     assert np.diag(seen.cosines) == pytest.approx(np.ones(len(seen.names)))
 
 
-def test_without_an_effect_nothing_gains_more_than_noise(problem, effects):
-    found = fit(problem)
-    result = screen(found, separability(effects, found).visible, 19, np.random.default_rng(0))
-    assert result.gains[0][1].value < max(result.threshold, 6.0)
-
-
-def test_the_noise_gain_hardly_depends_on_the_rows_drawn(problem, effects, monkeypatch):
-    found = fit(problem)
-    visible = separability(effects, found).visible
-    whole = screen(found, visible, 29, np.random.default_rng(0))
-    monkeypatch.setattr(screening, "MOST_DRAWN_ROWS", 400)
-    part = screen(found, visible, 29, np.random.default_rng(0))
-    assert [gain.value for _, gain in part.gains] == pytest.approx([gain.value for _, gain in whole.gains])
-    assert np.median(part.reached) == pytest.approx(np.median(whole.reached), rel=0.5)
-    assert not np.array_equal(part.reached, whole.reached)
-
-
 def test_sensitivities_are_those_of_the_model(problem, effects):
     found = fit(problem)
     (inertia,) = [s for s in separability(effects, found).visible if s.effect.name == "rotating_inertia"]
@@ -287,33 +268,6 @@ def test_sensitivities_are_those_of_the_model(problem, effects):
     change = np.concatenate([p.torque for p in with_it]) - np.concatenate([p.torque for p in found.predicted])
     rows = len(change)
     assert inertia.columns[:rows, 0] * 0.1 == pytest.approx(change, abs=1e-6 * np.abs(change).max())
-
-
-def test_other_forms_are_a_share_of_what_the_effects_add(problem, effects):
-    assert other_forms(fit(problem)).shape == (len(np.concatenate(fit(problem).residuals)), 0)
-    found = fit(problem, [effects["turning_scrub"]])
-    adds = np.concatenate([p.torque for p in found.predicted])
-    adds -= np.concatenate([p.torque for p in problem.predict(found.base_values, found.instrument)])
-    forms = other_forms(found)[: len(adds)]
-    assert forms.shape[1] >= 5
-    used = np.concatenate(problem.masks)
-    assert np.abs(forms[np.abs(adds) < 1e-9]).max() < 1e-9
-    strength = np.sqrt(np.mean(forms[used] ** 2, axis=0) / np.mean(adds[used] ** 2))
-    assert np.all((strength > 0.2 * FORM_ERROR) & (strength < 5.0 * FORM_ERROR))
-
-
-def test_a_companion_that_another_form_explains_counts_for_less(recorded, loaded, effects):
-    gated = gate(read_recordings(recorded("grade_profile"), None), loaded.known)
-    bent = tuple(
-        replace(s, torque=s.torque + 0.05 * 0.01 * s.weight * loaded.base.facts.radius * np.cos(2.0 * s.heading))
-        for s in gated.sessions
-    )
-    start = fit(Problem(loaded.base, bent, tuple(s.used for s in bent)))
-    found = fit(start.problem, [effects["grade_profile"]], start.at, start.noises)
-    result = screen(found, separability(effects, found).visible, 5, np.random.default_rng(0))
-    assert all(taken >= 0.0 for taken in result.form_error_gain.values())
-    assert result.form_error_gain["headwind"] > 0.0
-    assert not screen(start, separability(effects, start).visible, 0, np.random.default_rng(0)).form_error_gain
 
 
 def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):

@@ -9,11 +9,22 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.base.patterns import FADE
 from trackres_ros.diagnosis.empirical.candidates import candidates, shows
-from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, latched_states
+from trackres_ros.diagnosis.empirical.thresholds import (
+    CLOCKS,
+    LONG_STOP_S,
+    found_by_clock,
+    found_by_scan,
+    latched_states,
+    shapes,
+    time_since_long_stop,
+)
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.selection.level_errors import Levels
+from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.diagnosis.stages.prepare import prepared
-from trackres_ros.effects.learned import ABOVE, AMBIENT, BELT, SPEED, STEP, Corner, Latch, latched
+from trackres_ros.effects.learned import ABOVE, AMBIENT, BELT, SPEED, STEP, Latch, latched
 
 LEVEL_NM = 400.0
 
@@ -36,13 +47,30 @@ def test_time_lost_by_a_corrected_clock_is_excluded(recorded, loaded):
     assert any("corrected" in note for note in gated.notes)
 
 
-def scanned(fitted, code, x, shapes):
-    """Result of a scan of one variable after a torque of a shape is added to the measured one."""
+def with_torque(fitted, shapes):
+    """The fit after a torque of these shapes is added to the measured one, and its block means."""
     sessions = tuple(
-        replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed))
+        replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed), torque_course=None)
         for s, shape in zip(fitted.problem.sessions, shapes, strict=True)
     )
-    return found_by_scan(replace(fitted, problem=replace(fitted.problem, sessions=sessions)), {code: x})
+    found = fit(replace(fitted.problem, sessions=sessions), (), fitted.at)
+    return found, Levels(found, base_columns(found), [s.used for s in sessions])
+
+
+def scanned(fitted, code, x, shapes):
+    """The forms of one variable that a scan finds, the one that explains the block means best first."""
+    found, levels = with_torque(fitted, shapes)
+    return best_first(found_by_scan(found, levels, {code: x}), levels)
+
+
+def best_first(forms, levels):
+    rest = levels.beyond(levels.residual)
+
+    def left(rows):
+        z = levels.beyond(levels.means(rows))
+        return float(((rest - z * (z @ rest) / (z @ z)) ** 2).sum())
+
+    return [form for form, rows in sorted(forms, key=lambda found: left(found[1]))]
 
 
 def test_a_scan_finds_the_thresholds_of_what_is_there(fitted):
@@ -50,24 +78,45 @@ def test_a_scan_finds_the_thresholds_of_what_is_there(fitted):
     belt = [p.belt for p in fitted.predicted]
     warm = float(np.median(np.concatenate(belt)))
     high = float(np.quantile(np.concatenate(belt), 0.98))
-    by_kind = {
-        STEP: scanned(fitted, SPEED, speed, [1.0 * (x > 5.0) for x in speed]),
-        ABOVE: scanned(fitted, BELT, belt, [np.clip((x - warm) / (high - warm), 0.0, 1.0) for x in belt]),
-        "latch": scanned(fitted, SPEED, speed, [latched_states(x, np.array([3.0]), np.array([7.0]))[:, 0] for x in speed]),
-    }
-    (step,) = [f for f in by_kind[STEP] if isinstance(f, Corner) and f.kind == STEP]
-    assert step.values()["threshold"] == pytest.approx(5.0, abs=0.1)
-    assert not any(isinstance(f, Latch) for f in by_kind[STEP])
-    (hinge,) = [f for f in by_kind[ABOVE] if isinstance(f, Corner) and f.kind == ABOVE]
-    assert hinge.values()["threshold"] == pytest.approx(warm, abs=0.15 * np.ptp(np.concatenate(belt)))
-    (latch,) = [f for f in by_kind["latch"] if isinstance(f, Latch)]
+    (step, *_) = scanned(fitted, SPEED, speed, [1.0 * (x > 5.0) for x in speed])
+    assert (step.kind, step.values()["threshold"]) == (STEP, pytest.approx(5.0, abs=0.1))
+    (hinge, *_) = scanned(fitted, BELT, belt, [np.clip((x - warm) / (high - warm), 0.0, 1.0) for x in belt])
+    assert (hinge.kind, hinge.values()["threshold"]) == (ABOVE, pytest.approx(warm, abs=0.15 * np.ptp(np.concatenate(belt))))
+    states = [latched_states(x, np.array([3.0]), np.array([7.0]))[:, 0] for x in speed]
+    (latch, *_) = scanned(fitted, SPEED, speed, states)
+    assert isinstance(latch, Latch)
     assert (latch.values()["off"], latch.values()["on"]) == pytest.approx((3.0, 7.0), abs=0.3)
 
 
-def test_where_nothing_is_hidden_a_scan_offers_few_forms(fitted):
-    names = [form.name for form in candidates(fitted).values()]
-    assert sum(name.startswith(("step", "hinge", "latch")) for name in names) <= 4
-    assert "curve_of_belt_temperature" in names
+@pytest.mark.parametrize(
+    ("variable", "kind", "at"),
+    [
+        ("time since start", STEP, 260.0),
+        ("time since start", ABOVE, 200.0),
+        ("distance", FADE, 500.0),
+        ("distance", STEP, 1000.0),
+    ],
+)
+def test_a_torque_of_the_clock_is_found_with_its_threshold(fitted, variable, kind, at):
+    x = [CLOCKS[variable](s) for s in fitted.problem.sessions]
+    low, high = (float(q) for q in np.quantile(np.concatenate(x), (0.02, 0.98)))
+    columns = [c[:, 0] for c in shapes(kind, x, (low, high), np.array([at]))]
+    found, levels = with_torque(fitted, columns)
+    (first, *_) = best_first(found_by_clock(found, levels), levels)
+    assert (first.variable, first.kind) == (variable, kind)
+    assert first.threshold == pytest.approx(at, abs=0.15 * (high - low))
+
+
+def test_only_a_long_stop_begins_the_time_since_it(fitted):
+    session = fitted.problem.sessions[0]
+    speed, time = np.full(len(session), 5.0), session.time
+    for begin_s, length_s in ((100.0, 0.5 * LONG_STOP_S), (200.0, 2.0 * LONG_STOP_S)):
+        speed[(time >= begin_s) & (time < begin_s + length_s)] = 0.0
+    since = time_since_long_stop(replace(session, speed=speed))
+    end_s = 200.0 + 2.0 * LONG_STOP_S
+    running = (time > end_s + 1.0) & (time < end_s + 100.0)
+    np.testing.assert_allclose(since[running], time[running] - end_s, atol=2.0 * session.step)
+    np.testing.assert_allclose(since[time < 190.0], time[time < 190.0], atol=2.0 * session.step)
 
 
 def test_a_negative_torque_is_its_own_side_only_in_reverse(fitted):

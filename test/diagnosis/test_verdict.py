@@ -22,9 +22,10 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
 from trackres_ros.diagnosis.report.content import _why
-from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
+from trackres_ros.diagnosis.selection.candidate import Candidate
+from trackres_ros.diagnosis.selection.grade import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
-from trackres_ros.diagnosis.selection.naming import Candidate, Step
+from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.diagnosis.stages.conclude import believed_in
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active, Parameter
@@ -42,15 +43,15 @@ QUIET, NOISY = SlowResidual(1.0, LARGE_SLOW_SHARE / 2, math.nan), SlowResidual(4
 
 def candidate(name, worth=20.0, effect=None):
     fit = SimpleNamespace(effects=[SimpleNamespace(effect=effect or SimpleNamespace(name=name))])
-    return Candidate(name, fit, worth + 2.0, worth, 0.0, 0.5, 5.0, 0.1, 0.0)
+    return Candidate(name, fit, gain=worth + 2.0, evidence=worth, share=0.1, level=worth)
 
 
 def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100.0, rivals=(), worse=()):
     members = members or (name,)
     chosen = candidate(name)
     weights = dict.fromkeys(members, 1.0 / len(members))
-    step = Step(None, None, 5.0, 5.0, (), (chosen, *rivals), chosen, members, weights, 1.0, worse)
-    graded = Graded(name, improvement, on_bounds)
+    step = Step(None, None, (chosen, *rivals), 5.0, chosen, members, weights, 1.0, worse)
+    graded = Graded(name, improvement, on_bounds=on_bounds)
     series = [np.full(100, adds)]
     return NamedEffect(
         name, f"{name} is missing", "torque", (SIZE,), step, {"size": 120.0}, {}, series, series, (), EVERYWHERE, (), SEEN, graded
@@ -236,7 +237,7 @@ def test_a_slow_residual_is_unexplained_where_nothing_was_named():
 
 @pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"slow": NOISY}], ids=["bins", "slow"])
 def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
-    refuted = [Graded("payne", WORSE, ())]
+    refuted = [Graded("payne", WORSE)]
     verdict = said(unconfirmed=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
     assert "Laps left out in turn reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
@@ -247,7 +248,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
 
 
 def test_a_dropped_term_is_reported_with_the_value_it_displaces():
-    sentence = said(unconfirmed=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
+    sentence = said(unconfirmed=[Graded("torque_offset", BETTER, displaces=("rolling_coefficient",))]).sentence
     assert "drops torque_offset: it pushes rolling_coefficient of the vehicle file to the end of its range." in sentence
     assert "reject" not in sentence
 
@@ -255,13 +256,13 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
 @pytest.mark.parametrize(
     ("graded", "why"),
     [
-        (Graded("payne", UNSURE, ()), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
+        (Graded("payne", UNSURE), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
         (
-            Graded("payne", LESS_LIKELY, ()),
+            Graded("payne", LESS_LIKELY),
             "payne: their mean error falls from 326 to 310 Nm, but their likelihood falls too.",
         ),
-        (Graded("payne", BETTER, ("height",)), "payne is at the limit of its plausible range (height)"),
-        (Graded("payne", BETTER, (), cancels=True), "less than its size suggests: from 100 to 80 Nm on laps left out"),
+        (Graded("payne", BETTER, on_bounds=("height",)), "payne is at the limit of its plausible range (height)"),
+        (Graded("payne", BETTER, ("hardly reduces the error",)), "payne hardly reduces the error."),
     ],
 )
 def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
@@ -269,7 +270,7 @@ def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
     sentence = said(unconfirmed=[graded]).sentence
     assert why in sentence
     assert ("do not confirm" in sentence) == by_laps
-    for others in ([], [Graded("mullins", WORSE, ())]):
+    for others in ([], [Graded("mullins", WORSE)]):
         assert said(unconfirmed=[graded, *others], at_end=regimes(30.0)).grade == SUSPECTED
     rival = candidate("payne", worth=19.5)
     f = found(rivals=(rival,))
@@ -423,7 +424,7 @@ def test_a_slow_residual_that_can_be_followed_is_a_drift():
     of = Described("drift", "", "The residual drifts by 40 Nm", ("a zero that drifts",), 40.0, memory=300.0)
 
     def drift(improvement):
-        return UnnamedTerm(of, [], [], {}, 0.0, Graded("drift", improvement, ()))
+        return UnnamedTerm(of, [], [], {}, 0.0, Graded("drift", improvement))
 
     verdict = said(slow=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
@@ -524,7 +525,7 @@ def test_no_effect_explains_it_only_where_no_name_would():
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
     text = f"The vehicle needs {abs(adds):.0f} Nm more"
     described = Described("curve", name, text, ("a fan",), abs(adds), "speed", predictable=predictable)
-    return UnnamedTerm(described, [np.full(100, adds)], [], {}, adds, Graded(name, improvement, ()))
+    return UnnamedTerm(described, [np.full(100, adds)], [], {}, adds, Graded(name, improvement))
 
 
 def test_what_has_no_name_is_described_with_what_to_look_for():

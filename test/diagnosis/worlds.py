@@ -1,136 +1,184 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A world in which a test says what each effect gains: a round of the search runs in it, and nothing is simulated or fitted."""
+"""Small drives in which something is hidden: a base fitted to their laps, and what searches and judges its residual."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
+from scipy.signal import lfilter
 
-from trackres_ros.diagnosis.selection.naming import Candidate
-from trackres_ros.diagnosis.selection.screening import Gain, Screened
-from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, Separability
-from trackres_ros.effects.effect import Parameter
+from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
+from trackres_ros.diagnosis.search.choice import Choice
+from trackres_ros.diagnosis.search.cross_validation import CrossValidation
+from trackres_ros.diagnosis.search.explanations import Explanation, Search
+from trackres_ros.diagnosis.selection.as_used import AsUsed
+from trackres_ros.diagnosis.selection.candidate import compared
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
+from trackres_ros.effects import catalogue
+from trackres_ros.effects.effect import Effect
+from trackres_ros.effects.learned import EmpiricalEffect, sized
+from trackres_ros.evaluation.synthetic import drives
 
-LAPS, LAP = 20, 5  # laps of so many samples each
-LEVEL = -300.0  # log-likelihood of a fit with no effect: only differences count
-TORQUE_NM = 100.0
-MOVED = 0.5  # of the typical size: where an effect is best to first order
-QUIET = 1e6  # Nm of noise, beside which the model's own error gains nothing
+LAP_S, LAPS = 75.0, 8  # of each drive
+HELD_OUT_EVERY = 4  # so many laps of a drive leave one that is not fitted
+NOISE_NM, NOISE_PHI = 20.0, 0.4
+MOST_SPEED_MPS = 15.0
+MASS_KG = 6000.0  # of the machine, on a wheel of 1 m
 
-
-class Plain:
-    """Noise whose whitened residuals are log-densities themselves, so that a test can say what each sample gains."""
-
-    dc_gain, phi = 1.0, np.empty(0)
-
-    def __init__(self, std=QUIET):
-        self.std = std
-
-    def log_density(self, white):
-        return white
-
-
-class Model:
-    """A fit as the choice sees it: effects, what each lap gains by them, and what they cost."""
-
-    def __init__(self, world, effects, start=None, problem=None):
-        self.world, self.effect_names = world, tuple(e.name for e in effects)
-        self.effects = tuple(SimpleNamespace(effect=e, values=e.values()) for e in effects)
-        self.problem = problem or world.problem
-        self.at = dict(start or {})
-        self.noises = {"torque": world.noise}
-        self.noise = world.noise
-        self.laps = world.gains_of(self.effect_names)
-        # Values before the first sample of a lap are unknown and have no weight.
-        row = np.concatenate([[np.nan, *np.full(LAP - 1, x / (LAP - 1))] for x in self.laps])
-        self.white = [row]
-        self.log_likelihood = LEVEL + float(self.laps.sum())
-        self.log_evidence = self.log_likelihood - sum(world.costs[name] for name in self.effect_names)
-        self.residuals = [np.where(np.arange(LAPS * LAP) % 2, 1.0, -1.0)]
-        self.free = tuple(SimpleNamespace(key=(e.name, q.name), std=1.0) for e in effects for q in e.parameters)
-        self.predicted = (SimpleNamespace(at_sprockets=np.full(LAPS * LAP, float(len(effects)))),)
-
-    def contribution(self, name):
-        return [np.full(LAPS * LAP, self.world.shares[name] * TORQUE_NM)]
-
-    def std_of(self, effect, parameter):
-        return self.world.stds.get((effect, parameter), 0.5)
+Series = Callable  # of a session and its number: a torque against travel [Nm], or a value, of shape (n,)
 
 
-class Kind:
-    """An effect of one parameter of size, or of such as are given."""
-
-    def __init__(self, name, acts_on="torque", parameters=None):
-        self.name, self.acts_on = name, acts_on
-        self.parameters = parameters or (Parameter("size", "Nm", -100.0, 100.0, 10.0, "of it", off=0.0),)
-
-    def values(self):
-        return {q.name: q.start for q in self.parameters}
+@cache
+def base():
+    """A track vehicle, the base of these drives where none is given."""
+    return load_base("xgd24d").base
 
 
-class World:
-    """What nature would gain by each effect, alone and together.
+@cache
+def machine():
+    """A base that is simulated in no time: a function of the speed and the acceleration."""
+
+    def torque(inputs, p):
+        speed = np.abs(inputs.speed)
+        return np.sign(inputs.speed) * (p["rolling"] + p["air"] * speed**2) + MASS_KG * inputs.accel
+
+    parameters = {"rolling": (1500.0, 1450.0, 1550.0, "Nm"), "air": (6.0, 5.8, 6.2, "Nm/(m/s)^2")}
+    return OwnBase(OwnModel("machine", torque, parameters, MOST_SPEED_MPS, MASS_KG))
+
+
+@cache
+def named() -> dict[str, Effect]:
+    """The effects of the catalogue by name, of the size of this vehicle."""
+    facts = base().facts
+    return catalogue(None, facts.weight * facts.radius)
+
+
+def driven(
+    gain: float | Series = 1.0, adds: Series | None = None, held_out_gain: float | None = None, laps: int = LAPS, count: int = 2,
+    phi: float = NOISE_PHI, changed: Callable | None = None, belt_noise: float | None = None, shows: Sequence = (),
+    of: Base | None = None,
+) -> Fit:  # fmt: skip
+    """The base fitted to laps of drives with a torque of another scale and more torque; the last laps of each are held out.
 
     Parameters
     ----------
-    gains
-        Of each effect: in all, spread evenly, or of each lap.
-    together
-        Of sets of effects that are no sum of the others.
-    first_order
-        What screening takes for the gain of an effect that is far from linear.
+    gain
+        Of the torque, or a series of it; `held_out_gain` is that of the held-out laps.
+    phi
+        Of the noise, whose innovations have the same scatter for each.
+    changed
+        A session from that of a drive, before anything is simulated.
+    belt_noise
+        Of measured belt temperatures [K]; by default none are measured.
+    shows
+        Effects that act, with their values.
+    of
+        The base.
     """
-
-    def __init__(
-        self, gains, together: Mapping = {}, costs=2.0, shares=0.1, taken=0.0, threshold=5.0, std=QUIET, first_order: Mapping = {}
-    ):  # fmt: skip
-        self.gains = {name: np.broadcast_to(g if np.ndim(g) else g / LAPS, LAPS).astype(float) for name, g in gains.items()}
-        self.together = {frozenset(names): value for names, value in together.items()}
-        self.effects = {name: Kind(name) for name in gains}
-        self.threshold, self.first_order = threshold, first_order
-        self.costs, self.shares, self.taken = (
-            {name: x.get(name, default) if isinstance(x, dict) else x for name in gains}
-            for x, default in ((costs, 2.0), (shares, 0.1), (taken, 0.0))
-        )
-        self.stds = {(name, "size"): 0.5 for name in gains}
-        self.noise = Plain(std)
-        segment = SimpleNamespace(
-            kind="torque", mask=np.ones(LAPS * LAP, dtype=bool), block=np.repeat(np.arange(7, 7 + LAPS), LAP)
-        )
-        session = SimpleNamespace(torque=np.full(LAPS * LAP, TORQUE_NM))
-        self.problem = SimpleNamespace(segments=(segment,), sessions=(session,), masks=(segment.mask,))
-        self.fitted = []
-
-    def gains_of(self, names):
-        if frozenset(names) in self.together:
-            return np.broadcast_to(self.together[frozenset(names)] / LAPS, LAPS).astype(float)
-        return sum((self.gains[name] for name in names), np.zeros(LAPS))
-
-    def fit(self, problem, effects=(), start=None, noises=None, rounds=3):
-        self.fitted.append((tuple(e.name for e in effects), dict(start or {}), rounds))
-        return Model(self, effects, start, problem)
-
-    def separability(self, effects, current, columns):
-        names = tuple(effects)
-        assert not set(names) & set(current.effect_names)
-        return Separability(tuple(self.seen(name) for name in names), (), names, np.eye(len(names)))
-
-    def seen(self, name, start=None, d_prime=5.0, kept=0.8):
-        effect = self.effects[name]
-        return EffectSensitivity(effect, start or effect.values(), np.empty(0), kept, d_prime, 0.0, np.empty(0))
-
-    def screen(self, current, visible, replicates, rng, by_noise):
-        before = self.gains_of(current.effect_names).sum()
-        gains = {s.effect.name: self.gains_of((*current.effect_names, s.effect.name)).sum() - before for s in visible}
-        gains |= {name: gain for name, gain in self.first_order.items() if name in gains}
-        best_first = sorted(
-            ((s, Gain(gains[s.effect.name], np.array([MOVED]), False)) for s in visible), key=lambda x: -x[1].value
-        )
-        taken = {name: gain for name, gain in self.taken.items() if gain}
-        return Screened(tuple(best_first), taken, self.threshold if by_noise is None else by_noise, np.zeros(replicates))
+    vehicle, rng = of or base(), np.random.default_rng(1)
+    sessions = drives(vehicle, MOST_SPEED_MPS, count, laps * LAP_S / 60.0, rng, step=1.0)
+    sessions = [s if changed is None else changed(s) for s in sessions]
+    predicted = vehicle.predict(sessions, vehicle.nominal, shows)
+    shown, masks = [], []
+    for i, (session, bare) in enumerate(zip(sessions, predicted, strict=True)):
+        lap = (session.time // LAP_S).astype(np.int64)
+        fitted = lap < laps - laps // HELD_OUT_EVERY
+        scale = gain(session, i) if callable(gain) else gain
+        scale = np.where(fitted, scale, scale if held_out_gain is None else held_out_gain)
+        noise = lfilter([1.0], [1.0, -phi], rng.normal(0.0, NOISE_NM, len(session)))
+        more = 0.0 if adds is None else adds(session, i) * np.sign(session.speed)
+        moves = np.abs(session.speed) > 0.5
+        torque = scale * (bare.torque + more) + noise
+        shown.append(replace(session, torque=torque, block=lap + i * laps, used=moves))
+        if belt_noise is not None:
+            belt = bare.belt + rng.normal(0.0, belt_noise, len(session))
+            shown[-1] = replace(shown[-1], belt=belt, given=session.given | {"belt"})
+        masks.append(moves & fitted)
+    return with_levels(fit(Problem(vehicle, tuple(shown), tuple(masks))))
 
 
-def candidate(name="x", gain=10.0, criterion=8.0, taken=0.0, share=0.1, fit=None):
-    return Candidate(name, fit, gain, criterion, 0.0, 0.5, 5.0, share, taken)
+def scored(found: Fit) -> list:
+    """The samples of each session that are compared: of laps that are fitted and held out."""
+    return [s.used for s in found.problem.sessions]
+
+
+def held_out(found: Fit) -> list:
+    """The held-out samples of each session."""
+    return [s.used & ~m for s, m in zip(found.problem.sessions, found.problem.masks, strict=True)]
+
+
+def fit_with(found: Fit, *effects: Effect) -> Fit:
+    """A fit with effects, with values that predict."""
+    return fit(found.problem, effects, found.at, found.noises, largest_root=SHORT_ROOT)
+
+
+def form(effect: EmpiricalEffect) -> EmpiricalEffect:
+    """A form of the size of this vehicle."""
+    facts = base().facts
+    return sized(effect, facts.weight * facts.radius)
+
+
+def series(found: Fit, of: Series, ahead: float | None = None, name: str = "series") -> ResidualPattern:
+    """A term that follows the clock, of a torque against travel over that of 1 Nm; known `ahead` by such a share."""
+    problem = found.problem
+    facts = problem.base.facts
+    shape = [of(s, i) * np.sign(s.speed) for i, s in enumerate(problem.sessions)]
+    known = shape if ahead is None else [ahead * x for x in shape]
+    shape = [np.where(m, x, a) for m, x, a in zip(problem.masks, shape, known, strict=True)]
+    return ResidualPattern(name, "of a test", shape, facts.weight * facts.radius, known)
+
+
+def validation_of(found: Fit) -> CrossValidation:
+    """The laps left out of a fit."""
+    return CrossValidation(found, held_out(found), np.random.default_rng(1))
+
+
+def judging(found: Fit, effects: Mapping[str, Effect]) -> SimpleNamespace:
+    """What searches and judges explanations of a base's residual by `effects` and forms."""
+    sessions, rng = found.problem.sessions, np.random.default_rng(1)
+    laps = HeldOutLaps(sessions, held_out(found), rng)
+    use = AsUsed(found.problem.base, sessions, sessions, laps)
+    validation = validation_of(found)
+    search = Search(found, effects, None, (), validation, lambda _: None)
+    choice = Choice(search, search.nothing.fit, laps, use)
+    return SimpleNamespace(search=search, choice=choice, validation=validation, laps=laps, use=use, refitted=found)
+
+
+def explained(of: SimpleNamespace, *effects: Effect) -> Explanation:
+    """The explanation by effects, each added to the ones before, with its fit settled."""
+    search, last = of.search, of.search.nothing
+    for i, effect in enumerate(effects, start=1):
+        found = fit_with(of.refitted, *effects[:i])
+        search._add(last, compared(last.fit, found, effect.name), None)
+        last = search.polished(search.known[last.key | {effect.name}])
+    return last
+
+
+def graded(of: SimpleNamespace, *effects: Effect) -> tuple:
+    """The grade of each of these terms together, and whether all of it is confirmed."""
+    found = explained(of, *effects)
+    return {name: of.choice.graded(found, name) for name in found.candidates}, of.choice._is_confirmed(found)
+
+
+def moving_means(found: Fit, rows: np.ndarray, seconds: float, used: Sequence) -> dict:
+    """Means of rows of the torque segments by recording and block of so many seconds, with the share of a block that is used."""
+    means, begin = {}, 0
+    for i, (session, mask) in enumerate(zip(found.problem.sessions, used, strict=True)):
+        own = rows[begin : begin + len(session)]
+        begin += len(session)
+        for block in sorted(set((session.time // seconds).astype(int).tolist())):
+            inside = session.time // seconds == block
+            known = own[inside & mask]
+            if len(known) and len(known) >= 0.5 * inside.sum():
+                means[i, block] = known.mean(axis=0)
+    return means

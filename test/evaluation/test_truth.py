@@ -10,7 +10,7 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.findings.locate import slow_residual
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.selection.naming import MODEL_ERROR
+from trackres_ros.diagnosis.selection.candidate import MODEL_ERROR
 from trackres_ros.evaluation.sealed.belt_heat import LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOG_SPEEDS, belt_loss
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, LEVELS, draw_cases

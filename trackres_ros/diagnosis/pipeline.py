@@ -26,8 +26,8 @@ from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.inference.noise import Noise
 from trackres_ros.diagnosis.prepare.gate import Gated, in_order
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Split
-from trackres_ros.diagnosis.selection.confirm import Graded
-from trackres_ros.diagnosis.selection.naming import Step
+from trackres_ros.diagnosis.selection.grade import Graded
+from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.diagnosis.stages.conclude import conclude
 from trackres_ros.diagnosis.stages.judge import Judgement, bounds_of, judge
 from trackres_ros.diagnosis.stages.options import BY_DEFAULT, DiagnosisOptions
@@ -136,7 +136,8 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
     rng = np.random.default_rng(options.seed)
     prepared = prepare(recordings, vehicle, options)
     with failures() as failed:
-        base, chosen = search(prepared, refit(prepared, options, rng), options, rng)
+        base = refit(prepared, options, rng)
+        chosen = search(prepared, base, options)
         judged = judge(prepared, base, chosen, options, rng)
         advice, kept = conclude(prepared, base, chosen, judged, options)
     return Diagnosis(

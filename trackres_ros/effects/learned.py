@@ -147,6 +147,8 @@ class EmpiricalEffect(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"
     variable = ALWAYS
+    over: tuple[int, int] | None = None
+    """Codes of the variable and the gate of a function of one variable; None for another form."""
     rising: Sequence[str] = ()
     """The parameters that rise from one to the next."""
 
@@ -174,7 +176,7 @@ class Curve(EmpiricalEffect):
 
     def __init__(self, variable: int, gate: int, at: Sequence[float], threshold: float = 0.0, constant: bool = True) -> None:
         follows, opens = VARIABLES[variable], GATES[gate]
-        self.variable, self.gate = variable, gate
+        self.variable, self.gate, self.over = variable, gate, (variable, gate)
         self.name = curve_name(variable, gate)
         self.text = " ".join(filter(None, ("a torque", follows.text and f"that follows the {follows.text},", opens.text)))
         self.needs = tuple(dict.fromkeys((*follows.needs, *opens.needs)))
@@ -224,6 +226,7 @@ class Corner(EmpiricalEffect):
     def __init__(self, variable: int, kind: int, low: float = 0.0, threshold: float = 0.5, high: float = 1.0) -> None:
         follows = VARIABLES[variable]
         self.variable, self.kind, self.needs = variable, kind, follows.needs
+        self.over = variable, OPEN
         self.name = corner_name(variable, kind)
         side = "below" if kind == BELOW else "above"
         self.text = f"a torque that {'is there' if kind == STEP else 'grows'} {side} a value of the {follows.text}"
@@ -264,6 +267,7 @@ class Latch(EmpiricalEffect):
     def __init__(self, variable: int, low: float = 0.0, off: float = 0.3, on: float = 0.7, high: float = 1.0) -> None:
         follows = VARIABLES[variable]
         self.variable, self.needs, self.name = variable, follows.needs, f"latch_of_{follows.name}"
+        self.over = variable, OPEN
         self.text = f"a torque that comes above one value of the {follows.text} and goes below another"
         self.parameters = (
             _fixed("variable", variable, "code of the variable that it follows"),

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.effect import REFERENCE_NM, Effect, Parameter
-from trackres_ros.effects.learned import height
+from trackres_ros.effects.learned import CORNERS, height
 from trackres_ros.route.learned import RouteMap
 
 WATCHED = "watched"
+FADE = len(CORNERS)  # beside the kinds of corners: a torque that fades with the variable
 STEEPEST = 0.3  # rise over run, as of the catalogue's slopes
 
 
@@ -31,6 +32,31 @@ class ResidualPattern(Effect):
         self.name, self.text, self.shape = name, text, tuple(shape)
         self.ahead = self.shape if ahead is None else tuple(ahead)
         self.parameters = (height("level", "torque where it acts").times(size / REFERENCE_NM),)
+
+
+class ClockTerm(ResidualPattern):
+    """A torque against travel that changes with time or distance alone: a step or a hinge at a value of it, or a fade.
+
+    Parameters
+    ----------
+    variable, kind
+        One of `empirical.thresholds.CLOCKS`; of `effects.learned.CORNERS`, or a fade.
+    threshold, ends
+        Where it changes, or the scale of the fade; and both ends of the driven range.
+    """
+
+    def __init__(
+        self, variable: str, kind: int, threshold: float, ends: tuple[float, float], shape: Sequence[Array], size: float
+    ) -> None:
+        form = {**CORNERS, FADE: "fade_over"}[kind]
+        name = f"{form}_{variable.replace(' ', '_')}"
+        super().__init__(name, f"a torque that follows the {variable}", shape, size)
+        self.variable, self.kind, self.threshold, self.ends = variable, kind, threshold, ends
+
+    @property
+    def text_of_variable(self) -> str:
+        """Beginning of the variable, in words after a value of it."""
+        return "of distance" if self.variable == "distance" else f"after {self.variable.removeprefix('time since ')}"
 
 
 class ByPlace(ResidualPattern):

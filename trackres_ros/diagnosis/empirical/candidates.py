@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, most_on_side
+from trackres_ros.diagnosis.empirical.thresholds import most_on_side
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects import learned
@@ -118,7 +118,7 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     """Possible thresholds of a gate; none if it would be always or never open."""
     if gate in (learned.HEAVY, learned.LIGHT):
         x = driven(learned.LOAD, fit)
-        if not varies(x):
+        if not shows(learned.LOAD, fit):  # whatever differs at one load, may be any other difference between recordings
             return []
         levels = np.unique(x)
         steps = np.diff(levels)
@@ -134,8 +134,8 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
 
 
-def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
-    """All possible forms here, by a unique key; one name may have several.
+def followed(fit: Fit) -> list[int]:
+    """Codes of the variables that a form may follow here.
 
     Notes
     -----
@@ -143,13 +143,17 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
     is error, and its inertia is not in the torque. So such a curve needs a measured acceleration. A curve over the driving
     torque, which includes that inertia, needs a small error.
     """
+    measured = all("accel" in s.given for s in fit.problem.sessions)
+    return [code for code in KNOTS if varies(driven(code, fit)) and (code != learned.ACCELERATION or measured)]
+
+
+def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
+    """All forms with knots of their own here, by a unique key; one name may have several."""
     facts = fit.problem.base.facts
     found: list[EmpiricalEffect] = []
     x = {code: driven(code, fit) for code in learned.VARIABLES}
-    measured = all("accel" in s.given for s in fit.problem.sessions)
-    shown = [code for code in KNOTS if shows(code, fit) and (code != learned.ACCELERATION or measured)]
+    shown = followed(fit)
     found += [Curve(code, learned.OPEN, knots(code, x[code], KNOTS[code])) for code in shown]
-    found += found_by_scan(fit, {code: series(code, fit) for code in shown})
     if learned.DRIVING_TORQUE in shown:
         most = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in (learned.DRIVES, learned.BRAKES)}
         reverse = np.concatenate([s.speed[m] < 0.0 for s, m in zip(fit.problem.sessions, fit.problem.masks, strict=True)])
@@ -158,14 +162,12 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
         found += [SidedGain(side, one) for side, one in most.items() if min(most.values()) > 0.0]
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
-            by_level = gate in (learned.HEAVY, learned.LIGHT) and not shows(learned.LOAD, fit)
             for code in codes:
-                if code == learned.ALWAYS and not by_level:
+                if code == learned.ALWAYS:
                     found.append(Curve(learned.ALWAYS, gate, [0.0], threshold))
-                elif code != learned.ALWAYS and varies(x[code]):
+                elif varies(x[code]):
                     count = KNOTS[learned.SPEED] if code == learned.SPEED else GATED_KNOTS
-                    # If loads differ only between recordings, a constant at high load may be any other difference between them.
-                    found.append(Curve(code, gate, knots(code, x[code], count), threshold, constant=not by_level))
+                    found.append(Curve(code, gate, knots(code, x[code], count), threshold))
     found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in learned.BUILD_UPS]
     size = facts.weight * facts.radius
     return {f"{effect.name} {i}": learned.sized(effect, size) for i, effect in enumerate(found)}

@@ -36,7 +36,7 @@ from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.selection.naming import Candidate, compared, rms, spurious_gain
+from trackres_ros.diagnosis.selection.candidate import Candidate, compared, rms, spurious_gain
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import BY_PLACE
@@ -91,11 +91,11 @@ def _fitted(
     effect = ResidualPattern(name, text, shape, facts.weight * facts.radius, ahead)
     start = {**current.at, (name, "level"): level}
     found = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
-    return compared(current, found, name, 1.0, math.nan, cost)
+    return compared(current, found, name, cost)
 
 
 def _counts(candidate: Candidate, current: Fit) -> bool:
-    return candidate.counts(spurious_gain(current)) and candidate.net_evidence > SURE
+    return candidate.matters and candidate.gain > spurious_gain(current) and candidate.evidence > SURE
 
 
 def torque_blocks(
@@ -184,7 +184,7 @@ def _wave(current: Fit, last: Fit) -> Term | None:
     shape = [np.where(m, x, a) for x, m, a in zip(wave.shape, current.problem.masks, ahead, strict=True)]
     cost = PHASE_COST * wave.phases
     candidate = _fitted(current, WAVE, "a torque that comes again with distance", shape, wave.size, cost, ahead)
-    return Term(candidate, wave=wave) if candidate.net_evidence > SURE and candidate.matters else None
+    return Term(candidate, wave=wave) if candidate.evidence > SURE and candidate.matters else None
 
 
 def _level_change(current: Fit, last: Fit) -> Term | None:

@@ -22,7 +22,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
 from trackres_ros.diagnosis.prepare.on_route import way_of
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.selection.naming import Candidate, compared
+from trackres_ros.diagnosis.selection.candidate import Candidate, compared
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import SPACING_M
@@ -165,9 +165,7 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
         if before is not None and best.moved(before, masks) < SETTLED:
             break
     assert best is not None
-    found = compared(
-        current, _fitted_with(current, effect, fitted), effect.name, 1.0, math.nan, best.learned.cost + math.log(2.0)
-    )
+    found = compared(current, _fitted_with(current, effect, fitted), effect.name, best.learned.cost + math.log(2.0))
     if not found.matters:
         return None
     metres = SPACING_M * int((passes > 0).sum())

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trackres_ros.diagnosis.base.patterns import ClockTerm
 from trackres_ros.diagnosis.empirical import terms
 from trackres_ros.diagnosis.empirical.candidates import series
 from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals_without, torque_blocks
@@ -33,6 +34,8 @@ def describe(term: Term, final: Fit) -> Described:
     if isinstance(active.effect, EmpiricalEffect):
         return terms.of_learned(active.effect, active.values)
     level = active.numbers[0]
+    if isinstance(active.effect, ClockTerm):
+        return terms.of_clock(active.effect, level)
     if term.wave is not None:
         return terms.of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     if term.change is not None:

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from trackres_ros.diagnosis.base.patterns import FADE, ClockTerm
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.places import Place
@@ -76,6 +77,7 @@ OF_LEVEL_CHANGES = (
     "a bearing that failed",
     "a torque sensor whose zero was reset",
 )
+OF_CLOCKS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
 OF_PLACES = ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")
 OF_PAYLOAD = ("boarding passengers or loaded goods", "a tank or a hopper that fills and empties")
 OF_RECORDINGS = ("a load, ground or wind that differs from the recorded one", "a torque sensor whose zero is reset")
@@ -84,12 +86,12 @@ OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind o
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 Form = Literal[
     "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "wave", "place", "payload",
-    "level_change", "recordings", "drift", "spread",
+    "level_change", "recordings", "drift", "spread", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
 FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate that tracks it") | {
     "wave": "the torque measured before", "payload": "the torque measured before", "place": "the driven distance alone",
-    "level_change": "its time alone",
+    "level_change": "its time alone", "clock": "the clock or the driven distance alone",
 }  # fmt: skip
 """Source of an unpredictable term on hold-out laps, thus in their error."""
 LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are alike
@@ -209,6 +211,28 @@ def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
     of = f", which is {part}" if part else ""
     text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{of}"
     return Described("wave", name, text, OF_WAVES, abs(level), "driven distance", period_m=wave.length_m)
+
+
+def of_clock(effect: ClockTerm, level: float) -> Described:
+    """Describe a torque of this size [Nm] that follows the clock or the odometer."""
+    low, high = effect.ends
+    unit = "m" if effect.variable == "distance" else "s"
+
+    def at(value: float) -> str:
+        return f"{on_scale(value, high - low)} {unit}"
+
+    since = effect.text_of_variable
+    if effect.kind == FADE:
+        text = f"At first the vehicle needs {_more(level)}. That fades {since} with a constant of {at(effect.threshold)}"
+    elif effect.kind == learned.STEP:
+        text = f"From {at(effect.threshold)} {since} on, the vehicle needs {_more(level)} than before"
+    else:
+        order, end = ("before", low) if effect.kind == learned.BELOW else ("after", high)
+        text = (
+            f"{order.capitalize()} {at(effect.threshold)} {since} the vehicle needs increasingly {_more_or_less(level)}, "
+            f"{_more(level)} at {at(end)}"
+        )
+    return Described("clock", effect.name, text, OF_CLOCKS, abs(level), effect.variable, unit, predictable=False)
 
 
 def of_place(name: str, level: float, place: Place) -> Described:

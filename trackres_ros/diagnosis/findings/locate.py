@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,7 @@ BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on t
 MEANS_LITTLE = 0.05  # of an effect's torque: a smaller mean residual is what the re-fit left of it
 FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that the effect follows no variable
 JOINED_S, SHORTEST_S = 10.0, 5.0
+MOSTLY = 0.5  # of the variance
 SLOW_S = 30.0
 SMOOTHED_S = 20.0  # for the residual over time in plots
 BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
@@ -236,6 +238,14 @@ def slow_residual(found: Fit) -> SlowResidual:
     measured = all("grade" in s.given for s in problem.sessions) or not base.rolls
     slope = float("nan") if measured else size / (base.facts.weight * base.facts.radius)
     return SlowResidual(size, size / max(torque, 1e-12), slope, SLOW_S * problem.sessions[0].pace)
+
+
+def is_like_slope(found: Fit) -> bool:
+    """Whether an unrecorded slope may be the residual: most of its variation lasts longer than noise."""
+    slow = slow_residual(found)
+    every = np.concatenate([r[m] for r, m in zip(torque_residuals(found), found.problem.masks, strict=True)])
+    offset = float(np.nanmean(every))
+    return math.isfinite(slow.slope) and slow.size**2 - offset**2 > MOSTLY * float(np.nanvar(every))
 
 
 def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:

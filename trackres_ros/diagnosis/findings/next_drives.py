@@ -18,12 +18,13 @@ from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
-from trackres_ros.diagnosis.selection.naming import MODEL_ERROR, Step
+from trackres_ros.diagnosis.selection.candidate import MODEL_ERROR
+from trackres_ros.diagnosis.selection.steps import Step
 
 Points = Sequence[tuple[float, float]]
 
 STEP_S = 1.0
-SEEN_D_PRIME = 4.0  # at this distance, the evidence exceeds that within a class, `naming.ALIKE_WITHIN`, with 90 % probability
+SEEN_D_PRIME = 4.0  # at this distance, the likelihood differs by more than within a class with 90 % probability
 NEARLY = 0.9  # of the most information: the shortest such manoeuvre comes first
 MOST_ADVICE = 3
 KNOWN_SLOPE = 0.05
@@ -81,7 +82,7 @@ def known(step: Step, names: Sequence[str]) -> Array:
     """Squared distances from the recordings so far, of the tied effects and last of none: zero between effects, and
     twice the gain beyond the threshold from none, shape (n + 1, n + 1).
     """
-    gains = {c.name: c.net_gain - step.threshold for c in step.candidates}
+    gains = {c.name: c.level - step.cost for c in step.candidates}
     squares = np.zeros((len(names) + 1, len(names) + 1))
     squares[-1, :-1] = squares[:-1, -1] = [max(0.0, 2.0 * gains[name]) for name in names]
     return squares
@@ -202,7 +203,7 @@ def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
     parameters within their uncertainty, shape (n, n).
 
     The last fit has none of the effects. Distances from it are smaller by the gain allowed for the model's own error, see
-    `naming.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
+    `candidate.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
     """
     moving = np.abs(session.speed) > SLOWEST_MPS  # the gate excludes standstill
     shown = [_torque(found, found.point, session) for found in fits]

@@ -41,7 +41,7 @@ from trackres_ros.diagnosis.findings.wording import (
     upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.selection.confirm import Graded, far_from_file, moved_parameters
+from trackres_ros.diagnosis.selection.grade import Graded, far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.text.numbers import figures
 
@@ -200,7 +200,7 @@ def _unexplained(f: Findings) -> Verdict | None:
     """The verdict for an unexplained difference of the measured torque; None without a difference."""
     large = [t for t in f.unsure if not is_small(t)]
     if f.left:
-        seen, *more = [unexplained(f.left)]
+        seen, *more = [unexplained(f.left), *(slow(f.left_over) if f.has_slow_residual else [])]
     elif f.later:
         seen, *more = only_later(*f.later)
     elif f.has_slow_residual:

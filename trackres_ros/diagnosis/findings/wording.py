@@ -14,9 +14,10 @@ from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.prepare.unit_checks import SPEED_OFF
-from trackres_ros.diagnosis.selection.confirm import Graded
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut
-from trackres_ros.diagnosis.selection.naming import Candidate, Step
+from trackres_ros.diagnosis.selection.candidate import Candidate
+from trackres_ros.diagnosis.selection.grade import Graded
+from trackres_ros.diagnosis.selection.held_out import REFUTED, SMALL_SHARE, HeldOut
+from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.text.numbers import figures, from_to
@@ -34,6 +35,7 @@ NO_NAME = "No effect of the catalogue explains this"
 FORMS = {
     "gated_curve": "a curve",
     "spells": "an intermittent torque",
+    "clock": "a torque that follows the clock",
     "wave": "a periodic torque over distance",
     "place": "a torque at a place",
     "payload": "a payload",
@@ -207,8 +209,6 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
         denied = f"{upper(LEFT_OUT)} do not confirm {graded.name}: their mean error"
         if graded.fault:
             found.append(f"{graded.name} {graded.fault}")
-        elif i.grade == CONFIRMED and graded.of_unconfirmed:
-            found.append(f"{upper(LEFT_OUT)} do not confirm these terms together")
         elif i.less_likely:
             found.append(f"{denied} falls {error}, but their likelihood falls too")
         else:
@@ -254,10 +254,10 @@ def _rival(f: NamedEffect, listed: Possible) -> str:
     others = [c for c in f.step.candidates if c.name not in f.step.members]
     if not others or f.step.chosen is None:
         return ""
-    next_best = max(others, key=lambda c: c.net_evidence)
+    next_best = max(others, key=lambda c: c.level)
     if next_best.name in dict(listed):
         return ""
-    if f.step.chosen.net_evidence - next_best.net_evidence < LEAST_AHEAD:
+    if f.step.chosen.level - next_best.level < LEAST_AHEAD:
         if not next_best.is_name:
             return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
         worse = f"predicts {LEFT_OUT} significantly worse" if next_best.name in f.step.worse else ""
@@ -272,8 +272,8 @@ def why_not(c: Candidate, step: Step) -> str:
 
 
 def likelier(one: Candidate, other: Candidate) -> str:
-    """Evidence ratio of two candidates, as text."""
-    times = math.exp(min(one.net_evidence - other.net_evidence, MOST_CERTAIN))
+    """Likelihood ratio of two candidates on the laps left out, as text."""
+    times = math.exp(min(one.level - other.level, MOST_CERTAIN))
     return f"{times:.0f}" if times < 1000.0 else "over a thousand"
 
 

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.base.instrument import instrument
@@ -24,6 +24,7 @@ SETTLED = 0.3  # in log-likelihood: a round with a smaller gain is the last
 LARGE = 3.0  # times the typical size: prior standard deviation of an effect's amplitude
 DIFFERENCE = 1e-4  # of the span between bounds, for derivatives
 MOST_STEPS = 60
+FIRST_STEPS = 2  # along known derivatives
 NEARBY = 1.0  # standard deviations of noise, over all rows: the simulation is linear within this distance
 CLOSE = 0.01  # in log-likelihood: a step with a smaller gain is the last of a round
 BELT_EVERY = 10  # steps: a belt's temperature is nearly constant from one second to the next
@@ -375,6 +376,58 @@ def fit(
         problem, values, active[len(sensed) :], active[: len(sensed)], p.free, point, covariance, objective.noises, likelihood,
         rows, tuple(problem.predict(values, active)),
     )  # fmt: skip
+
+
+def first_look(
+    current: Fit,
+    effects: Sequence[Effect],
+    known: Mapping[tuple[str, str], Array],
+    start: Mapping[tuple[str, str], float],
+    largest_root: float,
+) -> tuple[Fit, Array]:
+    """A fit with other effects by a few Gauss-Newton steps along known derivatives, and these, shape (n, parameters).
+
+    Parameters
+    ----------
+    known
+        Derivatives of the predictions by parameter, each of shape (n,). An effect's parameter without them stays as it starts.
+    start
+        Values, by (effect or "", parameter), where they differ from those of the current fit.
+    """
+    problem, names = current.problem, [e.name for e in effects]
+    sensed = tuple(e for e in instrument(problem.base) if e.name not in names)
+    held = {(a.effect.name, q): value for a in current.acting for q, value in a.values.items()}
+    begin = {**current.at, **held, **start}
+    keys = [(e.name, q.name) for e in effects for q in e.parameters if q.fitted]
+    p = _Parameters(problem, (*sensed, *effects), {key: begin[key] for key in keys if key not in known})
+    derivatives = np.stack([known[f.key] for f in p.free], axis=1)
+    white = valid_rows(problem.white(problem.split(derivatives), current.noises)) * p.scale
+    point = p.start(begin)
+    rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
+    for _ in range(FIRST_STEPS):
+        left = problem.white(problem.residuals(problem.predict(*p.model(point))), current.noises)
+        weight = np.sqrt(of_rows(problem, left, Noise.weights, current.noises))
+        x = np.concatenate((white * weight[:, np.newaxis], np.diag(p.scale / p.std)))
+        y = np.concatenate((valid_rows(left) * weight, -p.off_nominal(point)))
+        low, high = (p.low - point) / p.scale, (p.high - point) / p.scale
+        normal, right = x.T @ x + 1e-12 * np.eye(len(point)), x.T @ y
+        moved = np.linalg.solve(normal, right)
+        if np.any((moved < low) | (moved > high)):
+            root = np.linalg.cholesky(normal)
+            moved = lsq_linear(root.T, np.linalg.solve(root, right), (low - 1e-12, high + 1e-12), method="bvls").x
+        point = np.clip(point + p.scale * moved, p.low, p.high)
+    predicted = problem.predict(*p.model(point))
+    residuals = problem.residuals(predicted)
+    noises = problem.noises(residuals, largest_root)
+    likelihood = log_likelihood(problem, residuals, noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
+    scaled = np.concatenate((white, np.diag(p.scale / p.std)))
+    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
+    values, active = p.model(point)
+    found = Fit(
+        problem, values, active[len(sensed) :], active[: len(sensed)], p.free, point, covariance, noises, likelihood, rows,
+        tuple(predicted),
+    )  # fmt: skip
+    return found, derivatives
 
 
 def jacobian(function: Callable[[Array], Array], at: Array, free: Sequence[Free]) -> Array:

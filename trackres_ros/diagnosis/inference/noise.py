@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dtbtrs
@@ -40,11 +39,6 @@ class Noise:
     def std(self) -> float:
         """Standard deviation of normal innovations with the same information [unit of the series]."""
         return self.scale * float(np.sqrt((self.degrees + 3.0) / (self.degrees + 1.0)))
-
-    @cached_property
-    def whitening(self) -> Array:
-        """Factors of a sample and of those before it, for residuals over `std`."""
-        return np.concatenate(([1.0], -self.phi)) / self.std
 
     @property
     def dc_gain(self) -> float:

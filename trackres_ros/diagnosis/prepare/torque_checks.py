@@ -28,10 +28,10 @@ ONE_WAY = 0.1  # of the energy that flows either way: a smaller balance has no c
 TAKEN_BACK = 0.3  # of the expected energy: so much with the other sign is no offset of the sensor
 NEAR = 1.35  # either way of a factor
 ROBUST_TURNS, OUTLIER = 5, 2.0
-SMALL_ERROR = 0.3  # of the torque
 LARGEST_SHIFT_S = 30
 FEWEST_COMPARED = 30  # steps, for a correlation; at least the largest shift
 LEAST_SHIFT_S = 2
+SMALL_ERROR = 0.2  # of the torque
 UNLIKE = 1.8  # times the torque: more than load, ground and weather change between two drives of one vehicle
 CLEARLY_BETTER = 0.05  # in correlation
 

@@ -23,8 +23,9 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, joined, likelier, rejected, why_not
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
-from trackres_ros.diagnosis.selection.naming import Candidate, Step
+from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
@@ -155,12 +156,10 @@ def _candidate(round_: int, c: Candidate, step: Step) -> dict[str, Any]:
         "round": round_,
         "name": c.name,
         "delta_loglik": c.gain,
-        "log_evidence": c.criterion,
-        "bic_gain": c.bic_gain,
-        "taken_by_other_forms": c.form_error_gain,
+        "level_score": c.level,
         "kept": c.kept,
         "d_prime": c.d_prime,
-        "threshold": step.threshold,
+        "threshold": step.cost,
         "chosen": step.chosen is c,
         "why": _why(c, step),
     }
@@ -185,17 +184,13 @@ def _why(c: Candidate, step: Step) -> str:
         return "chosen"
     if step.chosen is not None and c.name in step.members:
         return f"not distinguishable from {step.chosen.name} here"
-    if c.gain <= step.threshold:
-        return "noise alone may gain as much" if c.gain <= step.by_noise else "the model's own error may gain as much"
-    if c.net_gain <= step.threshold:
-        return f"another form of {' or '.join(step.before.effect_names)} may gain as much"
-    if c.net_evidence <= 0.0:
-        return "explains less than its parameters cost (evidence)"
+    if c.level <= step.cost:
+        return "the best of as many candidates may gain as much by chance"
     if not c.matters:
         return f"adds only {c.share:.1%} of the torque"
     if step.chosen is None:
         return why_not(c, step)
-    if c.net_evidence > step.chosen.net_evidence - LEAST_AHEAD:
+    if c.level > step.chosen.level - LEAST_AHEAD:
         if step.chosen.is_name and not c.is_name:
             return f"fits as well as {step.chosen.name}, but is a form: it bends to the data"
         on_laps = f"{LEFT_OUT} decide for {step.chosen.name}" if c.name in step.worse else why_not(c, step)
@@ -226,7 +221,7 @@ def _effect(f: NamedEffect, belongs_to: str) -> dict[str, Any]:
         },
         "evidence": {
             "delta_loglik": chosen.gain,
-            "log_evidence": chosen.criterion,
+            "level_score": chosen.level,
             "bic_gain": chosen.bic_gain,
             "stability": f.step.stability,
             "kept": chosen.kept,

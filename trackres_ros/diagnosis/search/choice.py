@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Chooses among explanations by cross-validation over laps: evidence proposes, prediction decides.
+"""Chooses among explanations by laps and recordings left out.
 
-A term is confirmed if its own level score is significantly above zero, the mean error does not grow, and the gain fits
-its size. A fully confirmed explanation is dropped if another one predicts significantly better. Of the rest, the one with
-the most evidence is chosen.
+A term is confirmed if it surely predicts better, by more than the best of as many terms would by chance, in most recordings in
+which it acts. An explanation is confirmed if all its terms are. One that another confirmed explanation surely beats is dropped;
+of the rest, the one with the fewest unnamed terms is chosen, then the one with the highest level score.
 """
 
 from __future__ import annotations
@@ -13,37 +13,35 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS, LEAST_WITHIN, varies
 from trackres_ros.diagnosis.empirical.finders import SURE, Term
 from trackres_ros.diagnosis.empirical.routes import Route
+from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
-from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
-from trackres_ros.diagnosis.search.explanations import Explanation, Key, Search
-from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
-from trackres_ros.diagnosis.selection.confirm import Graded, displaced, far_from_file, may_be_off, on_bounds
-from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
-from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE, HeldOutLaps, Improvement
-from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Step, spurious_gain
+from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
+from trackres_ros.diagnosis.search.cross_validation import Score
+from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
+from trackres_ros.diagnosis.search.proposals import TIED
+from trackres_ros.diagnosis.search.stability import unstable
+from trackres_ros.diagnosis.selection.as_used import AsUsed
+from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, NAME
+from trackres_ros.diagnosis.selection.grade import ON_BOUND, Graded, displaced, on_bounds
+from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
+from trackres_ros.diagnosis.selection.steps import Step
+from trackres_ros.text.numbers import figures
 
-MOST_SCORED = 12  # explanations, those with the most evidence
-LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: a smaller gain means that it cancels another term
-MOST_OF_SIZE = 10.0  # of the mean square of a term that may be nothing: a larger gain comes from other values of the fit
+MOST_JUDGED = 5  # explanations, those with the highest worth
+MOST_NAMED = 2  # explanations by names alone: forms bend to the data
+ALIKE_WITHIN = 3.0  # in log-likelihood: a smaller difference decides nothing
+MOVES = 0.2  # of the most: with a smaller spread in a recording, a term does not act there
+SLOW = 0.1  # of the largest speed
+LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: with a smaller fall of the error, it cancels another term
+NEAR = 100.0  # in level score: no rival further behind is as good
 CLASS_SHARE = 0.8
-
-
-@dataclass(frozen=True, eq=False)
-class ScoredExplanation:
-    """An explanation with predictive values, and its cross-validated score."""
-
-    explanation: Explanation
-    final: Fit
-    score: Score
-
-    @property
-    def key(self) -> Key:
-        """Names of its terms."""
-        return self.explanation.key
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +49,17 @@ class Chosen:
     """The chosen explanation and its rivals."""
 
     explanation: Explanation  # the best one confirmed by cross-validation; empty if none
-    final: Fit  # its predictive fit
     graded: Mapping[str, Graded]
     alone: Step  # the round from the base alone
     steps: Mapping[str, Step]  # for each term the round without it, with its class
     last: Step  # the round from all of it
     unconfirmed: tuple[Graded, ...]  # best-fitting terms that cross-validation does not confirm
     shares: Mapping[str, float]  # probability of each name, and of no name, see `Choice._shares`
+
+    @property
+    def final(self) -> Fit:
+        """Its predictive fit."""
+        return self.explanation.fit
 
     def is_named(self, name: str) -> bool:
         """Whether a term has a name: it is in the catalogue, or certainly a slope by place."""
@@ -69,10 +71,11 @@ class Chosen:
         return self.explanation.terms.get(name) or Term(self.explanation.candidates[name])
 
     def instead_of(self, name: str) -> str:
-        """The name with the most evidence that would gain more than the threshold in place of a term; empty without one."""
+        """The name that would gain most in place of a term, if more than half as much; empty without one."""
         step = self.steps[name]
-        names = [c for c in step.candidates if c.is_name and c.name != name and c.counts(step.threshold)]
-        return max(names, key=lambda c: c.net_evidence).name if names else ""
+        least = max(step.cost, 0.5 * step.chosen.level) if step.chosen is not None else step.cost
+        names = [c for c in step.candidates if c.is_name and c.name != name and c.matters and c.level > least]
+        return max(names, key=lambda c: c.level).name if names else ""
 
     @property
     def routes(self) -> tuple[Route, ...]:
@@ -81,249 +84,267 @@ class Chosen:
 
 
 class Choice:
-    """Judges the explanations of a search; `refitted` is the base alone with predictive values."""
+    """Judges the explanations of a search; on hold-out laps none may be worse than the base as it was `refitted`."""
 
-    def __init__(self, search: Search, refitted: Fit, validation: CrossValidation, laps: HeldOutLaps, use: AsUsed) -> None:
-        self._search, self._refitted, self._validation, self._laps, self._use = search, refitted, validation, laps, use
-        self._beyond_base = validation.beyond(refitted)
-        self._by_file = use.error(None)
-        nothing = search.nothing
-        self._judged: dict[Key, ScoredExplanation] = {
-            nothing.key: ScoredExplanation(nothing, refitted, validation.score(refitted))
-        }
+    def __init__(self, search: Search, refitted: Fit, laps: HeldOutLaps, use: AsUsed) -> None:
+        self._search, self._validation, self._refitted, self._laps = search, search.validation, refitted, laps
+        self._beyond_base = self._validation.beyond(search.nothing.fit)
+        self._use, self._by_file = use, use.error(None)
+        self._wide: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
         self._graded: dict[tuple[Key, str], Graded] = {}
+        self._unstable = set[str]()  # names whose size changes
 
-    @property
-    def _nothing(self) -> ScoredExplanation:
-        return self._judged[frozenset()]
-
-    def judged(self, explanation: Explanation) -> ScoredExplanation:
-        """Fit with predictive values, and score."""
-        if explanation.key not in self._judged:
-            final = inside_ranges(with_levels(replace(explanation.fit, problem=self._refitted.problem)), self._use)
-            final = _off_bounds(final, self._refitted)
-            self._judged[explanation.key] = ScoredExplanation(explanation, final, self._validation.score(final))
-        return self._judged[explanation.key]
-
-    def graded(self, judged: ScoredExplanation, name: str) -> Graded:
+    def graded(self, explanation: Explanation, name: str) -> Graded:
         """Cross-validated grade of a term of an explanation."""
-        at = judged.key, name
-        if at in self._graded:
-            return self._graded[at]
-        without = self.judged(self._search.without(judged.explanation, name))
-        change = name in judged.explanation.terms and judged.explanation.terms[name].change is not None
-        improvement = self._validation.improvement(without.score, judged.score, for_good=change)
-        # The part orthogonal to the base should reduce the mean square error.
-        adds = judged.final.contribution(name)
-        gained = float((without.score.square - judged.score.square).sum())
-        cancels = gained < LEAST_OF_SIZE * float((self._beyond_base(adds) ** 2).sum())
-        by_others = gained > MOST_OF_SIZE * sum(float((a**2).sum()) for a in adds) and may_be_off(judged.final, name)
-        active = next(a for a in judged.final.effects if a.effect.name == name)
-        instead = displaced(improvement, judged.final, without.final)
-        self._graded[at] = Graded(name, improvement, on_bounds(active), instead, cancels, by_others)
+        at = explanation.key, name
+        if at not in self._graded:
+            without = self._search.without(explanation, name)
+            term = explanation.terms.get(name)
+            change = term is not None and term.change is not None
+            improvement = self._validation.improvement(without.score, explanation.score, for_good=change)
+            active = next(a for a in explanation.fit.effects if a.effect.name == name)
+            faults = self._faults(explanation, name, improvement, without) if improvement.confirmed else ()
+            instead = displaced(improvement, explanation.fit, without.fit)
+            self._graded[at] = Graded(name, improvement, tuple(faults), on_bounds(active), instead)
         return self._graded[at]
 
-    def _all_graded(self, judged: ScoredExplanation) -> dict[str, Graded]:
-        return {name: self.graded(judged, name) for name in judged.explanation.candidates}
+    def _faults(self, explanation: Explanation, name: str, improvement: Improvement, without: Explanation) -> list[str]:
+        """Why laps and recordings left out do not confirm a term that predicts the laps better, in words after its name."""
+        candidate, validation = explanation.candidates[name], self._validation
+        shows = f"from {figures(improvement.before)} to {figures(improvement.after)} Nm on laps left out"
+        found = []
+        least = ALIKE_WITHIN if candidate.kind == CLOCK else ALIKE_WITHIN + self._search.cost
+        if not improvement.likelier > 0.0 or improvement.gained < least:
+            found.append(f"gains no more than the best of many candidates may by chance: {shows}")
+        if not candidate.matters:
+            found.append(f"adds only {candidate.share:.1%} of the torque")
+        small = improvement.before - improvement.after < SMALL_SHARE * improvement.before
+        if small and not validation.level_falls(without.score, explanation.score):
+            found.append(f"hardly reduces the error: {shows}")
+        fallen = float((without.score.square - explanation.score.square).sum())
+        if fallen < LEAST_OF_SIZE * float((self._beyond_base(explanation.fit.contribution(name)) ** 2).sum()):
+            found.append("mostly cancels another term")
+        moves = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
+        acts = (moves > MOVES * moves.max()) & (validation.by_recording(np.ones_like(without.score.error)) > 0.0)
+        if len(moves) < FEWEST_SESSIONS and self._only_between(explanation, name):
+            found.append(f"differs only between these {len(moves)} recordings, as other things may")
+        gained = validation.by_recording(without.score.error - explanation.score.error)[acts]
+        if len(gained) > 1 and np.mean(gained > 0.0) <= 0.5:
+            found.append(f"helps in {int((gained > 0.0).sum())} of the {len(gained)} recordings in which it acts")
+        before, after = without.score.unseen, explanation.score.unseen
+        if acts.sum() >= 3 and after > NO_WORSE * before:
+            found.append(f"predicts recordings left out worse: {figures(before)} to {figures(after)} Nm")
+        if candidate.kind == NAME and not found:
+            found += self._unsteady(explanation, name)
+        if candidate.kind != NAME and not found:
+            found += self._clock_rivals(explanation, name, without)
+        return found or self._values_instead(explanation, without)
+
+    def _unsteady(self, explanation: Explanation, name: str) -> list[str]:
+        """A name without one size, or that passes only beside a form."""
+        found = unstable(explanation.fit, name, self._validation.scored)
+        if found:
+            self._unstable.add(name)
+            return found
+        named = explanation
+        for form in explanation.key - set(names_of(explanation)):
+            named = self._search.without(named, form)
+        if named.key == explanation.key:
+            return []
+        improvement = self._validation.improvement(self._search.without(named, name).score, named.score)
+        return [] if improvement.confirmed else ["passes only beside a form, which bends to the data"]
+
+    def _values_instead(self, explanation: Explanation, without: Explanation) -> list[str]:
+        """Values outside the ranges of the vehicle file that predict as well as a term."""
+        fitted = without.fit
+        held = [(q, fitted.base_values[q.name]) for q in fitted.problem.base.parameters]
+        if not any(min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low) for q, value in held):
+            return []
+        if without.key not in self._wide:
+            problem = replace(fitted.problem, base=self._use.base)
+            wide = fit(problem, [a.effect for a in fitted.effects], fitted.at, fitted.noises, largest_root=SHORT_ROOT)
+            self._wide[without.key] = wide, self._validation.score(wide)
+        wide, score = self._wide[without.key]
+        if self._validation.least_gain(score, explanation.score) > 0.0:
+            return []
+        names = [q.name for q in wide.problem.base.parameters if q.outside(wide.base_values[q.name])]
+        return [f"predicts no better than {', '.join(names)} outside the range in the vehicle file"] if names else []
+
+    @staticmethod
+    def _only_between(explanation: Explanation, name: str) -> bool:
+        """Whether the torque of a term hardly varies within recordings, but varies between them."""
+        problem = explanation.fit.problem
+        resists = against_travel(problem.sessions, explanation.fit.contribution(name))
+        slow = min(SLOWEST_MPS, SLOW * max(float(np.nanmax(np.abs(s.speed))) for s in problem.sessions))
+        moving = [
+            x[m & np.isfinite(x) & (np.abs(s.speed) > slow)]
+            for x, m, s in zip(resists, problem.masks, problem.sessions, strict=True)
+        ]
+        every = np.concatenate(moving)
+        within = sum(len(x) * float(np.var(x)) for x in moving if len(x)) / len(every)
+        return varies(every) and within < (LEAST_WITHIN * float(np.std(every))) ** 2
+
+    def _clock_rivals(self, explanation: Explanation, name: str, without: Explanation) -> list[str]:
+        """A form over a channel and one over the clock that laps left out do not separate."""
+        kind = explanation.candidates[name].kind
+        other_kind = {FORM: CLOCK, CLOCK: FORM}[kind]
+        for key, rival in self._search.known.items():
+            new = key - without.key
+            if len(key) != len(explanation.key) or not without.key <= key or len(new) != 1:
+                continue
+            (other,) = new
+            if rival.candidates[other].kind != other_kind or other == name or other in rival.terms or name in explanation.terms:
+                continue
+            if self._validation.least_gain(rival.score, explanation.score) <= 0.0 and rival.worth > explanation.worth - SURE:
+                return [f"cannot be separated from {other} in these drives"]
+        return []
+
+    def _all_graded(self, explanation: Explanation) -> dict[str, Graded]:
+        return {name: self.graded(explanation, name) for name in explanation.candidates}
 
     def _graded_beyond(self, key: Key) -> dict[str, Graded]:
         """The known grades of single terms that are added to an explanation."""
         return {name: graded for (of, name), graded in self._graded.items() if of - {name} == key}
 
-    def _is_confirmed(self, judged: ScoredExplanation) -> bool:
-        once = any(term.change is not None for term in judged.explanation.terms.values())
-        whole = self._validation.improvement(self._nothing.score, judged.score, for_good=once)
-        kept = self._kept(judged)
-        # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
-        if not whole.confirmed or kept.after > min(kept.before, self._by_file) or far_from_file(judged.final):
+    def _is_confirmed(self, explanation: Explanation) -> bool:
+        once = any(term.change is not None for term in explanation.terms.values())
+        whole = self._validation.improvement(self._search.nothing.score, explanation.score, for_good=once)
+        kept = self._kept(explanation)
+        # Terms that pass only together were chosen from many more sets, and cancel each other as they please.
+        if explanation.worth <= SURE * (len(explanation.key) - 1):
             return False
-        return all(self.graded(judged, name).confirmed for name in judged.explanation.candidates)
+        # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
+        if not whole.confirmed or kept.after > min(kept.before, self._by_file) or not self._laps.predicts(explanation.fit):
+            return False
+        return all(self.graded(explanation, name).confirmed for name in explanation.candidates)
 
-    def _kept(self, judged: ScoredExplanation) -> Improvement:
-        return self._laps.improvement_of(self._refitted, judged.final)
+    def _kept(self, explanation: Explanation) -> Improvement:
+        return self._laps.improvement_of(self._refitted, explanation.fit)
 
     def best(self, keep_suspected: bool = False) -> Chosen:
         """The best explanation; each of its terms is compared with all possible replacements.
 
-        If none is confirmed: with `keep_suspected` the one with the most evidence, else nothing.
+        If none is confirmed: with `keep_suspected` the one with the highest worth, else nothing.
         """
-        best = self._nothing
-        while True:
-            counted = [j for j in map(self.judged, self._proposed()) if self._counts(j)]
-            confirmed = [j for j in counted if self._is_confirmed(j)]
-            before, best = best, self._pick(confirmed)
-            again = [self._search.without(best.explanation, name) for name in best.explanation.candidates]
-            new = [e for e in (best.explanation, *again) if e.key not in self._search.rounds]
-            for explanation in new:
+        nothing = self._search.nothing
+        for _ in range(2):  # replacements of each term may make a better explanation
+            judged = self._judged()
+            confirmed = [e for e in judged if self._is_confirmed(e)]
+            best = self._pick(confirmed)
+            # A name whose size changes hides what is there instead.
+            if judged and judged[0].worth > best.worth and self._search.leave_out(judged[0].key & self._unstable):
+                judged = self._judged()
+                confirmed = [e for e in judged if self._is_confirmed(e)]
+                best = self._pick(confirmed)
+            for explanation in (best, *(self._search.without(best, name) for name in names_of(best))):
                 self._search.expand(explanation)
-            if not new and best is before:
-                break
-        scored = [j for j in confirmed if _competes(j.explanation, best.explanation)]
-        scored = scored or [self._nothing, *(j for j in counted if self._kept(j).after <= self._by_file)]
-        shares = self._shares(scored, best.key)
-        first = counted[0] if counted else self._nothing
+        first = judged[0] if judged else nothing
         doubted = tuple(g for g in self._all_graded(first).values() if not g.confirmed and g.name not in best.key)
         graded = self._all_graded(best)
+        shares = self._shares([e for e in confirmed if _competes(e, best)] or [nothing])
         if keep_suspected and not best.key:
-            best, doubted = first, ()
-            graded = {name: replace(g, of_unconfirmed=True) for name, g in self._all_graded(first).items()}
-        steps = {name: self._round_of(best, name) for name in best.explanation.candidates}
-        last = replace(self._search.expand(best.explanation), graded=self._graded_beyond(best.key))
-        alone = self._search.rounds[frozenset()]
-        return Chosen(best.explanation, best.final, graded, alone, steps, last, doubted, shares)
+            best, doubted, graded = first, (), {name: g.of_unconfirmed() for name, g in self._all_graded(first).items()}
+        steps = {name: self._round_of(best, name) for name in best.candidates}
+        return Chosen(best, graded, self._step(nothing), steps, self._step(best), doubted, shares)
 
-    def _counts(self, judged: ScoredExplanation) -> bool:
-        """Whether each term gains more than noise would, given the others. A small improvement must also exceed the model's
-        own error.
+    def _judged(self) -> list[Explanation]:
+        """The explanations with the highest worth and all with a term by place, and each without some of its terms."""
+        known = self._search.known
+        room = (e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0 and not self._search.has_left_out(e))
+        found = sorted(room, key=lambda e: -e.worth)
+        named = [e for e in found if not e.without_a_name][:MOST_NAMED]
+        queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or e in named or any(map(e.goes_by_place, e.key))]
+        judged: dict[Key, Explanation] = {}
+        while queue:
+            explanation = queue.pop(0)
+            if explanation.key and explanation.key not in judged:
+                judged[explanation.key] = self._search.polished(explanation)
+                queue += [self._search.without(explanation, name) for name in explanation.key]
+        return sorted(judged.values(), key=lambda e: -e.worth)
 
-        Terms by place were found on other passes than those learned from, so their places add no further penalty.
-        """
-        explanation = judged.explanation
-        for name, candidate in explanation.candidates.items():
-            if explanation.goes_by_place(name):
-                continue
-            without = self._search.without(explanation, name)
-            step = self._search.rounds.get(without.key)
-            by_noise, by_model = (step.by_noise, step.threshold) if step else (self._search.by_noise, spurious_gain(without.fit))
-            before, after = self.judged(without).score.error.sum(), judged.score.error.sum()
-            small = before - after < SMALL_SHARE * before
-            least = max(by_noise, by_model if small else 0.0)
-            evidence = explanation.evidence - without.evidence
-            gain = evidence + candidate.gain - candidate.criterion
-            if not (candidate.matters and evidence > 0.0 and gain > least):
-                return False
-        return True
+    def _pick(self, confirmed: Sequence[Explanation]) -> Explanation:
+        """Choose among those that no other significantly beats: fewest unnamed terms first, then the highest worth.
 
-    def _proposed(self) -> list[Explanation]:
-        """Explanations with the most evidence, and all with a term by place."""
-        found = sorted((e for e in self._search.known.values() if e.key), key=lambda e: -e.evidence)
-        return [e for i, e in enumerate(found) if i < MOST_SCORED or any(map(e.goes_by_place, e.key))]
-
-    def _pick(self, confirmed: Sequence[ScoredExplanation]) -> ScoredExplanation:
-        """Choose among those that no other significantly beats: fewest unnamed terms first, then most evidence.
-
-        A named function is accurate to about 10 %: a flexible form added to a true name has more evidence, but predicts
+        A named function is accurate to about 10 %: a flexible form added to a true name has a higher score, but predicts
         no better.
         """
-        unbeaten = [j for j in confirmed if not any(self._beats(k, j) or self._outdoes(k, j) for k in confirmed)]
+        unbeaten = [e for e in confirmed if not any(self._beats(other, e) for other in confirmed)]
 
-        def rank(judged: ScoredExplanation) -> tuple[int, float]:
-            return -judged.explanation.without_a_name, judged.explanation.evidence
+        def rank(explanation: Explanation) -> tuple[int, float]:
+            return -explanation.without_a_name, explanation.worth
 
-        return max(unbeaten or confirmed, key=rank, default=self._nothing)
+        return max(unbeaten or confirmed, key=rank, default=self._search.nothing)
 
-    def _beats(self, one: ScoredExplanation, other: ScoredExplanation) -> bool:
+    def _beats(self, one: Explanation, other: Explanation) -> bool:
         """Whether one explanation predicts significantly better than another.
 
-        A form that replaces a name needs a larger margin, because a named function is accurate to about 10 %: the mean square
-        error must fall by more than the square of a tenth of the names' torque.
+        A further form, or one in place of a name, needs a larger margin, because a function is accurate to about 10 %: the
+        mean square error must fall by more than the square of a tenth of the others' torque.
         """
-        more_forms = one.explanation.without_a_name > other.explanation.without_a_name
-        once = any(t.change is not None for name, t in one.explanation.terms.items() if name not in other.key)
+        more_forms = one.without_a_name > other.without_a_name
+        once = any(term.change is not None for name, term in one.terms.items() if name not in other.key)
         if self._validation.least_gain(other.score, one.score, once) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
-        names = [name for name, c in other.explanation.candidates.items() if c.is_name and name not in one.key]
-        by_form = sum(float((self._beyond_base(other.final.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2
+        torques = [self._beyond_base(other.fit.contribution(name)) for name in other.key]
+        by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2
         return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
 
-    def _outdoes(self, one: ScoredExplanation, other: ScoredExplanation) -> bool:
-        """Whether one replaces a name of little effect in the other by a form with more evidence.
+    def _step(self, explanation: Explanation) -> Step:
+        """The round from an explanation, with the fitted candidates."""
+        proposals = self._search.rounds.get(explanation.key) or self._search.rounds[frozenset()]
+        children = [e for key, e in self._search.known.items() if len(key - explanation.key) == 1 and explanation.key < key]
+        added = [
+            replace(
+                next(c for name, c in e.candidates.items() if name not in explanation.key),
+                level=self._validation.gain(explanation.score, e.score),
+            )
+            for e in children
+        ]
+        ordered = tuple(sorted(added, key=lambda c: -c.level))
+        graded = self._graded_beyond(explanation.key)
+        return Step(explanation.fit, proposals.separability, ordered, self._search.cost, graded=graded)
 
-        Data do not show the function of a small term, so the name has only its evidence.
-        """
-        places = [(mine, its) for mine in one.key - other.key for its in other.key - one.key]
-        if len(one.key) != len(other.key) or len(places) != 1:
-            return False
-        ((form, name),) = places
-        if one.explanation.candidates[form].is_name or not other.explanation.candidates[name].is_name:
-            return False
-        without = self.judged(self._search.without(other.explanation, name)).score.error.sum()
-        small = without - other.score.error.sum() < SMALL_SHARE * without
-        return bool(small) and one.explanation.evidence > other.explanation.evidence
-
-    def _round_of(self, best: ScoredExplanation, name: str) -> Step:
-        """The round without a term, with its class: the term and its equivalent replacements."""
-        without = self._search.without(best.explanation, name)
-        step = self._search.expand(without)
-        chosen = best.explanation.candidates[name]
-        alternatives = {c.name: c for c in step.candidates if c.is_name == chosen.is_name and c.counts(step.by_noise)}
-        chosen = alternatives.setdefault(name, chosen)
-        alike = set(step.separability.alike(name)) if name in step.separability.names else {name}
-        near = [c for c in alternatives.values() if c is chosen or c.net_evidence > chosen.net_evidence - 2.0 * ALIKE_WITHIN]
-        rivals = {c.name: self._search.known.get(without.key | {c.name}) for c in near if c is not chosen}
-        judged = {name: best} | {other: self.judged(e) for other, e in rivals.items() if e is not None}
-        judged = {other: j for other, j in judged.items() if j is best or self._is_confirmed(j)}
-        shares = dict(zip(judged, self._validation.shares([j.score for j in judged.values()]).tolist(), strict=True))
-        worse = {other for other, j in judged.items() if j is not best and self._beats(best, j)}
-        as_likely = {c.name for c in near if c.net_evidence > chosen.net_evidence - ALIKE_WITHIN}
-        as_good = (as_likely & judged.keys()) - worse
-        members = _class_of(name, shares, (alike & shares.keys()) | as_good)
+    def _round_of(self, best: Explanation, name: str) -> Step:
+        """The round without a term, with its class: the term and the replacements of its kind that it does not surely beat."""
+        without = self._search.without(best, name)
+        step = self._step(without)
+        chosen = replace(best.candidates[name], level=self._validation.gain(without.score, best.score))
+        near = [c for c in step.candidates if c.is_name == chosen.is_name and c.level > chosen.level - NEAR]
+        rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in near}
+        rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._rivals(e, other, name)} | {name: best}
+        worse = {other for other, e in rivals.items() if e is not best and self._beats(best, e)}
+        shares = dict(zip(rivals, self._validation.shares([e.score for e in rivals.values()]).tolist(), strict=True))
+        alike = set(step.separability.alike(name)) & rivals.keys() if name in step.separability.names else {name}
+        members = _class_of(name, shares, (rivals.keys() - worse) | alike)
         total = sum(shares[m] for m in members)
+        rest = tuple(c for c in step.candidates if c.name != name)
         weights = {m: shares[m] / max(total, 1e-12) for m in members}
-        rest = [c for c in step.candidates if c.name != name]
-        return replace(
-            step,
-            candidates=(chosen, *rest),
-            chosen=chosen,
-            members=tuple(members),
-            worse=tuple(sorted(worse)),
-            weights=weights,
-            stability=float(total),
-            graded=self._graded_beyond(without.key),
-        )
+        return Step(
+            step.before, step.separability, (chosen, *rest), step.cost, chosen, tuple(members), weights, float(total),
+            tuple(sorted(worse)), step.graded,
+        )  # fmt: skip
 
-    def _shares(self, judged: Sequence[ScoredExplanation], chosen: Key) -> dict[str, float]:
-        """Probability of each name: its parts of the shares of the given explanations. The rest has no name."""
-        shares = self._validation.shares([j.score for j in judged])
+    def _rivals(self, explanation: Explanation, name: str, chosen: str) -> bool:
+        """Whether a replacement of a chosen term would be confirmed itself, or these drives hardly separate the two."""
+        return {name, chosen} <= set(TIED) or (self.graded(explanation, name).confirmed and self._is_confirmed(explanation))
+
+    def _shares(self, judged: Sequence[Explanation]) -> dict[str, float]:
+        """Probability of each name, and of no name: shares of the explanations that have it."""
+        shares = self._validation.shares([e.score for e in judged])
         found: dict[str, float] = {}
-        for one, share in zip(judged, shares.tolist(), strict=True):
-            parts = self._parts(one.explanation, chosen)
-            rest = 1.0 - max(parts.values(), default=0.0)
-            for name, part in (parts | {NONE_OF_THESE: rest} if rest else parts).items():
-                found[name] = found.get(name, 0.0) + share * part
+        for explanation, share in zip(judged, shares.tolist(), strict=True):
+            for name in names_of(explanation) or [NONE_OF_THESE]:
+                found[name] = found.get(name, 0.0) + share
         return dict(sorted(found.items(), key=lambda pair: -pair[1]))
-
-    def _parts(self, explanation: Explanation, chosen: Key) -> dict[str, float]:
-        """Part of an explanation that each name has; a `chosen` one has all of it.
-
-        A small name may only repair a form that does the work. So a name shares with the forms, by the evidence that the
-        explanation loses without each. The level score does not show who does the work: a form alone may predict badly.
-        """
-        names = {name for name, c in explanation.candidates.items() if c.is_name}
-        new = explanation.key - chosen
-        if new <= names:
-            return dict.fromkeys(names, 1.0)
-        lost = {name: max(explanation.evidence - self._search.without(explanation, name).evidence, 0.0) for name in new}
-        by_forms = sum(lost[name] for name in new - names)
-        return {name: lost[name] / ((lost[name] + by_forms) or 1.0) if name in new else 1.0 for name in names}
 
 
 def _competes(one: Explanation, chosen: Explanation) -> bool:
-    """Whether the share of a confirmed explanation shows a doubt about the chosen one.
-
-    A form bends to the data, so its score says little against a name. With more forms than the chosen one, an explanation
-    competes only by another name, and if its evidence is not far below.
-    """
-    other_name = any(c.is_name for name, c in one.candidates.items() if name not in chosen.key)
-    as_likely = one.evidence > chosen.evidence - ALIKE_WITHIN
-    return one.without_a_name <= chosen.without_a_name or (other_name and as_likely)
-
-
-def _off_bounds(final: Fit, refitted: Fit) -> Fit:
-    """Re-fit with typical values of shape parameters on a bound, if that costs less than a tenth of the gain of all terms."""
-    typical = {
-        (a.effect.name, q.name): q.start for a in final.effects for q in a.effect.parameters
-        if q.off is None and q.name in on_bounds(a)
-    }  # fmt: skip
-    if not typical:
-        return final
-    inside = with_levels(final, fixed=typical)
-    most = max(ALIKE_WITHIN, FORM_ERROR * (final.log_likelihood - refitted.log_likelihood))
-    return inside if inside.log_likelihood > final.log_likelihood - most else final
+    """Whether the share of a confirmed explanation shows a doubt about the chosen one: not with more forms, which bend."""
+    return one.without_a_name <= chosen.without_a_name
 
 
 def _class_of(name: str, shares: Mapping[str, float], alike: Collection[str]) -> list[str]:
-    """The smallest set with `CLASS_SHARE` of the probability, including the chosen one, plus those that look alike."""
+    """The smallest set with `CLASS_SHARE` of the probability, including the chosen one, plus those that it does not beat."""
     members, held = [name], shares[name]
     for other, share in sorted(shares.items(), key=lambda pair: -pair[1]):
         if held >= CLASS_SHARE:

@@ -12,6 +12,7 @@ Source: cross-validation by one Newton step as in Giordano et al., A Swiss army 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.bounded import bounded
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, numbered
@@ -28,6 +30,8 @@ from trackres_ros.diagnosis.selection.visibility import base_columns
 
 FOLDS = 4
 FEWEST_OCCASIONS = 5  # of an error: a slow rise over a drive makes four
+FEWEST_RECORDINGS = 3  # to leave whole ones out
+LEAST_LEVEL = 0.05  # of the mean error of the levels
 SURELY = 0.025  # of resampled laps, allowed to show the opposite
 
 
@@ -40,6 +44,8 @@ class Score:
     square: Array  # and of squared ones [Nm2]
     occasion: NDArray[np.int64]  # number of the occasion of each piece: pieces with nearly the same error share one
     expected: Array  # torque of each scored sample [Nm], shape (samples,)
+    level: Array  # mean error of each piece [Nm]
+    unseen: float  # mean absolute error of samples predicted without their recording [Nm]; nan with fewer than three
 
 
 class CrossValidation:
@@ -50,9 +56,9 @@ class CrossValidation:
         fitted_laps = list(zip(numbered(sessions, masks, FOLDS), masks, strict=True))
         laps = np.unique(np.concatenate([lap[m] for lap, m in fitted_laps]))
         self._fold = [np.where(m, np.searchsorted(laps, lap) % FOLDS, -1) for lap, m in fitted_laps]
-        self._scored = [m | h for m, h in zip(masks, held_out, strict=True)]
+        self.scored = [m | h for m, h in zip(masks, held_out, strict=True)]
         self.measured = self._of([s.torque for s in sessions])
-        pieces = self._of(numbered(sessions, self._scored, FEWEST_LAPS))
+        pieces = self._of(numbered(sessions, self.scored, FEWEST_LAPS))
         _, first, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
         self._count = np.bincount(self._pieces)
         self._begin = self._of([s.time for s in sessions])[first]
@@ -60,10 +66,10 @@ class CrossValidation:
         self._step, self._rng = sessions[0].step, rng
         self._draws: dict[int, Array] = {}
 
-    def score(self, found: Fit) -> Score:
-        """Score a fit by `levels.with_levels`."""
+    def score(self, found: Fit, columns: Array | None = None) -> Score:
+        """Score a fit by `levels.with_levels`; `columns` are its derivatives, where they are known."""
         problem = found.problem
-        columns = base_columns(found)
+        columns = base_columns(found) if columns is None else columns
         white = np.concatenate(problem.white(problem.split(columns), found.noises))
         weights = np.nan_to_num(found.weights)
         slopes = weights * np.nan_to_num(np.concatenate(found.white))
@@ -72,40 +78,59 @@ class CrossValidation:
         x = np.where(valid[:, np.newaxis], np.nan_to_num(white) * scale, 0.0)
         prior = np.diag([(f.scale / f.std) ** 2 if np.isfinite(f.std) else 0.0 for f in found.free])
         whole = (x * weights[:, np.newaxis]).T @ x + prior
+        nominal = np.array([f.nominal for f in found.free])
+        # Zero at an optimum within the bounds; a parameter at a bound is pushed against it.
+        push = x.T @ slopes + np.diag(prior) * np.nan_to_num((nominal - found.point) / scale)
         ridge = 1e-9 * max(float(np.trace(whole)), 1e-300) / len(whole) * np.eye(len(whole))
-        low, high = (np.array([getattr(f, side) for f in found.free]) for side in ("low", "high"))
-        expected = [p.torque.copy() for p in found.predicted]
-        folds = np.concatenate([
-            self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments
-        ])  # fmt: skip
+        low, high = ((np.array([getattr(f, side) for f in found.free]) - found.point) / scale for side in ("low", "high"))
+        of_laps, session = self.rows(problem)
+        torques = np.concatenate([np.full(len(g.measured), g.kind == "torque") for g in problem.segments])
         by_session = problem.split(columns)  # torques come first
-        for fold in range(FOLDS):
-            rows = folds == fold
-            own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
-            moved = np.linalg.solve(whole - own + ridge, -x[rows].T @ slopes[rows])
-            moved = np.clip(found.point + scale * moved, low, high) - found.point
-            for i, at in enumerate(self._fold):
-                expected[i][at == fold] += by_session[i][at == fold] @ moved
+
+        def left_out(folds: Sequence[NDArray[np.int64]], rows_of: Callable[[int], Mask], count: int) -> list[Array]:
+            """Expected torque of each session, each fold predicted by one Newton step to the fit without its rows."""
+            expected = [p.torque.copy() for p in found.predicted]
+            for fold in range(count):
+                rows = rows_of(fold)
+                own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
+                moved = scale * bounded(whole - own + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
+                for i, at in enumerate(folds):
+                    expected[i][at == fold] += by_session[i][at == fold] @ moved
+            return expected
+
+        expected = left_out(self._fold, lambda fold: of_laps == fold, FOLDS)
+        count, unseen = len(problem.sessions), math.nan
+        if count >= FEWEST_RECORDINGS:
+            recordings = [np.full(len(s), i) for i, s in enumerate(problem.sessions)]
+            without = left_out(recordings, lambda fold: torques & (session == fold), count)
+            unseen = float(np.abs(self.measured - self._of(without)).mean())
         for active in found.effects:
             if isinstance(active.effect, ResidualPattern):
                 self._replace_by_forecast(active.effect, found, expected)
         error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
         # Noise of the forecast: that of the fit is too small for unpredictable events, such as the start of a
         # spell.
-        noise = estimate_noise(error, self._scored, SHORT_ROOT)
+        noise = estimate_noise(error, self.scored, SHORT_ROOT)
         density = []
-        for left, mask in zip(error, self._scored, strict=True):
+        for left, mask in zip(error, self.scored, strict=True):
             e = whitened(left, mask, noise.phi) / noise.std
             density.append(np.where(np.isfinite(e), noise.log_density(np.nan_to_num(e)), 0.0))
         errors = self._of(error)
-        deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self._scored, strict=True)]
+        deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self.scored, strict=True)]
         alike_s = correlation_length(deviations) * self._step
         own = alike_s > PIECE_S * problem.sessions[0].pace
         occasion = np.stack([self._session, self._begin // alike_s if own else np.arange(len(self._begin))])
         return Score(
             self._sum(self._of(density)), self._sum(np.abs(errors)), self._sum(errors**2),
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
+            self._sum(errors) / self._count, unseen,
         )  # fmt: skip
+
+    def rows(self, problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Number of the fold of each row, -1 where it is never left out, and of its recording, both of shape (n,)."""
+        of_laps = [self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments]
+        recording = [np.full(len(g.measured), g.session) for g in problem.segments]
+        return np.concatenate(of_laps), np.concatenate(recording)
 
     def _replace_by_forecast(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
         """Replace a series learned from all laps by its forecast."""
@@ -127,6 +152,15 @@ class CrossValidation:
     def _by_piece(self, score: Score) -> Score:
         """The same score with each piece an occasion of its own: a change that lasts has no more than one."""
         return replace(score, occasion=np.arange(len(self._count)))
+
+    def by_recording(self, of_pieces: Array) -> Array:
+        """Sums of each recording, of values of the pieces."""
+        return np.asarray(np.bincount(self._session, weights=of_pieces, minlength=len(self.scored)), dtype=np.float64)
+
+    def level_falls(self, before: Score, after: Score) -> bool:
+        """Whether the mean error of the pieces' levels falls by at least `LEAST_LEVEL`."""
+        old, new = (float((np.abs(s.level) * self._count).sum()) for s in (before, after))
+        return new <= (1.0 - LEAST_LEVEL) * old
 
     def improvement(self, before: Score, after: Score, for_good: bool = False) -> Improvement:
         """Change of the mean error, with the lower bound of the level score; a lasting change (`for_good`) is one occasion."""
@@ -168,7 +202,7 @@ class CrossValidation:
     def beyond(self, base: Fit) -> Callable[[Sequence[Array]], Array]:
         """Function that returns the scored samples of each session's series, orthogonal to the parameters of a base."""
         columns = base_columns(base) * np.array([f.scale for f in base.free])
-        own = self._of(base.problem.split(columns)[: len(self._scored)])  # torques come first
+        own = self._of(base.problem.split(columns)[: len(self.scored)])  # torques come first
         basis, size, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
 
@@ -179,7 +213,7 @@ class CrossValidation:
         return rest
 
     def _of(self, series: Sequence[Any]) -> Any:
-        return np.concatenate([x[m] for x, m in zip(series, self._scored, strict=True)])
+        return np.concatenate([x[m] for x, m in zip(series, self.scored, strict=True)])
 
     def _sum(self, of_samples: Array) -> Array:
         return np.asarray(np.bincount(self._pieces, weights=of_samples, minlength=len(self._count)), dtype=np.float64)

@@ -3,42 +3,46 @@
 
 """Searches for whole explanations: sets of names, forms and terms by clock or place, all in one pool.
 
-It starts from the base alone. In each turn the best few are expanded by everything in the pool, and by removing one
-term. Duplicate sets merge. The first order is linear algebra on columns simulated once; only promising sets are fitted.
+It starts from the base alone. In each turn the best few are expanded by the proposals for their residual, and by removing one
+term. Sets that no lap confirms are expanded too: two effects may pass only together. Laps left out score every set.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from trackres_ros.diagnosis.empirical.candidates import candidates
 from trackres_ros.diagnosis.empirical.finders import Term, find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
-from trackres_ros.diagnosis.inference.fitting import Fit, fit
-from trackres_ros.diagnosis.selection.naming import Candidate, Pool, Step, one_round
-from trackres_ros.diagnosis.selection.screening import PLAINLY
-from trackres_ros.diagnosis.selection.visibility import EffectColumns
+from trackres_ros.diagnosis.inference.fitting import Fit, first_look, fit
+from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
+from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
+from trackres_ros.diagnosis.search.linear_sets import Columns, LinearSets
+from trackres_ros.diagnosis.search.proposals import Proposals, Proposer
+from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared, share
+from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns, is_name
 from trackres_ros.effects.effect import Effect
+from trackres_ros.progress import counted
 
 Key = frozenset[str]
 
-EXPANDED = 2  # best explanations in each turn
+EXPANDED = 2  # best explanations
+SETS = 2  # of each number of terms, the best to first order: of all terms, and of names
 MOST_TERMS = 3
-LEAST_EXPANDED = 0.4  # of the best evidence: weaker explanations are not expanded
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A set of terms, fitted together."""
+    """A set of terms, fitted together with predictive values, and scored on the laps left out."""
 
     fit: Fit
-    evidence: float = 0.0  # log-evidence over the base alone, less the cost of the terms beyond that of their parameters
+    score: Score
+    worth: float = 0.0  # level score over the base alone, less the logarithm of the number of proposals for each one of them
     candidates: Mapping[str, Candidate] = field(default_factory=dict)  # each term, as added
     terms: Mapping[str, Term] = field(default_factory=dict)  # properties outside the fit of terms by clock or place
+    settled: bool = False  # whether fit and noise were alternated until they settled
 
     @property
     def key(self) -> Key:
@@ -47,8 +51,8 @@ class Explanation:
 
     @property
     def without_a_name(self) -> int:
-        """Number of its unnamed terms."""
-        return sum(not c.is_name for c in self.candidates.values())
+        """Number of its unnamed terms; one of the clock counts twice, as a recorded channel goes before the clock."""
+        return sum(c.kind for c in self.candidates.values())
 
     def goes_by_place(self, name: str) -> bool:
         """Whether one of its terms was learned for each place of a route."""
@@ -66,97 +70,180 @@ class Search:
         effects: Mapping[str, Effect],
         roads: Roads | None,
         kinds: Collection[str],
-        replicates: int,
-        rng: np.random.Generator,
+        validation: CrossValidation,
         on_stage: Callable[[str], None],
     ) -> None:
-        self._roads, self._kinds, self._replicates, self._rng, self._on_stage = roads, kinds, replicates, rng, on_stage
-        self._pool = Pool({**effects, **candidates(base)}, EffectColumns(base))
-        self.nothing = Explanation(base)
+        self._roads, self._kinds, self.validation, self._on_stage = roads, kinds, validation, on_stage
+        self._proposer = Proposer(base, effects, validation.scored)
+        self.nothing = Explanation(base, validation.score(base), settled=True)
         self.known: dict[Key, Explanation] = {self.nothing.key: self.nothing}
-        self.rounds: dict[Key, Step] = {}
-
-    @property
-    def by_noise(self) -> float:
-        """Gain that the best candidate reaches over the base by noise alone with 5 % probability."""
-        return math.inf if self._pool.by_noise is None else self._pool.by_noise
+        self.rounds: dict[Key, Proposals] = {}
+        self._left_out = set[str]()
+        self._linear: tuple[Fit, Mapping[tuple[str, str], Array]] | None = None
 
     def run(self) -> None:
-        """Explore all promising explanations."""
-        frontier = [self.nothing]
-        for _ in range(MOST_TERMS):
-            for explanation in frontier:
-                self.expand(explanation)
-            frontier = self._best_unexpanded()
-            for explanation in frontier:
-                for name in explanation.key if len(explanation.key) > 1 else ():
-                    self.without(explanation, name)
-            frontier = self._best_unexpanded()
+        """Explore the promising explanations: names and forms first, then the clock for what they leave."""
+        self._names_and_forms()
+        for explanation in {e.key: e for e in (self._best_known(), self.nothing)}.values():
+            self._follow_clock(explanation)
+        if self._best_known().terms:  # a slope by place and spells may pass only together
+            self._follow_clock(self._best_known())
+        for explanation in self._best_unexpanded(1):
+            self._swap(self.polished(explanation))
 
-    def expand(self, explanation: Explanation) -> Step:
-        """Add each candidate for the remaining residual, one at a time."""
+    def leave_out(self, names: Collection[str]) -> bool:
+        """Go on without some names; whether any of them was not left out before."""
+        new = set(names) - self._left_out
+        if new:
+            self._left_out |= new
+            self.rounds.pop(self.nothing.key)
+            self._names_and_forms()
+        return bool(new)
+
+    def has_left_out(self, explanation: Explanation) -> bool:
+        """Whether the search goes on without one of its terms."""
+        return not explanation.key.isdisjoint(self._left_out)
+
+    def _names_and_forms(self) -> None:
+        self._add_sets(self.expand(self.nothing))
+        for explanation in self._best_unexpanded(EXPANDED):
+            self._swap(self.polished(explanation))
+
+    def _add_sets(self, proposals: Proposals) -> None:
+        """Fit the sets of proposals that predict laps and recordings left out best to first order."""
+        base = self.nothing.fit
+        terms, sensed = {}, {a.effect.name for a in base.instrument}  # an error of the sensors is free in the base already
+        for name, p in proposals.every.items():
+            if name in sensed or name in self._left_out:
+                continue
+            low, high = amplitude_bounds(p.effect)
+            terms[name] = Columns(p.effect, p.sensitivity.columns * amplitude_spans(p.effect), low, high)
+        sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
+        own = _by_parameter(base, proposals.own)
+        catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
+        best = [names for among in (terms, catalogue) for names in sets.best(among, SETS, MOST_TERMS, self.cost)]
+        for names in dict.fromkeys(best):
+            chosen = [proposals.every[name] for name in names]
+            known, start = dict(own), dict[tuple[str, str], float]()
+            for p in chosen:
+                known |= p.derivatives
+                start |= {(p.effect.name, q): value for q, value in p.start.items()}
+            found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
+            seen = {p.effect.name: p.sensitivity for p in chosen}
+            candidates = {name: compared(base, found, name, 0.0, s.kept, s.d_prime) for name, s in seen.items()}
+            self._keep(self._explained(found, self.validation.score(found, columns), candidates, {}))
+
+    def _swap(self, explanation: Explanation) -> None:
+        """Expand an explanation, and look at what it is without each of its terms."""
+        self.expand(explanation)
+        for name in explanation.key if len(explanation.key) > 1 else ():
+            self.without(explanation, name)
+
+    def polished(self, explanation: Explanation) -> Explanation:
+        """The same explanation, with its fit settled and scored again."""
+        known = self.known[explanation.key]
+        if known.settled:
+            return known
+        found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {})
+        candidates = {name: replace(c, share=share(found, name)) for name, c in known.candidates.items()}
+        explained = self._explained(found, self.validation.score(found), candidates, known.terms)
+        self.known[known.key] = replace(explained, settled=True)
+        return self.known[known.key]
+
+    def _explained(self, found: Fit, score: Score, candidates: Mapping[str, Candidate], terms: Mapping[str, Term]) -> Explanation:
+        worth = self.validation.gain(self.nothing.score, score) - self.cost * len(candidates.keys() - terms.keys())
+        return Explanation(found, score, worth, candidates, terms)
+
+    def expand(self, explanation: Explanation) -> Proposals:
+        """Add each proposal for the remaining residual, one at a time."""
         if explanation.key in self.rounds:
             return self.rounds[explanation.key]
+        explanation = self.polished(explanation)
         self._on_stage(f"missing physics besides {', '.join(explanation.fit.effect_names) or 'the base alone'}")
         current = explanation.fit
-        pool = self._pool
-        if any(map(explanation.goes_by_place, explanation.key)):
-            pool = replace(pool, effects={key: e for key, e in pool.effects.items() if e.name not in SLOPES})
-        gained = current.log_likelihood - self.nothing.fit.log_likelihood
-        if not explanation.without_a_name and gained > PLAINLY * self.by_noise:
-            # What its names explain was in the noise drawn from the base alone. A form may leave some of its cause there.
-            pool = replace(pool, by_noise=None)
-        step = one_round(current, pool, self._replicates, self._rng)
-        if self._pool.by_noise is None:
-            self._pool = replace(self._pool, by_noise=step.by_noise)
-        self.rounds[explanation.key] = step
+        found = self._proposer.proposals(current)
+        by_place = any(map(explanation.goes_by_place, explanation.key))
+        best = [p for p in found.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
+        self.rounds[explanation.key] = found
+        own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
+        for proposal in counted(best, "fits of candidate effects", len(best)):
+            s, effect = proposal.sensitivity, proposal.effect
+            known = own | proposal.derivatives
+            start = {(effect.name, q): value for q, value in proposal.start.items()}
+            fitted, columns = first_look(current, [*effects, effect], known, start, SHORT_ROOT)
+            candidate = compared(current, fitted, effect.name, 0.0, s.kept, s.d_prime)
+            self._add(explanation, candidate, None, columns)
+        return found
+
+    @property
+    def cost(self) -> float:
+        """Logarithm of the number of terms from which each was chosen."""
+        return math.log(max(len(self.expand(self.nothing).every), 1))
+
+    def _follow_clock(self, explanation: Explanation) -> None:
+        """Add each term that follows the clock or a place."""
+        if len(explanation.key) >= MOST_TERMS:
+            return
+        current = explanation.fit
+        effects = [a.effect for a in current.effects]
+        tested = fit(current.problem, effects, current.at)  # with the noise that best whitens: a drift is no spell
         routes = {name: term.route for name, term in explanation.terms.items() if term.route is not None}
-        found: Iterable[tuple[Candidate, Term | None]] = [
-            *((c, None) for c in step.candidates if c.counts(step.by_noise)),
-            *((t.candidate, t) for t in find_terms(current, self._roads, self._kinds, routes, waves=not explanation.key)),
-        ]
-        for candidate, term in found:
-            terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
-            added = {**explanation.candidates, candidate.name: candidate}
-            self._keep(Explanation(candidate.fit, explanation.evidence + candidate.net_evidence, added, terms))
-        return step
+        for term in find_terms(tested, self._roads, self._kinds, routes, waves=not explanation.key):
+            effect = term.candidate.effect
+            fitted = self._fitted(current, [*effects, effect], term.candidate.fit.at)
+            self._add(explanation, replace(term.candidate, fit=fitted), term)
+
+    def _fitted(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
+        """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
+        return fit(self.nothing.fit.problem, effects, {**current.at, **start}, current.noises, largest_root=SHORT_ROOT)
+
+    def _add(self, explanation: Explanation, candidate: Candidate, term: Term | None, columns: Array | None = None) -> None:
+        score = self.validation.score(candidate.fit, columns)
+        candidate = replace(candidate, level=self.validation.gain(explanation.score, score))
+        terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
+        added = {**explanation.candidates, candidate.name: candidate}
+        self._keep(self._explained(candidate.fit, score, added, terms))
 
     def _keep(self, explanation: Explanation) -> None:
+        """Keep the better one of two ways to the same set. A slope by place has the name of a constant one."""
         same = self.known.get(explanation.key)
-        if same is None or explanation.evidence > same.evidence:
+        if same is None or (
+            explanation.worth > same.worth and not (same.settled and same.terms.keys() == explanation.terms.keys())
+        ):
             self.known[explanation.key] = explanation
+            self.rounds.pop(explanation.key, None)
 
     def without(self, explanation: Explanation, name: str) -> Explanation:
         """An explanation without one of its terms."""
         key = explanation.key - {name}
         if key not in self.known:
-            current = explanation.fit
-            left = [a.effect for a in current.effects if a.effect.name != name]
+            effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
+            found, columns = first_look(explanation.fit, effects, self._derivatives(explanation), {}, SHORT_ROOT)
             kept = {n: c for n, c in explanation.candidates.items() if n != name}
-            found = fit(current.problem, left, current.at, current.noises)
-            cost = sum(c.form_error_gain for c in kept.values())
-            evidence = found.log_evidence - self.nothing.fit.log_evidence - cost
             terms = {n: t for n, t in explanation.terms.items() if n != name}
-            self._keep(Explanation(found, evidence, kept, terms))
+            self.known[key] = self._explained(found, self.validation.score(found, columns), kept, terms)
         return self.known[key]
 
-    def likelier_base(self) -> Fit | None:
-        """The base alone, from the base values of the explanation with the most evidence, if that is likelier; else None.
+    def _derivatives(self, explanation: Explanation) -> Mapping[tuple[str, str], Array]:
+        """Derivatives of the predictions of an explanation by its parameters; kept for the last one."""
+        if self._linear is None or self._linear[0] is not explanation.fit:
+            self._linear = explanation.fit, _by_parameter(explanation.fit, base_columns(explanation.fit))
+        return self._linear[1]
 
-        A fit ends in the nearest optimum, and a term may only lead out of a worse one. Its gain is then no evidence for it. The
-        base is likelier if it gains more than the best candidate does by noise.
-        """
-        nothing, best = self.nothing.fit, max(self.known.values(), key=lambda e: e.evidence)
-        if not best.key:
-            return None
-        again = fit(nothing.problem, (), best.fit.at, best.fit.noises, rounds=1)
-        return again if again.log_likelihood > nothing.log_likelihood + self.by_noise else None
+    def _best_known(self) -> Explanation:
+        return max(self.known.values(), key=lambda e: e.worth)
 
-    def _best_unexpanded(self) -> list[Explanation]:
-        best = max(e.evidence for e in self.known.values())
-        room = [
-            e
-            for key, e in self.known.items()
-            if key not in self.rounds and len(key) < MOST_TERMS and e.evidence > LEAST_EXPANDED * best
-        ]
-        return sorted(room, key=lambda e: -e.evidence)[:EXPANDED]
+    def _best_unexpanded(self, count: int) -> list[Explanation]:
+        """The best explanations with room for a term; not those that are worth less than the base alone."""
+        among = (e for key, e in self.known.items() if key not in self.rounds and not self.has_left_out(e))
+        room = [e for e in among if 0 < len(e.key) < MOST_TERMS and e.worth > 0.0]
+        return sorted(room, key=lambda e: -e.worth)[:count]
+
+
+def _by_parameter(found: Fit, columns: Array) -> dict[tuple[str, str], Array]:
+    return dict(zip([f.key for f in found.free], columns.T, strict=True))
+
+
+def names_of(explanation: Explanation) -> list[str]:
+    """Its terms of the catalogue."""
+    return [name for name, c in explanation.candidates.items() if c.kind == NAME]

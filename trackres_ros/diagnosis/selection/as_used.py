@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
-from trackres_ros.diagnosis.selection.confirm import at_implausible_bounds
+from trackres_ros.diagnosis.selection.grade import at_implausible_bounds
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.effects.effect import Active
@@ -51,7 +51,7 @@ class AsUsed:
         if base.alone is not base or any(s.given != r.given or s.torque_by_place is not r.torque_by_place for s, r in pairs):
             plain = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
             self._alone = base.alone, tuple(plain)
-        self._laps = laps
+        self.base, self._laps = base, laps
         self.distance = sum(float(np.abs(np.nan_to_num(s.speed)).sum()) * s.step for s in sessions)
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
 

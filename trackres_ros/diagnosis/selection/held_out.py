@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.split import lap_name
+from trackres_ros.diagnosis.prepare.torque_checks import SMALL_ERROR
 from trackres_ros.errors import InputError
 
 STAGES = ("nominal", "refitted", "with_effects")
@@ -99,6 +100,12 @@ class HeldOutLaps:
         means = (self._draws @ gained) / (self._draws @ self._count)  # over resampled laps
         low, high = np.quantile(means, (0.025, 0.975))
         return Improvement(float(errors[0].mean()), float(errors[1].mean()), float(low), float(high))
+
+    def predicts(self, found: Fit) -> bool:
+        """Whether a fit predicts better than the mean torque, or with a small error: in a steady drive it hardly varies."""
+        error = self.measured - self.of([p.torque for p in found.predicted])
+        small = float(np.abs(error).mean()) < SMALL_ERROR * float(np.abs(self.measured).mean())
+        return small or _r2(self.measured, error) >= 0.0
 
     def improvement_of(self, before: Fit, after: Fit) -> Improvement:
         """Improvement by one fit over another."""

@@ -13,8 +13,8 @@ from scipy.special import chdtri
 
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, fit, free_parameters
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
-from trackres_ros.diagnosis.selection.confirm import ON_BOUND
-from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
+from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
+from trackres_ros.diagnosis.selection.grade import ON_BOUND
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.progress import counted
 from trackres_ros.vehicle.writing.changes import Interval

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from trackres_ros.diagnosis.base.base import Predicted
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
-from trackres_ros.diagnosis.inference.noise import shortened
+from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.prepare.session import ALWAYS_KNOWN, Array
 from trackres_ros.effects.effect import Active, Effect
 from trackres_ros.effects.learned import EmpiricalEffect
@@ -34,6 +35,8 @@ class EffectSensitivity:
     d_prime: float  # visibility of a typical effect in standard deviations
     by_priors: float  # part of it due to base parameters pushed out of the ranges of the vehicle file
     direction: Array  # whitened, orthogonal to the base, of unit length: for the cosine between two effects
+    fast: float = 0.0  # gain in log-likelihood under the noise that best whitens the residual, to first order
+    moved: Array = field(default_factory=lambda: np.empty(0))  # the amplitudes of that gain over the typical ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +58,15 @@ class Separability:
 
     visible: tuple[EffectSensitivity, ...]  # one effect may appear several times, from several starts
     not_visible: tuple[NotVisible, ...]  # and visible ones that the base absorbs almost entirely
-    names: tuple[str, ...]  # of the visible ones
+    names: tuple[str, ...]  # of the visible ones of the catalogue
     cosines: Array  # (names, names), signed
 
     @property
     def of_names(self) -> Separability:
         """The part for effects of the catalogue."""
-        visible = tuple(s for s in self.visible if not isinstance(s.effect, EmpiricalEffect))
-        not_visible = tuple(n for n in self.not_visible if not isinstance(n.effect, EmpiricalEffect))
-        names = {s.effect.name for s in visible}
-        at = [i for i, name in enumerate(self.names) if name in names]
-        return Separability(visible, not_visible, tuple(self.names[i] for i in at), self.cosines[np.ix_(at, at)])
+        visible = tuple(s for s in self.visible if is_name(s.effect))
+        not_visible = tuple(n for n in self.not_visible if is_name(n.effect))
+        return Separability(visible, not_visible, self.names, self.cosines)
 
     def alike(self, name: str) -> tuple[str, ...]:
         """Effects that look the same as one here, that one first."""
@@ -73,7 +74,12 @@ class Separability:
         return (name, *(other for j, other in enumerate(self.names) if j != i and abs(self.cosines[i, j]) > ALIKE_COSINE))
 
 
-def _infeasible(effect: Effect, fit: Fit) -> str:
+def is_name(effect: Effect) -> bool:
+    """Whether an effect is in the catalogue, and no form found in the residual."""
+    return not isinstance(effect, EmpiricalEffect | ResidualPattern)
+
+
+def infeasible(effect: Effect, fit: Fit) -> str:
     """Why an effect cannot be examined with the inputs and the base of a fit; empty if it can."""
     given = frozenset.intersection(*(s.given for s in fit.problem.sessions))
     missing = [need for need in effect.needs if need not in ALWAYS_KNOWN and need not in given]
@@ -86,23 +92,21 @@ def _infeasible(effect: Effect, fit: Fit) -> str:
     return "grade is recorded, and in the model" if effect.name in SLOPES and "grade" in given else ""
 
 
-def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: EffectColumns | None = None) -> Separability:
-    """Linearise all effects about a fit, and compare them with the fit's own parameters and with each other."""
+def separability(
+    effects: Mapping[str, Effect], fit: Fit, own: Array | None = None, columns_of: EffectColumns | None = None
+) -> Separability:
+    """Linearise all effects about a fit; compare them with its own parameters, with columns `own`, and with each other."""
     columns_of = columns_of or EffectColumns(fit)
+    own = base_columns(fit) if own is None else own
     others = [effect for effect in effects.values() if effect.name not in fit.effect_names]
-    reasons = [_infeasible(effect, fit) for effect in others]
+    reasons = [infeasible(effect, fit) for effect in others]
     not_visible = [NotVisible(effect, why) for effect, why in zip(others, reasons, strict=True) if why]
     possible = [effect for effect, why in zip(others, reasons, strict=True) if not why]
-    own = base_columns(fit)
-    usual, short = _Visibility(fit, own), shortened(fit.noise)
-    with_short = None if short is None else _Visibility(replace(fit, noises={**fit.noises, "torque": short}), own)
+    seen_by, quick = _Visibility(fit, own), _FastGains(for_tests(fit), own)
     visible = []
     for effect in counted(possible, "visibility of each effect", len(possible)):
         columns = [(start, columns_of(effect, start)) for start in starts(effect)]
-        found, best = usual.strongest(effect, columns)
-        if best and LARGE * best.d_prime < LEAST_D_PRIME and with_short:
-            # A random-walk noise hides a slow effect, which may even be its cause.
-            found, best = with_short.strongest(effect, columns)
+        found, best = seen_by.strongest(effect, columns)
         if best is None:
             not_visible.append(NotVisible(effect, "it has no effect here"))
         elif LARGE * best.d_prime < LEAST_D_PRIME:
@@ -114,8 +118,9 @@ def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: EffectColu
             if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
                 why = f"the base's parameters absorb {1 - best.kept:.0%} of it"
                 not_visible.append(NotVisible(effect, why))
-            visible += found
-    names = tuple(dict.fromkeys(s.effect.name for s in visible))
+            found = found if is_name(effect) else [replace(s, direction=np.empty(0)) for s in found]
+            visible += [quick.added(s) for s in found]
+    names = tuple(dict.fromkeys(s.effect.name for s in visible if is_name(s.effect)))
     strongest = {name: max((s for s in visible if s.effect.name == name), key=lambda s: s.d_prime) for name in names}
     directions = np.array([strongest[name].direction for name in names]) if names else np.empty((0, 0))
     return Separability(tuple(visible), tuple(not_visible), names, directions @ directions.T)
@@ -137,11 +142,23 @@ class EffectColumns:
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
-        self._known = dict[tuple[Effect, tuple[float, ...]], Array]()
+        self._known, self._given = (dict[tuple[Effect, tuple[float, ...]], Array]() for _ in range(2))
+
+    def give(self, effect: Effect, torque: Array) -> None:
+        """Columns of an effect that only adds a torque, of all sessions concatenated, shape (n, amplitudes): no simulation."""
+        rows = sum(len(g.measured) for g in self._fit.problem.segments)
+        columns = np.concatenate((torque, np.zeros((rows - len(torque), torque.shape[1]))))
+        self._given[effect, tuple(effect.values().values())] = columns
+
+    def forget(self) -> None:
+        """Forget the columns that were given."""
+        self._given.clear()
 
     def __call__(self, effect: Effect, start: Mapping[str, float]) -> Array:
         """Columns of one effect about its initial values, shape (n, amplitudes)."""
         key = effect, tuple(start.values())
+        if key in self._given:
+            return self._given[key]
         if key not in self._known:
             fit, before = self._fit, _expected(self._fit, self._fit.predicted)
             amplitudes = [(q, q.off, q.start - q.off) for q in effect.parameters if q.off is not None]
@@ -174,7 +191,7 @@ class _Visibility:
     def _sensitivity(self, effect: Effect, start: Mapping[str, float], columns: Array) -> EffectSensitivity | None:
         """That to all amplitudes together, or to the most visible one; None without influence."""
         best = None
-        spanned = columns * np.array([q.start - q.off for q in effect.parameters if q.off is not None])
+        spanned = columns * amplitude_spans(effect)
         for change in (spanned.sum(axis=1), *spanned.T):
             white = _white(change[:, np.newaxis], self._fit)[:, 0]
             whole = float(np.linalg.norm(white))
@@ -188,6 +205,49 @@ class _Visibility:
                 direction = np.concatenate((left, pushed)) / max(rest, 1e-300)
                 best = EffectSensitivity(effect, start, columns, rest / whole, rest, prior, direction)
         return best
+
+
+class _FastGains:
+    """Gains in log-likelihood under the noise that best whitens the residual of a fit, to first order.
+
+    They find what is fast: a delay, a gain, an inertia, judder. Slow torque is noise to them.
+    """
+
+    def __init__(self, fit: Fit, own: Array) -> None:
+        self._fit = fit
+        scale, std, nominal = (np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal"))
+        self._root = np.sqrt(fit.weights[np.isfinite(fit.weights)])
+        self._own = _white(own, fit) * scale * self._root[:, np.newaxis]
+        self._white = valid_rows(fit.white) * self._root
+        information = self._own.T @ self._own + np.diag((scale / std) ** 2) + 1e-9 * np.eye(len(scale))
+        self._taken = np.linalg.inv(information)
+        self._pull = self._own.T @ self._white - np.nan_to_num((fit.point - nominal) / std**2) * scale
+
+    def added(self, s: EffectSensitivity) -> EffectSensitivity:
+        """The same sensitivity with its gain."""
+        spans = amplitude_spans(s.effect)
+        x = _white(s.columns, self._fit) * spans * self._root[:, np.newaxis]
+        taken = x.T @ self._own @ self._taken
+        score = x.T @ self._white - taken @ self._pull
+        information = x.T @ x - taken @ (self._own.T @ x) + np.eye(len(score)) / LARGE**2
+        moved = np.clip(np.linalg.solve(information, score), *amplitude_bounds(s.effect))
+        return replace(s, fast=float(score @ moved - 0.5 * moved @ information @ moved), moved=moved)
+
+
+def amplitude_spans(effect: Effect) -> Array:
+    """Typical amplitudes of an effect, beyond its values without effect."""
+    return np.array([q.start - q.off for q in effect.parameters if q.off is not None])
+
+
+def amplitude_bounds(effect: Effect) -> tuple[Array, Array]:
+    """Bounds of the amplitudes over the typical ones."""
+    ends = [
+        ((q.low - q.off) / (q.start - q.off), (q.high - q.off) / (q.start - q.off))
+        for q in effect.parameters
+        if q.off is not None
+    ]
+    low, high = np.array([sorted(pair) for pair in ends]).reshape(-1, 2).T
+    return low, high
 
 
 def _expected(fit: Fit, predicted: Sequence[Predicted]) -> Array:

@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm, by_improvement, changed_values
 from trackres_ros.diagnosis.findings.locate import (
+    is_like_slope,
     locate,
     only_later,
     regime_of,
@@ -45,7 +46,7 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import Bounds
-from trackres_ros.diagnosis.selection.confirm import Graded
+from trackres_ros.diagnosis.selection.grade import Graded
 from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, HeldOut, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
@@ -91,7 +92,7 @@ def judge(
     if not is_vehicle:
         found, terms, drift = effects_of_machine(found), terms_of_machine(terms), drift and term_of_machine(drift)
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
-    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked, ()))
+    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked))
     spread = attempt("an oscillation", lambda: find_spread(final)) if is_vehicle else None  # its regimes are a vehicle's
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
@@ -150,7 +151,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
     stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]
     r2, mae = ({stage: of[stage] for stage in stages} for of in (worth.r2, worth.mae))
     refused = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), odd)
-    if refused:
+    if refused and not is_like_slope(base.refitted):
         raise refused
     final = chosen.final
     if final.effects:  # a vehicle file holds no assumed errors of the sensor

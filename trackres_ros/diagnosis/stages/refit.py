@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from trackres_ros.diagnosis.search.cross_validation import CrossValidation
 from trackres_ros.diagnosis.search.explanations import Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
-from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
@@ -29,49 +27,40 @@ from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
 class Refitted:
     """The base re-fitted."""
 
-    tested: Fit  # with the noise that best whitens the residual
     refitted: Fit  # with values by `levels.with_levels`
+    compared: Fit  # what terms are added to: the same, or one with values further outside the file's ranges, if surely better
     laps: HeldOutLaps
     validation: CrossValidation  # over laps
     use: AsUsed  # evaluation of a file in use
     at_base: RegimeMap  # residual by regime
 
 
-def refit(
-    prepared: PreparedSessions,
-    options: DiagnosisOptions,
-    rng: np.random.Generator,
-    start: Mapping[tuple[str, str], float] | None = None,
-) -> Refitted:
-    """Fit the base, by default from the values of the vehicle file, and bin its residual by regime."""
+def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
+    """Fit the base from the values of the vehicle file, and bin its residual by regime."""
     options.on_stage("re-fit of the base")
     sessions, split = prepared.sessions, prepared.split
-    tested = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)), start=start)
+    tested = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)))
     held_out = [split.held_out_mask(s) for s in sessions]
     laps = HeldOutLaps(sessions, held_out, rng)
     use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
-    refitted = inside_ranges(with_levels(tested), use)
+    anywhere = with_levels(tested)
+    refitted = inside_ranges(anywhere, use)
+    validation = CrossValidation(refitted, held_out, rng)
+    # A file that cannot describe the vehicle within its ranges would leave its error to the terms.
+    better = validation.least_gain(validation.score(refitted), validation.score(anywhere)) > 0.0
     options.on_stage("residual by regime")
-    return Refitted(tested, refitted, laps, CrossValidation(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))
+    at_base = regime_map(for_tests(refitted), rng)
+    return Refitted(refitted, anywhere if better else refitted, laps, validation, use, at_base)
 
 
-def search(
-    prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator
-) -> tuple[Refitted, Chosen]:
-    """Search explanations, and choose one; once more from a likelier fit of the base, where the search finds one."""
-    found = _explored(prepared, base, options, rng)
-    likelier = found.likelier_base()
-    if likelier is not None:
-        base = refit(prepared, options, rng, likelier.at)
-        found = _explored(prepared, base, options, rng)
-    options.on_stage("cross-validation over laps")
-    return base, Choice(found, base.refitted, base.validation, base.laps, base.use).best(options.keep_suspected)
-
-
-def _explored(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator) -> Search:
+def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions) -> Chosen:
+    """Search explanations, and choose one."""
     kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
     roads = roads_of(prepared.sessions) if kinds else None
-    replicates = QUICK_REPLICATES if options.quick else REPLICATES
-    found = Search(base.tested, prepared.effects, roads, kinds, replicates, rng, options.on_stage)
+    found = Search(base.compared, prepared.effects, roads, kinds, base.validation, options.on_stage)
     found.run()
-    return found
+    options.on_stage("cross-validation over laps")
+    chosen = Choice(found, base.refitted, base.laps, base.use).best(options.keep_suspected)
+    if chosen.explanation.key:
+        return chosen
+    return replace(chosen, explanation=replace(chosen.explanation, fit=base.refitted))

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,54 +13,48 @@ from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.effects.effect import Active
-from trackres_ros.text.numbers import figures
 
 ON_BOUND = 1e-3  # of the span between the bounds
 LITTLE = 0.1  # of the mean error: the largest improvement by an effect that replaces a base value
 MOVED = 1.5  # standard deviations of the file's own range
-SURELY = 2.0  # standard deviations of an estimate
 FAR = 5.0  # such standard deviations
 
 
 @dataclass(frozen=True, slots=True)
 class Graded:
-    """Grade of an effect by laps left out in turn.
+    """Grade of a term by laps and recordings left out in turn.
 
-    Base parameters that it displaces are on a bound far from the file's value with the effect, but not without it, although the
-    hold-out error hardly improves. The effect replaces a part of the base, as a sensor offset replaces rolling resistance.
+    Base parameters that it displaces are on a bound far from the file's value with the term, but not without it, although the
+    hold-out error hardly improves. The term replaces a part of the base, as a sensor offset replaces rolling resistance.
     """
 
     name: str
     improvement: Improvement  # of the model with it over the one without, each fitted separately
-    on_bounds: tuple[str, ...]  # parameters on a bound other than the value without effect
+    faults: tuple[str, ...] = ()  # why it is at best suspected, in words after its name
+    on_bounds: tuple[str, ...] = ()  # parameters on a bound other than the value without effect
     displaces: tuple[str, ...] = ()
-    cancels: bool = False  # far too small an improvement for its size, as of a term that cancels another one
-    by_others: bool = False  # far too large an improvement for its size, which may be zero: other values of the fit gained it
-    of_unconfirmed: bool = False  # of an explanation that is not confirmed as a whole
+
+    def of_unconfirmed(self) -> Graded:
+        """The same of an explanation that is not confirmed as a whole."""
+        return replace(self, faults=("is part of an explanation that laps left out do not confirm as a whole", *self.faults))
 
     @property
     def grade(self) -> str:
-        """`confirmed`, `suspected` or `refuted`. On a bound, cancelling, improved by others or of an unconfirmed
-        explanation: at best suspected. Displacing: refuted.
-        """
-        if self.displaces:
+        """`confirmed`, `suspected` or `refuted`."""
+        if self.displaces or self.improvement.grade == REFUTED:
             return REFUTED
-        unsure = bool(self.on_bounds) or self.cancels or self.by_others or self.of_unconfirmed
-        return SUSPECTED if unsure and self.improvement.grade == CONFIRMED else self.improvement.grade
+        return SUSPECTED if self.faults or self.on_bounds else self.improvement.grade
 
     @property
     def fault(self) -> str:
         """Why it is not confirmed whatever these laps show, in words after its name; empty if only they decide."""
-        shows = f"from {figures(self.improvement.before)} to {figures(self.improvement.after)} Nm on laps left out"
         if self.displaces:
             return f"pushes {', '.join(self.displaces)} of the vehicle file to the end of its range"
         if self.improvement.grade != CONFIRMED:
             return ""
         if self.on_bounds:
             return f"is at the limit of its plausible range ({', '.join(self.on_bounds)})"
-        if self.cancels:
-            return f"reduces the error far less than its size suggests: {shows}"
-        return f"reduces the error far more than its size explains: {shows}" if self.by_others else ""
+        return self.faults[0] if self.faults else ""
 
     @property
     def confirmed(self) -> bool:
@@ -75,16 +69,6 @@ def on_bounds(active: Active) -> tuple[str, ...]:
         for q in active.effect.parameters
         for bound in (q.low, q.high)
         if q.fitted and bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
-    )
-
-
-def may_be_off(found: Fit, name: str) -> bool:
-    """Whether the interval of each size of an effect includes the value without effect."""
-    active = next(a for a in found.effects if a.effect.name == name)
-    return all(
-        abs(active.values[q.name] - q.off) <= SURELY * found.std_of(name, q.name)
-        for q in active.effect.parameters
-        if q.fitted and q.off is not None
     )
 
 

@@ -1,0 +1,346 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The judge: what laps and recordings left out confirm, which explanation is chosen, and what is as good as it."""
+
+import copy
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import driven, explained, form, graded, judging, machine, named, series
+
+from trackres_ros.diagnosis.base.patterns import ClockTerm
+from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of, _competes
+from trackres_ros.diagnosis.search.explanations import Explanation
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
+from trackres_ros.effects.learned import AMBIENT, SPEED, STEP, Corner
+
+GAIN, LEVEL_NM, SIZE_NM = 1.1, 200.0, 150.0
+
+
+# Rules, without a drive
+
+
+@given(st.dictionaries(st.sampled_from("abcdef"), st.floats(0.001, 1.0), min_size=1), st.data())
+def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
+    shares = {name: w / sum(weights.values()) for name, w in weights.items()}
+    name = data.draw(st.sampled_from(sorted(shares)))
+    alike = data.draw(st.sets(st.sampled_from(sorted(shares))))
+    members = _class_of(name, shares, alike)
+    assert members[0] == name
+    assert len(members) == len(set(members))
+    assert alike <= set(members)
+    assert sum(shares[m] for m in members) >= 0.8 - 1e-9 or set(members) == set(shares)
+    by_share = [m for m in members if m not in alike | {name}]
+    left = [shares[m] for m in shares if m not in members]
+    assert max(left, default=0.0) <= min((shares[m] for m in by_share), default=1.0)
+    # And no more than that: without the smallest of those it would hold less.
+    needed = {name, *by_share}
+    if by_share:
+        assert sum(shares[m] for m in needed) - min(shares[m] for m in by_share) < 0.8
+
+
+def of_kinds(kinds, **given):
+    candidates = {name: SimpleNamespace(kind=kind) for name, kind in kinds.items()}
+    return Explanation(None, None, 0.0, candidates, **given)
+
+
+def test_shares_are_of_names_and_forms_have_none():
+    explanations = [of_kinds({"a": 0}), of_kinds({"b": 0, "form": 1}), of_kinds({"form": 1})]
+    choice = Choice.__new__(Choice)
+    choice._validation = SimpleNamespace(shares=lambda _: np.array([0.5, 0.3, 0.2]))
+    scored_by = [replace(e, score=SimpleNamespace()) for e in explanations]
+    found = choice._shares(scored_by)
+    assert found == pytest.approx({"a": 0.5, "b": 0.3, "none of these": 0.2})
+    assert list(found) == ["a", "b", "none of these"]
+
+
+def test_an_explanation_with_more_forms_casts_no_doubt():
+    name, form_alone, on_clock = of_kinds({"a": 0}), of_kinds({"x": 1}), of_kinds({"x": 2})
+    assert (_competes(name, form_alone), _competes(form_alone, name)) == (True, False)
+    assert _competes(form_alone, on_clock)
+    assert not _competes(on_clock, form_alone)
+    assert _competes(name, of_kinds({"b": 0}))
+
+
+@pytest.mark.parametrize(("fallen", "beaten"), [(0.9, False), (1.1, True)])
+def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
+    """It surely predicts better; its mean square error falls by so many times the square of a tenth of what the name adds."""
+    adds, samples = 300.0, 100
+
+    def judged(kinds, square):
+        fit = SimpleNamespace(contribution=lambda _: np.full(samples, adds))
+        return replace(of_kinds(kinds), fit=fit, score=SimpleNamespace(square=np.array([square])))
+
+    choice = SimpleNamespace(_validation=SimpleNamespace(least_gain=lambda *_: 100.0), _beyond_base=lambda x: x)
+    name = judged({"scrub": 0}, 1e6)
+    by_form = judged({"form": 1}, 1e6 - fallen * samples * (0.1 * adds) ** 2)
+    assert Choice._beats(choice, by_form, name) == beaten
+    assert Choice._beats(choice, judged({"other": 0}, 1e6), name)  # a name needs no more than to be surely better
+
+
+@pytest.mark.parametrize(("gain", "by_name", "by_form"), [(2.9, False, False), (3.1, True, False), (10.1, True, True)])
+def test_a_form_needs_a_larger_margin_than_a_name(gain, by_name, by_form):
+    choice = SimpleNamespace(_validation=SimpleNamespace(least_gain=lambda *_: gain), _beyond_base=lambda x: x)
+    fit, score = SimpleNamespace(contribution=lambda _: np.zeros(1)), [SimpleNamespace(square=np.array([x])) for x in (9.0, 1.0)]
+    name = replace(of_kinds({"a": 0}), fit=fit, score=score[0])
+    others = [replace(of_kinds(kinds), fit=fit, score=score[1]) for kinds in ({"b": 0}, {"x": 1})]
+    assert [Choice._beats(choice, other, name) for other in others] == [by_name, by_form]
+
+
+# On drives
+
+
+@pytest.fixture(scope="module")
+def by_gain():
+    """A torque of another scale, and what judges its explanations."""
+    return judging(driven(GAIN, of=machine()), {name: named()[name] for name in ("torque_gain", "torque_offset")})
+
+
+@pytest.fixture(scope="module")
+def chosen(by_gain):
+    by_gain.search.expand(by_gain.search.nothing)
+    return by_gain.choice.best()
+
+
+# What is confirmed
+
+
+def test_a_confirmed_explanation_has_only_confirmed_terms(by_gain, chosen):
+    choice, seen = by_gain.choice, 0
+    for judged in [e for e in by_gain.search.known.values() if e.key and e.settled]:
+        terms = choice._all_graded(judged)
+        assert terms.keys() == judged.key
+        if not choice._is_confirmed(judged):
+            continue
+        seen += 1
+        assert all(g.grade == CONFIRMED for g in terms.values())
+        for g in terms.values():
+            assert g.improvement.likelier > 0.0
+            assert g.improvement.after <= g.improvement.before
+        kept = by_gain.laps.improvement_of(by_gain.refitted, judged.fit)
+        assert kept.after <= kept.before
+    assert seen >= 2
+    assert chosen.graded.keys() == chosen.explanation.key
+    assert all(g.confirmed for g in chosen.graded.values())
+
+
+def test_the_name_is_chosen_where_a_form_predicts_alike(by_gain, chosen):
+    """A curve of the driving torque is the same as another scale, where that is driven."""
+    rivals = [e for e in by_gain.search.known.values() if any("driving" in name for name in e.key) and len(e.key) == 1]
+    assert any(by_gain.choice._is_confirmed(by_gain.search.polished(e)) for e in rivals)
+    assert chosen.explanation.key == {"torque_gain"}
+    assert chosen.final.effect_names == ("torque_gain",)
+    assert chosen.is_named("torque_gain")
+    assert chosen.term("torque_gain").candidate.name == "torque_gain"
+
+
+def test_a_form_with_a_higher_worth_still_yields_to_the_name(by_gain, chosen):
+    name = chosen.explanation
+    other = next(e for e in by_gain.search.known.values() if len(e.key) == 1 and e.without_a_name)
+    better = replace(other, score=name.score, worth=name.worth + 50.0)
+    assert by_gain.choice._pick([better, name]) is name
+    assert by_gain.choice._pick([better]) is better
+    assert by_gain.choice._pick([]) is by_gain.search.nothing
+    clock = replace(better, candidates={"x": SimpleNamespace(kind=2)}, terms={}, worth=name.worth + 99.0)
+    assert by_gain.choice._pick([clock, better]) is better
+
+
+def test_of_two_names_the_one_that_predicts_better_is_chosen(by_gain, chosen):
+    name, nothing = chosen.explanation, by_gain.search.nothing
+    worse = replace(name, score=nothing.score, worth=name.worth + 50.0)
+    assert by_gain.choice._pick([worse, name]) is name
+    alike = replace(name, worth=name.worth - 1.0)
+    assert by_gain.choice._pick([alike, name]) is name
+
+
+def test_what_held_out_laps_or_the_file_refute_is_not_confirmed(by_gain):
+    effect = named()["torque_gain"]
+    assert graded(by_gain, effect)[1]
+    of = judging(by_gain.refitted, {})
+    of.choice._by_file = 1.0
+    assert not graded(of, effect)[1]
+    assert not graded(judging(driven(GAIN, held_out_gain=1.0, of=machine()), {}), effect)[1]
+
+
+def test_a_name_on_a_bound_is_at_best_suspected(by_gain):
+    narrow = copy.copy(named()["torque_gain"])
+    narrow.parameters = tuple(replace(q, high=0.7 * (GAIN - 1.0)) for q in narrow.parameters)
+    terms, confirmed = graded(judging(by_gain.refitted, {}), narrow)
+    one = terms["torque_gain"]
+    assert one.improvement.grade == CONFIRMED
+    assert (one.on_bounds, one.grade, confirmed) == (("error",), SUSPECTED, False)
+
+
+def wave(session, _):
+    return LEVEL_NM * np.sin(session.time / 20.0)
+
+
+def against(session, _):
+    return -LEVEL_NM * np.sin(session.time / 20.0 + 0.1)
+
+
+def test_terms_that_cancel_each_other_are_not_confirmed():
+    """Two large series that differ little: what they add together is a tenth of either."""
+    found = driven(of=machine(), adds=lambda s, i: wave(s, i) + against(s, i))
+    terms, confirmed = graded(judging(found, {}), series(found, wave, name="one"), series(found, against, name="other"))
+    assert all(g.improvement.grade == CONFIRMED for g in terms.values())  # each helps the other
+    assert not confirmed
+
+
+def comes_and_goes(session):
+    return SIZE_NM * np.sign(np.sin(session.time / 40.0))
+
+
+def helping(count, elsewhere):
+    """Grade of a torque that is there in the first of four recordings, by a term that is also somewhat in the others."""
+    found = driven(of=machine(), adds=lambda s, i: comes_and_goes(s) * (i < count), count=4)
+    term = series(found, lambda s, i: comes_and_goes(s) * (1.0 if i < count else elsewhere))
+    return graded(judging(found, {}), term)[0]["series"]
+
+
+def test_a_term_helps_in_most_recordings_in_which_it_acts():
+    half = helping(2, 0.6)
+    assert half.improvement.grade == CONFIRMED
+    assert half.grade == SUSPECTED
+    assert half.fault == "helps in 2 of the 4 recordings in which it acts"
+    assert helping(3, 0.6).confirmed
+    assert helping(2, 0.0).confirmed  # where it does not act it need not help
+
+
+def judged_with(of, explanation, name, **changed):
+    """The grade of a term of an explanation whose score has other values, by a judge that has seen nothing yet."""
+    known = dict(of.search.known)
+    try:
+        choice = Choice(of.search, of.search.nothing.fit, of.laps, of.use)
+        return choice.graded(replace(explanation, score=replace(explanation.score, **changed)), name)
+    finally:
+        of.search.known.clear()
+        of.search.known.update(known)
+
+
+@pytest.fixture(scope="module")
+def hidden():
+    """Three recordings with more torque above a speed, explained by that form."""
+    effect = form(Corner(SPEED, STEP, 0.5, 6.0, 12.0))
+    of = judging(driven(of=machine(), adds=lambda s, _: SIZE_NM * (np.abs(s.speed) > 6.0), count=3), {})
+    return of, explained(of, effect), effect.name
+
+
+@pytest.mark.parametrize(("worse", "grade"), [(1.005, CONFIRMED), (1.02, SUSPECTED)])
+def test_a_term_may_not_predict_unseen_recordings_worse(hidden, worse, grade):
+    of, explanation, name = hidden
+    unseen = of.search.nothing.score.unseen * worse
+    found = judged_with(of, explanation, name, unseen=unseen)
+    assert found.grade == grade
+    assert ("predicts recordings left out worse" in found.fault) == (grade == SUSPECTED)
+
+
+def test_a_gain_is_more_than_the_best_of_as_many_by_chance(hidden):
+    """Three more than the logarithm of their number."""
+    of, explanation, name = hidden
+    before, count = of.search.nothing.score, len(explanation.score.density)
+    for more, grade in ((-0.5, SUSPECTED), (0.5, CONFIRMED)):
+        gained = 3.0 + of.search.cost + more
+        found = judged_with(of, explanation, name, density=before.density + gained / count)
+        assert found.improvement.gained == pytest.approx(gained)
+        assert found.grade == grade
+        assert ("gains no more than the best of many" in found.fault) == (grade == SUSPECTED)
+    assert of.search.cost == pytest.approx(np.log(len(of.search.rounds[frozenset()].every)))
+
+
+@pytest.mark.parametrize(("less", "level", "grade"), [(0.97, 0.99, CONFIRMED), (0.99, 0.99, SUSPECTED), (0.99, 0.9, CONFIRMED)])
+def test_an_error_falls_by_a_fiftieth_or_its_levels_by_more(hidden, less, level, grade):
+    of, explanation, name = hidden
+    before = of.search.nothing.score
+    found = judged_with(of, explanation, name, error=less * before.error, level=level * before.level)
+    assert found.grade == grade
+    assert ("hardly reduces the error" in found.fault) == (grade == SUSPECTED)
+
+
+def test_a_term_that_grows_the_error_is_refuted(hidden):
+    of, explanation, name = hidden
+    assert judged_with(of, explanation, name).grade == CONFIRMED
+    assert judged_with(of, explanation, name, error=1.05 * of.search.nothing.score.error).grade == REFUTED
+
+
+def test_next_to_nothing_is_not_confirmed(hidden):
+    of, explanation, name = hidden
+    little = {name: replace(explanation.candidates[name], share=0.004)}
+    assert judged_with(of, replace(explanation, candidates=little), name).fault == "adds only 0.4% of the torque"
+
+
+# A recorded channel and the clock
+
+
+def warming(session):
+    """Air that warms once in each drive."""
+    return replace(session, ambient=10.0 + 10.0 * session.time / session.time[-1])
+
+
+def changing(session):
+    """Air that warms and cools again and again."""
+    return replace(session, ambient=15.0 + 5.0 * np.sin(session.time / 40.0 + 2.0))
+
+
+def warm(session, _):
+    return SIZE_NM * (session.ambient > 15.0)
+
+
+def with_rivals(changed):
+    """Explanations of a step over the ambient temperature by that and by one over the clock."""
+    found = driven(of=machine(), adds=warm, count=3, changed=changed)
+    of = judging(found, {})
+    facts, sessions = found.problem.base.facts, found.problem.sessions
+    half = sessions[0].time[-1] / 2.0
+    shape = [np.sign(s.speed) * (s.time > half) for s in sessions]
+    clock = ClockTerm("time since start", STEP, half, (0.0, 2.0 * half), shape, facts.weight * facts.radius)
+    channel = form(Corner(AMBIENT, STEP, 10.0, 15.0, 20.0))
+    return of, explained(of, channel), explained(of, clock)
+
+
+def test_a_form_that_the_clock_explains_as_well_is_suspected():
+    of, channel, clock = with_rivals(warming)
+    for one, other in ((channel, clock), (clock, channel)):
+        (name,), (rival,) = one.key, other.key
+        found = of.choice.graded(one, name)
+        assert found.improvement.grade == CONFIRMED
+        assert (found.grade, found.fault) == (SUSPECTED, f"cannot be separated from {rival} in these drives")
+
+
+def test_a_channel_that_moves_again_and_again_is_confirmed():
+    of, channel, _ = with_rivals(changing)
+    assert of.choice.graded(channel, "step_of_ambient").grade == CONFIRMED
+    assert of.choice._is_confirmed(channel)
+
+
+# Nothing confirmed
+
+
+def test_only_what_is_confirmed_is_chosen_unless_asked_otherwise(hidden, monkeypatch):
+    of, _, _ = hidden
+    monkeypatch.setattr(Choice, "_is_confirmed", lambda *_: False)
+    nothing, first = (Choice(of.search, of.search.nothing.fit, of.laps, of.use).best(keep) for keep in (False, True))
+    assert nothing.explanation is of.search.nothing
+    assert not nothing.graded
+    assert nothing.shares == {"none of these": 1.0}
+    assert first.explanation.worth == max(e.worth for e in of.search.known.values() if e.settled)
+    assert first.graded.keys() == first.explanation.key == first.steps.keys()
+
+
+# Classes
+
+
+def test_each_class_has_what_was_chosen_and_weights_of_one(chosen):
+    assert chosen.steps.keys() == chosen.explanation.key
+    for name, step in chosen.steps.items():
+        assert step.chosen.name == name == step.members[0]
+        assert step.candidates[0] is step.chosen
+        assert step.weights.keys() == set(step.members)
+        assert sum(step.weights.values()) == pytest.approx(1.0)
+        assert step.stability >= CLASS_SHARE or len(step.members) > 1
+        assert not set(step.worse) & set(step.members) - {name}

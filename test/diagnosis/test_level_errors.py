@@ -1,0 +1,206 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Means over blocks, left out in turn: what a candidate gains there is what brute force gives."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+from worlds import NOISE_NM, driven, moving_means, scored
+
+from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels, log_likelihood
+from trackres_ros.diagnosis.selection.visibility import base_columns
+
+STEP_NM = 100.0
+COUNT = 3
+
+
+def step(session, _):
+    return STEP_NM * (session.time % 300.0 > 180.0)
+
+
+@pytest.fixture(scope="module")
+def stepped():
+    """A fit of a base to three drives with a step in each."""
+    return driven(adds=step, count=COUNT)
+
+
+@pytest.fixture(scope="module")
+def own(stepped):
+    return base_columns(stepped)
+
+
+@pytest.fixture(scope="module")
+def levels(stepped, own):
+    return Levels(stepped, own, scored(stepped))
+
+
+def as_candidate(levels, found, of, low=-math.inf, high=math.inf):
+    rows = np.concatenate([of(s, i) * np.sign(s.speed) for i, s in enumerate(found.problem.sessions)])
+    return Amplitudes(levels.means(rows)[:, np.newaxis], np.array([low]), np.array([high]))
+
+
+def by_force(found, own, extra):
+    """Gain of a column by fits without each fold, from the samples: ridge and Huber's weights, one fold after another."""
+    blocks = moving_means(found, np.concatenate(found.residuals), 15.0, scored(found))
+    y = np.array(list(blocks.values()))
+    unit = 1.4826 * np.median(np.abs(y))
+    x = np.array(list(moving_means(found, own, 15.0, scored(found)).values()))
+    z = np.array(list(moving_means(found, extra, 15.0, scored(found)).values()))
+    pieces = sorted({(i, block // 10) for i, block in blocks})
+    piece = np.array([pieces.index((i, block // 10)) % 5 for i, block in blocks])
+    recording = np.array([i for i, _ in blocks])
+
+    def log_density(columns, stds, means, fold):
+        error = np.empty(len(y))
+        for left_out in np.unique(fold):
+            at, weight = fold == left_out, (fold != left_out).astype(float)
+            for _ in range(3):
+                rows = np.sqrt(weight)[:, np.newaxis] * columns / unit
+                whole = np.concatenate((rows, np.diag(1.0 / stds)))
+                right = np.concatenate((np.sqrt(weight) * y / unit, means / stds))
+                values = np.linalg.lstsq(whole, right, rcond=None)[0]
+                rest = y / unit - columns @ values / unit
+                weight = (fold != left_out) / np.maximum(1.0, np.abs(rest) / 1.5)
+            error[at] = rest[at]
+        scale = np.abs(error).mean()
+        return student.logpdf(error / scale, 4.0).sum() - len(y) * math.log(scale)
+
+    stds = np.array([f.std for f in found.free])
+    means = np.array([f.nominal for f in found.free]) - found.point
+    gains = []
+    for fold in (piece, recording):
+        before = log_density(x, stds, means, fold)
+        after = log_density(np.column_stack([x, z]), np.append(stds, 5.0), np.append(means, 0.0), fold)
+        gains.append(after - before)
+    return float(np.mean(gains))
+
+
+def test_a_gain_is_that_of_fits_without_each_fold(stepped, own, levels):
+    for of in (step, lambda s, _: 50.0 * np.cos(s.time / 40.0), lambda s, i: np.full(len(s), 80.0 * (i == 1))):
+        extra = np.concatenate([of(s, i) * np.sign(s.speed) for i, s in enumerate(stepped.problem.sessions)])
+        expected = by_force(stepped, own, extra)
+        assert levels.gain(as_candidate(levels, stepped, of)) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+def test_what_was_hidden_gains_most_and_with_its_size(stepped, levels):
+    true = as_candidate(levels, stepped, step)
+    assert levels.gain(true) > 50.0
+    assert levels.start(true)[0] == pytest.approx(1.0, abs=0.1)
+    for shift in (60.0, 120.0, 180.0):
+        other = as_candidate(levels, stepped, lambda s, i, by=shift: step(replace(s, time=s.time + by), i))
+        assert levels.gain(other) < 0.5 * levels.gain(true)
+
+
+def test_what_the_base_explains_already_gains_nothing(stepped, own, levels):
+    for i, f in enumerate(stepped.free):
+        column = levels.means(own[:, [i]]) * min(f.std, f.scale)
+        assert levels.gain(Amplitudes(column, np.array([-np.inf]), np.array([np.inf]))) < 3.0  # its prior loosens a little
+        assert np.linalg.norm(levels.beyond(column)) < 0.9 * np.linalg.norm(column)
+
+
+def test_each_amplitude_beyond_the_first_costs_one(stepped, levels):
+    one = as_candidate(levels, stepped, step)
+    none = np.zeros_like(one.columns)
+    ends = np.array([-np.inf, -np.inf]), np.array([np.inf, np.inf])
+    assert levels.gain(Amplitudes(np.column_stack([one.columns, none]), *ends)) == pytest.approx(levels.gain(one) - 1.0)
+
+
+def test_an_amplitude_stays_within_its_bounds(stepped, levels):
+    free, half, wrong = (as_candidate(levels, stepped, step, *ends) for ends in ((-9.0, 9.0), (-9.0, 0.5), (-9.0, 0.0)))
+    assert levels.start(half)[0] == 0.5
+    assert levels.start(wrong)[0] == 0.0
+    assert levels.gain(wrong) == pytest.approx(0.0, abs=1e-9)
+    assert 10.0 < levels.gain(half) < levels.gain(free)
+
+
+def test_no_fold_sees_its_own_blocks(stepped, own):
+    for folds in ("_pieces", "_recordings"):
+        levels = Levels(stepped, own, scored(stepped))
+        candidate = as_candidate(levels, stepped, step)
+        before = levels._solved(candidate, ~getattr(levels, folds))[0]
+        for number, fold in enumerate(getattr(levels, folds)):
+            levels.residual = np.where(fold, levels.residual + 7.0, levels.residual)
+            after = levels._solved(candidate, ~getattr(levels, folds))[0]
+            np.testing.assert_allclose(after[number], before[number])
+            others = np.arange(len(after)) != number
+            assert np.all(np.abs(after - before)[others].max(axis=1) > 1e-3)
+            levels.residual = np.where(fold, levels.residual - 7.0, levels.residual)
+
+
+def test_every_block_is_left_out_once_each_way(levels):
+    for folds in (levels._pieces, levels._recordings):
+        np.testing.assert_array_equal(folds.sum(axis=0), 1)
+    assert len(levels._recordings) == COUNT
+    assert all(np.isfinite(error).all() for error in levels.nothing)
+
+
+def test_the_fall_of_a_column_is_that_of_the_errors_without_it(stepped, levels):
+    adds = np.concatenate([step(s, 0) * np.sign(s.speed) for s in stepped.problem.sessions])
+    before, after = (np.abs(levels.errors(c).pieces).mean() for c in (None, as_candidate(levels, stepped, step)))
+    assert levels.falls(adds) == pytest.approx(1.0 - after / before)
+    assert levels.falls(adds) > 0.2
+    assert levels.falls(np.zeros_like(adds)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_with_two_recordings_only_pieces_are_left_out():
+    found = driven(adds=step)
+    levels = Levels(found, base_columns(found), scored(found))
+    assert np.isfinite(levels.nothing.pieces).all()
+    assert np.isnan(levels.nothing.recordings).all()
+    assert levels.gain(as_candidate(levels, found, step)) > 10.0
+
+
+def test_blocks_hold_the_used_samples_alone(stepped, own):
+    """Held-out laps count too; what is not used changes nothing."""
+    rows = np.random.default_rng(2).normal(size=len(own))
+    known = scored(stepped)
+    levels = Levels(stepped, own, known)
+    expected = moving_means(stepped, rows, 15.0, known)
+    unit = np.median(np.abs(list(moving_means(stepped, np.concatenate(stepped.residuals), 15.0, known).values()))) * 1.4826
+    np.testing.assert_allclose(levels.means(rows), np.array(list(expected.values())) / unit, rtol=1e-3)
+    spoilt = np.where(np.concatenate(known), rows, np.nan)
+    np.testing.assert_array_equal(levels.means(spoilt), levels.means(rows))
+
+
+def test_belts_of_another_scatter_have_their_own_unit():
+    """A measured belt temperature weighs as it scatters, whatever it scatters; the torque's unit is its own."""
+    quiet, loud = (driven(adds=step, belt_noise=kelvin) for kelvin in (0.5, 5.0))
+    for found in (quiet, loud):
+        levels = Levels(found, base_columns(found), scored(found))
+        of_belts = ~levels.of_torque
+        assert 10 < of_belts.sum() < levels.blocks - 10
+        for of in (of_belts, levels.of_torque):
+            assert 1.4826 * np.median(np.abs(levels.residual[of])) == pytest.approx(1.0, rel=1e-3)
+        assert np.ptp(levels._unit[levels.of_torque]) == np.ptp(levels._unit[of_belts]) == 0.0
+        assert not as_candidate(levels, found, step).columns[of_belts].any()
+        assert levels.scatter_nm == levels._unit[levels.of_torque][0]
+    small, large = (Levels(f, base_columns(f), scored(f))._unit[-1] for f in (quiet, loud))
+    assert large > 3.0 * small
+    assert large < NOISE_NM
+
+
+def test_a_change_along_a_term_has_its_size_and_its_deviation(stepped, levels):
+    """A term that grows by a tenth for each standard deviation of another variable, and one that does not."""
+    sessions = stepped.problem.sessions
+    adds = np.concatenate([step(s, 0) * np.sign(s.speed) for s in sessions])
+    over = np.concatenate([np.sin(s.time / 23.0) for s in sessions])
+    changed, std = levels.change_of(adds, adds * over, 60.0, 4.0)
+    assert abs(changed) < 3.0 * std
+    assert std < 0.1
+    grown = Levels(stepped, base_columns(stepped), scored(stepped))
+    grown.residual = grown.residual + 0.3 * grown.means(adds * over)
+    assert grown.change_of(adds, adds * over, 60.0, 4.0)[0] == pytest.approx(changed + 0.3, abs=0.05)
+
+
+def test_a_log_likelihood_falls_as_errors_grow():
+    errors = np.random.default_rng(3).normal(size=200)
+    for factor in (2.0, 10.0):
+        assert log_likelihood(errors) - log_likelihood(factor * errors) == pytest.approx(200 * math.log(factor))
+    assert log_likelihood(errors) == pytest.approx(
+        float(student.logpdf(errors / np.abs(errors).mean(), 4.0).sum() - 200 * math.log(np.abs(errors).mean()))
+        - 200 * float(student.logpdf(0.0, 4.0))
+    )

@@ -1,0 +1,145 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Proposes additions to an explanation: the few that predict the level best, and the few that whitening favours.
+
+Most missing physics is slow: block means show it, see `selection.level_errors`. What is fast only the whitened likelihood shows:
+a delay, a gain, an inertia. Neither judges; both lists go to the laps left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from trackres_ros.diagnosis.empirical.candidates import candidates, followed, series
+from trackres_ros.diagnosis.empirical.thresholds import found_by_clock, found_by_scan
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.selection.candidate import same_variable
+from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels
+from trackres_ros.diagnosis.selection.visibility import (
+    EffectColumns,
+    EffectSensitivity,
+    Separability,
+    amplitude_bounds,
+    amplitude_spans,
+    base_columns,
+    separability,
+)
+from trackres_ros.effects.effect import Effect
+from trackres_ros.effects.learned import EmpiricalEffect, sized
+from trackres_ros.progress import counted
+
+BEST = 4  # of each list
+TIED = ("torque_gain", "speed_scale", "rotating_inertia", "drivetrain_efficiency", "grade")
+"""Names that most drives hardly separate: where one is proposed, the others are, too."""
+LEAST_BEGUN = 0.05  # of the typical size: at zero, the shape of a term has no influence
+BEGUN_WITHIN = 20.0  # typical sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """An effect to fit, with its initial values."""
+
+    effect: Effect
+    start: Mapping[str, float]
+    sensitivity: EffectSensitivity  # about the start of these
+    level: float  # gain by the level of the torque, in log-likelihood of block means left out
+    fast: float  # gain by the whitened residual
+
+    @property
+    def derivatives(self) -> dict[tuple[str, str], Array]:
+        """Derivatives of the predictions by the amplitudes, each of shape (n,)."""
+        amplitudes = [(self.effect.name, q.name) for q in self.effect.parameters if q.off is not None]
+        return dict(zip(amplitudes, self.sensitivity.columns.T, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """The proposals for one explanation, and how many terms they were chosen from."""
+
+    own: Array = field(default_factory=lambda: np.empty((0, 0)))  # derivatives of the fit's own parameters
+    every: Mapping[str, Proposal] = field(default_factory=dict)  # by name
+    separability: Separability = field(default_factory=lambda: Separability((), (), (), np.empty((0, 0))))
+
+    def best(self, left_out: Collection[str]) -> tuple[Proposal, ...]:
+        """The best of each list, without some names, and what is tied with one of them."""
+        among = [p for name, p in self.every.items() if name not in left_out]
+        least = math.log(max(len(self.every), 1))  # the best of as many gains that by chance
+        by_level = sorted(among, key=lambda p: -p.level)[:BEST]
+        by_white = sorted(among, key=lambda p: -p.fast)[:BEST]
+        found = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > least}
+        if not found.keys().isdisjoint(TIED):
+            found |= {p.effect.name: p for p in among if p.effect.name in TIED}
+        return tuple(found.values())
+
+
+class Proposer:
+    """Proposes names of a catalogue and forms; their first-order columns are those about the base."""
+
+    def __init__(self, base: Fit, effects: Mapping[str, Effect], used: Sequence[Mask]) -> None:
+        self._pool = {**effects, **candidates(base)}
+        self._columns, self._used = EffectColumns(base), used
+
+    def proposals(self, current: Fit) -> Proposals:
+        """The best additions to a fit."""
+        own = base_columns(current)
+        levels = Levels(current, own, self._used)
+        present = [a.effect for a in current.effects]
+        pool = {**self._pool, **self._scanned(current, levels)}
+        pool = {key: e for key, e in pool.items() if not any(e.name == p.name or same_variable(e, p) for p in present)}
+        seen = separability(pool, current, own, self._columns)
+        every: dict[str, Proposal] = {}
+        for s in counted(seen.visible, "levels left out", len(seen.visible)):
+            found = _proposal(s, levels)
+            before = every.get(found.effect.name)
+            if before is None:
+                every[found.effect.name] = found
+            else:
+                every[found.effect.name] = _stronger(before, found)
+        return Proposals(own, every, seen)
+
+    def _scanned(self, current: Fit, levels: Levels) -> dict[str, Effect]:
+        """Forms whose thresholds depend on the residual."""
+        facts, found = current.problem.base.facts, dict[str, Effect]()
+        self._columns.forget()
+        forms = found_by_scan(current, levels, {code: series(code, current) for code in followed(current)})
+        for form, rows in (*forms, *found_by_clock(current, levels)):
+            effect = sized(form, facts.weight * facts.radius) if isinstance(form, EmpiricalEffect) else form
+            self._columns.give(effect, rows[:, np.newaxis])
+            found[f"scanned {form.name}"] = effect
+        return found
+
+
+def _stronger(one: Proposal, other: Proposal) -> Proposal:
+    """The start with the larger gain; each list has the best of both."""
+    better = max(one, other, key=lambda p: max(p.level, p.fast))
+    return replace(better, level=max(one.level, other.level), fast=max(one.fast, other.fast))
+
+
+def _proposal(s: EffectSensitivity, levels: Levels) -> Proposal:
+    """Gains of an effect from one start, and initial values by the list that favours it."""
+    spans, (low, high) = amplitude_spans(s.effect), amplitude_bounds(s.effect)
+    candidate = Amplitudes(levels.means(s.columns) * spans, low, high)
+    level = levels.gain(candidate)
+    moved = levels.start(candidate) if level >= s.fast else s.moved
+    return Proposal(s.effect, _begin(s, moved), s, level, s.fast)
+
+
+def _begin(s: EffectSensitivity, moved: Array) -> dict[str, float]:
+    """Initial values: the first-order optimum, but not zero, where the shape has no influence."""
+    values = dict(s.start)
+    amplitudes = [q for q in s.effect.parameters if q.off is not None]
+    moved = np.clip(moved, -BEGUN_WITHIN, BEGUN_WITHIN)
+    if len(moved) == 1 and abs(moved[0]) < LEAST_BEGUN:
+        low, high = amplitude_bounds(s.effect)
+        begun = np.copysign(LEAST_BEGUN, moved)
+        moved = np.where((begun < low) | (begun > high), -begun, begun)
+    for q, share in zip(amplitudes, moved.tolist(), strict=True):
+        assert q.off is not None
+        values[q.name] = float(np.clip(q.off + share * (q.start - q.off), q.low, q.high))
+    return values

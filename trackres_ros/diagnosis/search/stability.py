@@ -1,0 +1,54 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tests whether a named effect has one size: early and late, with cold and hot belts, slow and fast, first and last recording.
+
+A name stands for a mechanism with constant values. Where its size surely changes, another mechanism has been given its name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
+from trackres_ros.diagnosis.selection.level_errors import Levels
+from trackres_ros.diagnosis.selection.visibility import base_columns
+
+SURELY = 2.5  # standard deviations
+LEAST = 2.0 * FORM_ERROR  # of its size: a smaller change may be an error of its function
+LEAST_FALL = 0.05  # of the mean error of levels left out: a changing size that predicts no better is an error of its function
+CLUSTER_S = 60.0  # of blocks whose errors are alike
+FURTHEST = 4.0  # of the scatter: limit of a block's influence
+CONDITIONS = {"late in a drive": "early", "with hot belts": "cold", "fast": "slow", "in later recordings": "earlier ones"}
+
+
+def unstable(fit: Fit, name: str, used: Sequence[Mask]) -> list[str]:
+    """Where the size of an effect surely differs, in words after its name; at most one."""
+    levels = Levels(fit, base_columns(fit), used)
+    adds = np.concatenate(fit.contribution(name))
+    worst, found = 0.0, []
+    for (there, here), over in zip(CONDITIONS.items(), _conditions(fit), strict=True):
+        known = over[np.concatenate(list(used))]
+        if not np.isfinite(known).all() or not np.ptp(known) > 0.0:
+            continue
+        scaled = np.clip((over - known.mean()) / known.std(), -2.0, 2.0)
+        change, std = levels.change_of(adds, adds * np.nan_to_num(scaled), CLUSTER_S, FURTHEST)
+        surely = abs(change) - SURELY * std
+        if surely > max(LEAST, worst) and levels.falls(adds * np.nan_to_num(scaled)) > LEAST_FALL:
+            worst, way = surely, "larger" if change > 0.0 else "smaller"
+            found = [f"has no constant size: it is {way} {there} than {here}"]
+    return found
+
+
+def _conditions(fit: Fit) -> list[Array]:
+    """Variables of the `CONDITIONS`, all sessions concatenated."""
+    sessions = fit.problem.sessions
+    late = [np.where(s.time > s.time[len(s) // 2], 1.0, -1.0) for s in sessions]
+    recording = [np.full(len(s), float(i)) for i, s in enumerate(sessions)]
+    belts = [p.belt for p in fit.predicted] if fit.problem.base.has_belt else [np.full(len(s), math.nan) for s in sessions]
+    return [np.concatenate(x) for x in (late, belts, [np.abs(s.speed) for s in sessions], recording)]

@@ -1,0 +1,217 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Ranks candidates by how well they predict the *level* of the torque: means over blocks of some seconds, left out in turn.
+
+A likelihood near a unit root takes slow torque for noise. Block means have no such noise model: what counts is the error on
+recordings and pieces that were left out. The base stays free within its priors, and outliers weigh less (Huber).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.inference.fitting import BELT_EVERY, Fit
+from trackres_ros.diagnosis.prepare.session import Array, Mask
+from trackres_ros.units import MAD_TO_STD
+
+BLOCK_S = 15.0  # longer than the changes of a drive torque, shorter than those of temperature and weather
+PIECE_S = 150.0  # ten blocks that are left out together
+FOLDS = 5
+FEWEST_RECORDINGS = 3  # to leave whole ones out
+LEAST_FILLED = 0.5  # of a block
+HUBER = 1.5  # standard deviations: blocks further off weigh less
+TURNS = 3  # of weights and values
+PRIOR = 0.2  # of an amplitude over its typical one: the inverse of its standard deviation
+RIDGE = 1e-9
+
+
+class LevelErrors(NamedTuple):
+    """Errors of block means predicted without their piece, and without their recording, over the noise; nan where neither."""
+
+    pieces: Array
+    recordings: Array
+
+
+class Amplitudes(NamedTuple):
+    """Block means of a candidate's columns for typical amplitudes, and the bounds of the amplitudes over the typical ones."""
+
+    columns: Array  # (blocks, amplitudes)
+    low: Array
+    high: Array
+
+
+class Levels:
+    """Block means of the residual of a fit and of the columns of its free parameters.
+
+    Torques and measured belt temperatures are each in units of the scatter of their own residual.
+    """
+
+    def __init__(self, fit: Fit, own: Array, used: Sequence[Mask]) -> None:
+        self._index(fit, used)
+        residual = self._raw(np.concatenate(fit.residuals))
+        scatter = np.array([MAD_TO_STD * float(np.median(np.abs(residual[self._kind == k]))) for k in range(len(self._kinds))])
+        self._unit = np.maximum(scatter, 1e-9)[self._kind]
+        self.residual = residual / self._unit
+        scale, std, nominal = (np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal"))
+        self._own = self.means(own) * scale
+        self._prior = scale / std
+        self._pull = np.nan_to_num((nominal - fit.point) / std)
+        self.nothing = self.errors(None)
+        kept = np.eye(len(self._prior)) * (self._prior**2 + RIDGE)
+        self._projector = np.linalg.solve(self._own.T @ self._own + kept, self._own.T)
+
+    def _index(self, fit: Fit, used: Sequence[Mask]) -> None:
+        """Block of each row, and the folds of the blocks."""
+        problem = fit.problem
+        self._kinds = list(dict.fromkeys(g.kind for g in problem.segments))
+        keys, masks, length = [], [], BLOCK_S * problem.sessions[0].pace
+        for number, segment in enumerate(problem.segments):
+            session = problem.sessions[segment.session]
+            torque = segment.kind == "torque"
+            time = session.time if torque else session.time[::BELT_EVERY]
+            known = used[segment.session] if torque else segment.mask
+            block = (time // length).astype(np.int64)
+            keys.append(np.stack([np.full(len(block), number), block]))
+            masks.append(known)
+        self._used = np.concatenate(masks)
+        unique, self._block = np.unique(np.concatenate(keys, axis=1), axis=1, return_inverse=True)
+        self._block = self._block.ravel()
+        self._count = np.bincount(self._block[self._used], minlength=unique.shape[1])
+        whole = np.bincount(self._block, minlength=unique.shape[1])
+        self._full = (self._count >= LEAST_FILLED * whole) & (self._count > 0)
+        segments = [problem.segments[i] for i in unique[0, self._full]]
+        self._kind = np.array([self._kinds.index(g.kind) for g in segments])
+        self.recording = np.array([g.session for g in segments])
+        self.time = unique[1, self._full] * length
+        pieces = np.unique(
+            np.stack([self.recording, self.time // (PIECE_S * problem.sessions[0].pace)]), axis=1, return_inverse=True
+        )[1]
+        folds = np.arange(FOLDS)[:, np.newaxis] == pieces.ravel() % FOLDS
+        recordings = np.arange(len(problem.sessions))[:, np.newaxis] == self.recording
+        recordings = recordings[recordings.any(axis=1)]
+        several = len(recordings) >= FEWEST_RECORDINGS
+        self._pieces = folds[folds.any(axis=1) & ~folds.all(axis=1)]
+        self._recordings = recordings if several else recordings[:0]
+
+    def _raw(self, rows: Array) -> Array:
+        """Block means of rows of all segments, shape (n,) or (n, k)."""
+        if rows.ndim == 2:
+            return np.stack([self._raw(column) for column in rows.T], axis=1) if rows.shape[1] else np.empty((self.blocks, 0))
+        total = np.bincount(self._block, np.where(self._used, np.nan_to_num(rows), 0.0), len(self._count))
+        return np.asarray(total[self._full] / self._count[self._full])
+
+    def means(self, rows: Array) -> Array:
+        """Block means over the scatter of the residual; of all segments, or of all torques."""
+        missing = len(self._block) - len(rows)
+        rows = np.concatenate((rows, np.zeros((missing, *rows.shape[1:])))) if missing else rows
+        means = self._raw(rows)
+        return np.asarray(means / (self._unit if rows.ndim == 1 else self._unit[:, np.newaxis]))
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return len(self._kind)
+
+    @property
+    def of_torque(self) -> NDArray[np.bool_]:
+        """Blocks of torque, the others are of belt temperatures."""
+        return np.asarray(self._kind == 0)
+
+    @property
+    def scatter_nm(self) -> float:
+        """Scatter of the torque's block means [Nm]."""
+        return float(self._unit[0])
+
+    def errors(self, candidate: Amplitudes | None) -> LevelErrors:
+        """Errors of the blocks with the base, and a candidate, fitted to the others."""
+        found = []
+        for folds in (self._pieces, self._recordings):
+            error = np.full(self.blocks, np.nan)
+            if len(folds):
+                predicted = self._solved(candidate, ~folds)[0]
+                error[:] = np.where(folds, self.residual - predicted, 0.0).sum(axis=0)
+            found.append(error)
+        return LevelErrors(*found)
+
+    def start(self, candidate: Amplitudes) -> Array:
+        """The amplitudes over their typical ones that fit all blocks best."""
+        _, amplitudes = self._solved(candidate, np.ones((1, self.blocks), dtype=bool))
+        return np.asarray(amplitudes[0])
+
+    def _solved(self, candidate: Amplitudes | None, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Prediction of all blocks by each fold's fit, shape (folds, blocks), and its amplitudes."""
+        extra = np.empty((self.blocks, 0)) if candidate is None else candidate.columns
+        count = extra.shape[1]
+        x = np.column_stack([self._own, extra])
+        prior = np.diag(np.append(self._prior**2, np.full(count, PRIOR**2)) + RIDGE)
+        pull = np.append(self._prior * self._pull, np.zeros(count))
+        weight, values = used.astype(float), np.zeros((len(used), x.shape[1]))
+        for _ in range(TURNS):
+            values = _least_squares(x, self.residual[np.newaxis], weight, prior, pull)
+            if candidate is not None:
+                inside = np.clip(values[:, -count:], candidate.low, candidate.high)
+                if not np.array_equal(inside, values[:, -count:]):
+                    rest = self.residual - inside @ extra.T
+                    base = slice(0, len(self._prior))
+                    own = _least_squares(self._own, rest, weight, prior[base, base], pull[base])
+                    values = np.column_stack([own, inside])
+            error = np.abs(self.residual - values @ x.T)
+            weight = used / np.maximum(1.0, error / HUBER)
+        return values @ x.T, values[:, x.shape[1] - count :]
+
+    def gain(self, candidate: Amplitudes) -> float:
+        """Gain in log-likelihood of the blocks left out: mean of that by pieces and by recordings, less one for each amplitude
+        beyond the first.
+        """
+        pairs = zip(self.nothing, self.errors(candidate), strict=True)
+        gains = [log_likelihood(after) - log_likelihood(before) for before, after in pairs if np.isfinite(before).any()]
+        return float(np.mean(gains) - (candidate.columns.shape[1] - 1))
+
+    def falls(self, more: Array) -> float:
+        """Share by which a column of all torques lowers the mean error of the blocks that are predicted without their piece."""
+        column = self.means(more)[:, np.newaxis]
+        after = self.errors(Amplitudes(column, np.array([-np.inf]), np.array([np.inf])))
+        return 1.0 - float(np.nanmean(np.abs(after.pieces)) / np.nanmean(np.abs(self.nothing.pieces)))
+
+    def change_of(self, adds: Array, more: Array, cluster_s: float, furthest: float) -> tuple[float, float]:
+        """Coefficient of a column `more` beside the base and a term's torque `adds`, and its standard deviation.
+
+        The deviation is that of clusters of `cluster_s` [s] whose errors may be alike; `furthest` limits a block's influence.
+        """
+        x = np.column_stack([self._own, self.means(adds), self.means(more)])
+        prior = np.diag(np.append(self._prior**2, [0.0, 0.0]) + RIDGE)
+        pull = np.append(self._prior * self._pull, [0.0, 0.0])
+        weight = np.ones((1, self.blocks))
+        values = np.zeros((1, x.shape[1]))
+        for _ in range(TURNS):
+            values = _least_squares(x, self.residual[np.newaxis], weight, prior, pull)
+            weight = 1.0 / np.maximum(1.0, np.abs(self.residual - values @ x.T) / HUBER)
+        error = np.clip(self.residual - values[0] @ x.T, -furthest, furthest)
+        inverse = np.linalg.inv(x.T @ x + prior)
+        cluster = np.unique(np.stack([self.recording, self.time // cluster_s]), axis=1, return_inverse=True)[1].ravel()
+        scores = np.stack([np.bincount(cluster, column * error) for column in x.T], axis=1)
+        variance = float((inverse @ (scores.T @ scores) @ inverse)[-1, -1])
+        return float(values[0, -1]), math.sqrt(max(variance, 0.0))
+
+    def beyond(self, columns: Array) -> Array:
+        """Part of block means that the base's own columns do not explain, within their priors."""
+        return np.asarray(columns - self._own @ (self._projector @ columns))
+
+
+def log_likelihood(error: Array) -> float:
+    """Log-likelihood of errors under Student's t with four degrees of freedom and their own scale."""
+    scale = max(float(np.mean(np.abs(error))), 1e-12)
+    return -len(error) * math.log(scale) - 2.5 * float(np.log1p((error / scale) ** 2 / 4.0).sum())
+
+
+def _least_squares(x: Array, y: Array, weight: Array, prior: Array, pull: Array) -> Array:
+    """Weighted least squares of each fold; x (blocks, k), y and weight (folds, blocks), the result (folds, k)."""
+    weighted = weight[:, np.newaxis, :] * x.T
+    right = (weighted @ y[..., np.newaxis])[..., 0] + pull
+    return np.asarray(np.linalg.solve(weighted @ x + prior, right[..., np.newaxis])[..., 0])
