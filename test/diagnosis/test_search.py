@@ -44,7 +44,7 @@ def test_no_explanation_is_grown_beyond_three_terms(both):
 
 def test_a_worth_is_the_level_score_less_the_cost_of_a_term(both):
     search, validation = both.search, both.validation
-    proposed = [frozenset({p.effect.name}) for p in search.rounds[frozenset()].best]
+    proposed = [frozenset({p.effect.name}) for p in search.rounds[frozenset()].best(())]
     assert len(proposed) >= 3
     for explanation in (search.known[key] for key in proposed):
         whole = validation.gain(search.nothing.score, explanation.score)
