@@ -92,6 +92,31 @@ def test_a_form_needs_a_larger_margin_than_a_name(gain, by_name, by_form):
     assert [Choice._beats(choice, other, name) for other in others] == [by_name, by_form]
 
 
+@pytest.mark.parametrize(("worth", "confirmed"), [(9.9, False), (10.1, True)])
+def test_terms_that_pass_only_together_need_a_margin(worth, confirmed):
+    sure = SimpleNamespace(confirmed=True, before=2.0, after=1.0)
+    choice = SimpleNamespace(
+        _search=SimpleNamespace(nothing=SimpleNamespace(score=None)),
+        _validation=SimpleNamespace(improvement=lambda *_, **__: sure),
+        _kept=lambda _: sure, _by_file=2.0, _laps=SimpleNamespace(predicts=lambda _: True), graded=lambda *_: sure,
+    )  # fmt: skip
+    pair = replace(of_kinds({"a": 0, "x": 1}), worth=worth)
+    assert Choice._is_confirmed(choice, pair) == confirmed
+    assert Choice._is_confirmed(choice, replace(of_kinds({"a": 0}), worth=0.1))
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_name_stands_without_the_forms_beside_it(alone, monkeypatch):
+    monkeypatch.setattr("trackres_ros.diagnosis.search.choice.unstable", lambda *_: [])
+    known = {key: of_kinds(dict.fromkeys(key, 0)) for key in ("", "a")} | {"ax": of_kinds({"a": 0, "x": 1})}
+    less = {("ax", "x"): "a", ("a", "a"): ""}
+    search = SimpleNamespace(without=lambda e, name: known[less["".join(sorted(e.key)), name]])
+    validation = SimpleNamespace(scored=(), improvement=lambda *_: SimpleNamespace(confirmed=alone))
+    choice = SimpleNamespace(_search=search, _validation=validation, _unstable=set())
+    assert (not Choice._unsteady(choice, known["ax"], "a")) == alone
+    assert not Choice._unsteady(choice, known["a"], "a")
+
+
 # On drives
 
 

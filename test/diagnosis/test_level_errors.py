@@ -188,12 +188,12 @@ def test_a_change_along_a_term_has_its_size_and_its_deviation(stepped, levels):
     sessions = stepped.problem.sessions
     adds = np.concatenate([step(s, 0) * np.sign(s.speed) for s in sessions])
     over = np.concatenate([np.sin(s.time / 23.0) for s in sessions])
-    changed, std = levels.change_of(adds, adds * over, 60.0, 4.0)
+    changed, std = levels.change_of(adds, adds * over, 60.0)
     assert abs(changed) < 3.0 * std
     assert std < 0.1
     grown = Levels(stepped, base_columns(stepped), scored(stepped))
     grown.residual = grown.residual + 0.3 * grown.means(adds * over)
-    assert grown.change_of(adds, adds * over, 60.0, 4.0)[0] == pytest.approx(changed + 0.3, abs=0.05)
+    assert grown.change_of(adds, adds * over, 60.0)[0] == pytest.approx(changed + 0.3, abs=0.05)
 
 
 def test_a_log_likelihood_falls_as_errors_grow():

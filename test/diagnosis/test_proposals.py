@@ -4,14 +4,17 @@
 """Proposals: what is slow comes from the level of the torque, what is fast from its whitened residual; both go to the judge."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from worlds import driven, named, scored
 
-from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposer, _begin
+from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposal, Proposals, Proposer, _begin
+from trackres_ros.diagnosis.selection.candidate import same_variable
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity
 from trackres_ros.effects.effect import Active, Parameter
+from trackres_ros.effects.learned import ABOVE, AMBIENT, LEFT, OPEN, SPEED, STEP, Corner, Curve, Latch
 
 COLD_NM, COLD_DEGC = 300.0, 3.0
 LATE_S = 0.6
@@ -120,3 +123,20 @@ def test_nothing_hidden_proposes_next_to_nothing():
     proposals = Proposer(found, names, scored(found)).proposals(found)
     assert len(proposals.every) > 20
     assert all(p.level < 12.0 for p in proposals.best(()))
+
+
+def test_what_is_left_out_is_not_proposed_again():
+    names = [f"effect_{i}" for i in range(BEST + 2)]
+    every = {n: Proposal(SimpleNamespace(name=n), {}, None, 50.0 - i, 0.0) for i, n in enumerate(names)}
+    proposals = Proposals(every=every)
+    assert [p.effect.name for p in proposals.best(())][:BEST] == names[:BEST]
+    assert [p.effect.name for p in proposals.best({names[0]})][:BEST] == names[1 : BEST + 1]
+
+
+def test_one_form_describes_a_variable():
+    step, hinge = Corner(AMBIENT, STEP), Corner(AMBIENT, ABOVE)
+    assert same_variable(step, hinge)
+    assert same_variable(step, Latch(AMBIENT))
+    assert not same_variable(step, Corner(SPEED, STEP))
+    assert not same_variable(Curve(SPEED, OPEN, [1.0, 2.0]), Curve(SPEED, LEFT, [1.0, 2.0]))
+    assert not same_variable(step, named()["turning_scrub"])

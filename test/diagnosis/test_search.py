@@ -4,11 +4,13 @@
 """The search over whole explanations: sets of terms, each scored on the laps left out, on small drives."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from worlds import driven, fit_with, judging, named
 
+from trackres_ros.diagnosis.findings import locate
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS
 
 GAIN, LEVEL_NM = 1.1, 200.0
@@ -114,3 +116,16 @@ def test_an_expanded_explanation_is_expanded_once(both):
     before = dict(search.known)
     assert search.expand(search.nothing) is search.rounds[frozenset()]
     assert search.known == before
+
+
+@pytest.mark.parametrize(("slow", "like"), [(0.4, False), (0.6, True)])
+@pytest.mark.parametrize("offset", [0.0, 5.0])
+def test_a_slope_may_be_what_varies_slowly(slow, like, offset, monkeypatch):
+    """Of a variance of 1 Nm2 beside an offset; where the slope is measured, it is none."""
+    residual = offset + np.tile([-1.0, 1.0], 50)
+    monkeypatch.setattr(locate, "torque_residuals", lambda _: [residual])
+    found = SimpleNamespace(problem=SimpleNamespace(masks=[np.ones(100, dtype=bool)]))
+    for slope, expected in ((0.01, like), (np.nan, False)):
+        left = locate.SlowResidual(float(np.sqrt(slow + offset**2)), 0.1, slope)
+        monkeypatch.setattr(locate, "slow_residual", lambda _, left=left: left)
+        assert locate.is_like_slope(found) == expected

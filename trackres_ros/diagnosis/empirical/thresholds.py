@@ -18,7 +18,7 @@ import numpy as np
 from trackres_ros.diagnosis.base.patterns import FADE, ClockTerm
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
-from trackres_ros.diagnosis.selection.level_errors import Levels
+from trackres_ros.diagnosis.selection.level_errors import FURTHEST, Levels
 from trackres_ros.effects.learned import ABOVE, BELOW, LATCHED, STEP, Corner, EmpiricalEffect, Latch
 from trackres_ros.units import STANDSTILL_MPS
 
@@ -30,7 +30,6 @@ GRID = 15  # thresholds at first
 FINER, PASSES = 5, 3  # then so many between the neighbours of the best
 FEWEST_BEYOND = 0.03  # share of the samples on either side of a threshold
 LEAST_KEPT = 0.01  # share of the squares of a column that the fit's own parameters do not explain
-FURTHEST = 4.0  # of the scatter of the blocks: limit of a block's influence
 LONG_STOP_S = 20.0  # a stop after which oil has run off, a belt has set and a brake has been applied
 
 

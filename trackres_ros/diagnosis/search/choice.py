@@ -228,14 +228,10 @@ class Choice:
         """
         nothing = self._search.nothing
         for _ in range(2):  # replacements of each term may make a better explanation
-            judged = self._judged()
-            confirmed = [e for e in judged if self._is_confirmed(e)]
-            best = self._pick(confirmed)
+            judged, confirmed, best = self._chosen()
             # A name whose size changes hides what is there instead.
             if judged and judged[0].worth > best.worth and self._search.leave_out(judged[0].key & self._unstable):
-                judged = self._judged()
-                confirmed = [e for e in judged if self._is_confirmed(e)]
-                best = self._pick(confirmed)
+                judged, confirmed, best = self._chosen()
             for explanation in (best, *(self._search.without(best, name) for name in names_of(best))):
                 self._search.expand(explanation)
         first = judged[0] if judged else nothing
@@ -246,6 +242,12 @@ class Choice:
             best, doubted, graded = first, (), {name: g.of_unconfirmed() for name, g in self._all_graded(first).items()}
         steps = {name: self._round_of(best, name) for name in best.candidates}
         return Chosen(best, graded, self._step(nothing), steps, self._step(best), doubted, shares)
+
+    def _chosen(self) -> tuple[list[Explanation], list[Explanation], Explanation]:
+        """The judged explanations, the confirmed ones of them, and the best one of these."""
+        judged = self._judged()
+        confirmed = [e for e in judged if self._is_confirmed(e)]
+        return judged, confirmed, self._pick(confirmed)
 
     def _judged(self) -> list[Explanation]:
         """The explanations with the highest worth and all with a term by place, and each without some of its terms."""

@@ -83,7 +83,7 @@ class Search:
 
     def run(self) -> None:
         """Explore the promising explanations: names and forms first, then the clock for what they leave."""
-        self._names_and_forms()
+        self._combine(self.expand(self.nothing))
         for explanation in {e.key: e for e in (self._best_known(), self.nothing)}.values():
             self._follow_clock(explanation)
         if self._best_known().terms:  # a slope by place and spells may pass only together
@@ -96,16 +96,17 @@ class Search:
         new = set(names) - self._left_out
         if new:
             self._left_out |= new
-            self.rounds.pop(self.nothing.key)
-            self._names_and_forms()
+            found = self.rounds[self.nothing.key]
+            self._add_best(self.nothing, found)
+            self._combine(found)
         return bool(new)
 
     def has_left_out(self, explanation: Explanation) -> bool:
         """Whether the search goes on without one of its terms."""
         return not explanation.key.isdisjoint(self._left_out)
 
-    def _names_and_forms(self) -> None:
-        self._add_sets(self.expand(self.nothing))
+    def _combine(self, proposals: Proposals) -> None:
+        self._add_sets(proposals)
         for explanation in self._best_unexpanded(EXPANDED):
             self._swap(self.polished(explanation))
 
@@ -160,11 +161,13 @@ class Search:
             return self.rounds[explanation.key]
         explanation = self.polished(explanation)
         self._on_stage(f"missing physics besides {', '.join(explanation.fit.effect_names) or 'the base alone'}")
-        current = explanation.fit
-        found = self._proposer.proposals(current)
-        by_place = any(map(explanation.goes_by_place, explanation.key))
+        found = self.rounds[explanation.key] = self._proposer.proposals(explanation.fit)
+        self._add_best(explanation, found)
+        return found
+
+    def _add_best(self, explanation: Explanation, found: Proposals) -> None:
+        current, by_place = explanation.fit, any(map(explanation.goes_by_place, explanation.key))
         best = [p for p in found.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
-        self.rounds[explanation.key] = found
         own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
         for proposal in counted(best, "fits of candidate effects", len(best)):
             s, effect = proposal.sensitivity, proposal.effect
@@ -173,7 +176,6 @@ class Search:
             fitted, columns = first_look(current, [*effects, effect], known, start, SHORT_ROOT)
             candidate = compared(current, fitted, effect.name, 0.0, s.kept, s.d_prime)
             self._add(explanation, candidate, None, columns)
-        return found
 
     @property
     def cost(self) -> float:

@@ -23,7 +23,6 @@ SURELY = 2.5  # standard deviations
 LEAST = 2.0 * FORM_ERROR  # of its size: a smaller change may be an error of its function
 LEAST_FALL = 0.05  # of the mean error of levels left out: a changing size that predicts no better is an error of its function
 CLUSTER_S = 60.0  # of blocks whose errors are alike
-FURTHEST = 4.0  # of the scatter: limit of a block's influence
 CONDITIONS = {"late in a drive": "early", "with hot belts": "cold", "fast": "slow", "in later recordings": "earlier ones"}
 
 
@@ -37,7 +36,7 @@ def unstable(fit: Fit, name: str, used: Sequence[Mask]) -> list[str]:
         if not np.isfinite(known).all() or not np.ptp(known) > 0.0:
             continue
         scaled = np.clip((over - known.mean()) / known.std(), -2.0, 2.0)
-        change, std = levels.change_of(adds, adds * np.nan_to_num(scaled), CLUSTER_S, FURTHEST)
+        change, std = levels.change_of(adds, adds * np.nan_to_num(scaled), CLUSTER_S)
         surely = abs(change) - SURELY * std
         if surely > max(LEAST, worst) and levels.falls(adds * np.nan_to_num(scaled)) > LEAST_FALL:
             worst, way = surely, "larger" if change > 0.0 else "smaller"

@@ -26,6 +26,7 @@ FOLDS = 5
 FEWEST_RECORDINGS = 3  # to leave whole ones out
 LEAST_FILLED = 0.5  # of a block
 HUBER = 1.5  # standard deviations: blocks further off weigh less
+FURTHEST = 4.0  # of the scatter of the blocks: limit of a block's influence
 TURNS = 3  # of weights and values
 PRIOR = 0.2  # of an amplitude over its typical one: the inverse of its standard deviation
 RIDGE = 1e-9
@@ -179,10 +180,10 @@ class Levels:
         after = self.errors(Amplitudes(column, np.array([-np.inf]), np.array([np.inf])))
         return 1.0 - float(np.nanmean(np.abs(after.pieces)) / np.nanmean(np.abs(self.nothing.pieces)))
 
-    def change_of(self, adds: Array, more: Array, cluster_s: float, furthest: float) -> tuple[float, float]:
+    def change_of(self, adds: Array, more: Array, cluster_s: float) -> tuple[float, float]:
         """Coefficient of a column `more` beside the base and a term's torque `adds`, and its standard deviation.
 
-        The deviation is that of clusters of `cluster_s` [s] whose errors may be alike; `furthest` limits a block's influence.
+        The deviation is that of clusters of `cluster_s` [s] whose errors may be alike.
         """
         x = np.column_stack([self._own, self.means(adds), self.means(more)])
         prior = np.diag(np.append(self._prior**2, [0.0, 0.0]) + RIDGE)
@@ -192,7 +193,7 @@ class Levels:
         for _ in range(TURNS):
             values = _least_squares(x, self.residual[np.newaxis], weight, prior, pull)
             weight = 1.0 / np.maximum(1.0, np.abs(self.residual - values @ x.T) / HUBER)
-        error = np.clip(self.residual - values[0] @ x.T, -furthest, furthest)
+        error = np.clip(self.residual - values[0] @ x.T, -FURTHEST, FURTHEST)
         inverse = np.linalg.inv(x.T @ x + prior)
         cluster = np.unique(np.stack([self.recording, self.time // cluster_s]), axis=1, return_inverse=True)[1].ravel()
         scores = np.stack([np.bincount(cluster, column * error) for column in x.T], axis=1)
