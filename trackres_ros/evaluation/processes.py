@@ -109,8 +109,10 @@ def show_count(what: str, done: int, total: int, rest: str = "") -> None:
 
 
 def run_command(*words: str | Path) -> None:
-    """Run a command of `trackres`."""
-    subprocess.run(**python("trackres_ros", *words), check=True, capture_output=True)
+    """Run a command of `trackres`; RuntimeError with what it printed if it fails."""
+    done = subprocess.run(**python("trackres_ros", *words), check=False, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"trackres {' '.join(map(str, words))} ended with {done.returncode}: {done.stderr}")
 
 
 def unfinished(cases: Path, results: Path, first: int | None = None, suffix: str = ".json") -> list[Path]:
