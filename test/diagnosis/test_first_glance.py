@@ -47,7 +47,7 @@ from trackres_ros.diagnosis.selection.held_out import Improvement
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5
-SEEN = "the vehicle needs about 133 Nm more than the re-fitted model"
+SEEN = "the vehicle needs about 133 Nm more than the model"
 MAE = {"nominal": 67.1, "refitted": 62.6, "with_effects": 22.6}
 
 
@@ -63,7 +63,7 @@ def report_of(status, grade, names=(), mae=MAE, **more):
     ]  # fmt: skip
     verdict = {"status": status, "grade": grade, "seen": SEEN, "may_be": [], "changed": [], "hint": None}
     content = {
-        "verdict": verdict, "effects": effects, "described": [], "advice": [], "topics_lines": {},
+        "verdict": verdict, "effects": effects, "described": [], "advice": [], "topics_lines": {}, "sensors": [],
         "residual_by_regime": {"base": [], "end": []}, "written": {"base": True, "effects": [n[0] for n in names]},
         "heldout": {"mae": mae, "without_sensor_error": None},
     }  # fmt: skip
@@ -161,13 +161,11 @@ def graded(term, grade, before, after):
 def test_headline_and_next_step_follow_the_largest_confirmed_one():
     r = report_of("named", "confirmed", [["viscous_bearing"], ["grade"]])
     small, large = r["effects"]
-    large["acts"] = {"text": "", "size": "the vehicle needs sometimes more and sometimes less torque than the re-fitted model"}
+    large["acts"] = {"text": "", "size": "the vehicle needs sometimes more and sometimes less torque than the model"}
     r["effects"] = [graded(small, "confirmed", 216.0, 214.0), graded(large, "confirmed", 1311.0, 214.0)]
     r["written"]["effects"] = ["grade"]
     r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
-    assert headline(r).startswith(
-        "The vehicle needs sometimes more and sometimes less torque than the re-fitted model. The cause is grade"
-    )
+    assert headline(r).startswith("The vehicle needs sometimes more and sometimes less torque than the model. The cause is grade")
     assert "(confirmed)" in headline(r)
     assert tiles(r)[1].answer == "grade"  # the other takes less than 2 % off the error
     assert tiles(r)[-1].answer.startswith("Use")
@@ -197,18 +195,26 @@ def test_a_suspected_effect_is_listed_and_never_the_headline():
 
 def test_what_is_only_suspected_asks_for_more_laps():
     curve = {"form": "curve", "name": "c", "variable": "speed", "gate": "", "size_nm": 384.0, "mechanisms": ["m"]}
-    curve["seen_nm"] = 60.0
     unsure, nothing = graded(curve, "suspected", 149.0, 145.0), {"base": True, "effects": []}
     r = report_of("unexplained", "suspected", described=[unsure], written=nothing)
     where, _, _, following = tiles(r)
-    assert "60 Nm" in where.detail
-    assert "384" not in where.detail
+    assert where.detail == "About 384 Nm where it acts"
     assert following.answer == "Record more laps"
     named = report_of("named", "confirmed", [["rain"]], written={"base": False, "effects": []})
     assert tiles(named)[-1].answer == "Keep the given values"
     r["verdict"] |= {"status": "described", "grade": "confirmed"}
     r["described"] = [graded(curve, "confirmed", 149.0, 45.0)]
     assert tiles(r)[-1].answer == "Look for the cause"
+
+
+def test_tiles_and_headline_hold_what_a_warning_says_of_a_sensor():
+    says = "The speed is 5.5% more than the recorded distance implies"
+    r = report_of("none", "confirmed", sensors=[{"effect": "speed_scale", "value": -0.052, "text": says}])
+    _, what, _, following = tiles(r)
+    assert headline(r).startswith(f"{says}. ")
+    assert (what.answer, what.detail) == ("A sensor may be wrong", f"{says}; apart from that: no physics is missing")
+    assert following.answer == "Check the sensor"
+    assert "No physics is missing" not in headline(r)
 
 
 @pytest.mark.parametrize("error", [20.3, 0.0])

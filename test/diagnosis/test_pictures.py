@@ -13,7 +13,7 @@ import pytest
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.found import UnnamedTerm
-from trackres_ros.diagnosis.findings.locate import Location, regime_of, rms_over_time, rms_where, smoothed
+from trackres_ros.diagnosis.findings.locate import Location, locate, regime_of, rms_over_time
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_times
@@ -158,7 +158,7 @@ def test_the_error_over_time_does_not_depend_on_cuts(cuts):
     assert rms_over_time(np.split(residual, cuts))[1] == pytest.approx(rms_over_time([residual])[1])
 
 
-def test_the_size_of_an_effect_is_the_mean_over_the_marked_times(diagnosed):
+def test_the_regime_of_an_effect_has_the_mean_over_marked_times(diagnosed):
     """Also where its variable is simulated, and the last fit has other belt temperatures."""
     d = diagnosed
     warmer = replace(d.final, predicted=[replace(p, belt=p.belt + 7.0) for p in d.final.predicted])
@@ -175,21 +175,22 @@ def test_the_size_of_an_effect_is_the_mean_over_the_marked_times(diagnosed):
     assert here.mean_residual == pytest.approx(residual[inside].mean())
 
 
-def test_the_root_mean_square_of_an_effect_is_of_its_own_range(diagnosed):
-    d, name = diagnosed, "time since start"
-    means = [smoothed(s, r) for s, r in zip(d.sessions, torque_residuals(d.refitted), strict=True)]
-    whole = Location(name, "s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 1.0, 1.0)
-    assert rms_where(whole, d.final, means) == rms_over_time(means)[1]
-    shift = [np.where(s.time - s.time[0] > 300.0, x + 1000.0, x) for s, x in zip(d.sessions, means, strict=True)]
-    early = replace(whole, least=0.0, most=1e4, low=0.0, high=300.0)
-    assert rms_where(early, d.final, shift) == rms_where(early, d.final, means) < 500.0 < rms_over_time(shift)[1]
+def test_the_size_of_an_effect_is_its_mean_where_it_acts(diagnosed):
+    """Not the mean residual of a base that absorbed a part of it."""
+    sessions = diagnosed.sessions
+    where = locate(diagnosed.final, [100.0 * (s.speed > 2.0) for s in sessions])
+    speed = np.concatenate([s.speed[s.used] for s in sessions])
+    inside = (speed >= where.low) & (speed <= where.high)
+    assert where.variable == "speed"
+    assert where.mean == pytest.approx(100.0 * np.mean(speed[inside] > 2.0))
+    assert where.rms == pytest.approx(100.0 * np.sqrt(np.mean(speed > 2.0)))
 
 
 def test_a_gated_curve_is_drawn_of_steps_with_an_open_gate(drawn, diagnosed, tmp_path):
     described = Described("gated_curve", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
     adds = [np.where(s.time % 40.0 < 10.0, 100.0 * np.sign(s.speed), 0.0) for s in diagnosed.sessions]
     course = [s.time for s in diagnosed.sessions]
-    term = UnnamedTerm(described, adds, course, {}, 0.0, diagnosed.found[0].graded)
+    term = UnnamedTerm(described, adds, course, {}, diagnosed.found[0].graded)
     picture = draw_term(diagnosed, term, tmp_path / "t.png")
     y = lines(drawn.figures[0].axes[0])["while_fast as fitted"].get_ydata()
     np.testing.assert_allclose(y, 100.0)

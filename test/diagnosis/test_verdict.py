@@ -11,16 +11,20 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
-from trackres_ros.diagnosis.empirical.terms import FOLLOWED, FROM, Described, Form, of_learned
+from trackres_ros.diagnosis.empirical.terms import FOLLOWED, FROM, Described, Form, of_learned, turning_points
 from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
 from trackres_ros.diagnosis.findings.locate import Location, SlowResidual, only_later
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
+from trackres_ros.diagnosis.prepare.notes import SensorFinding
+from trackres_ros.diagnosis.prepare.unit_checks import pooled, speed_off
 from trackres_ros.diagnosis.report.content import _why
 from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.grade import Graded, moved_parameters
@@ -29,14 +33,14 @@ from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.diagnosis.stages.conclude import believed_in
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active, Parameter
-from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEFT, OPEN, BuildUp, Curve
+from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEFT, OPEN, SPEED, BuildUp, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
 LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelier=-30.0, gained=-2.0)  # confirmed but for its level score
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
 WORSE = Improvement(100.0, 120.0, -30.0, -10.0)
 EVERYWHERE = Location("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 1.0)
-SEEN = "the vehicle needs about 90 Nm more than the re-fitted model"
+SEEN = "the vehicle needs about 90 Nm more than the model"
 SIZE = Parameter("size", "Nm", 0.0, 500.0, 100.0, "of it", off=0.0)
 QUIET, NOISY = SlowResidual(1.0, LARGE_SLOW_SHARE / 2, math.nan), SlowResidual(40.0, 0.08, 0.012)
 
@@ -54,7 +58,21 @@ def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100
     graded = Graded(name, improvement, on_bounds=on_bounds)
     series = [np.full(100, adds)]
     return NamedEffect(
-        name, f"{name} is missing", "torque", (SIZE,), step, {"size": 120.0}, {}, series, series, (), EVERYWHERE, (), SEEN, graded
+        name,
+        f"{name} is missing",
+        "torque",
+        (SIZE,),
+        step,
+        {"size": 120.0},
+        {},
+        series,
+        series,
+        (),
+        EVERYWHERE,
+        "",
+        (),
+        SEEN,
+        graded,
     )
 
 
@@ -71,7 +89,8 @@ def worth(refit=BETTER, r2=0.9, with_effects=60.0):
 def refitted(*moved, std=0.1):
     parameters = tuple(BaseParameter(f"q{i}", "1", 1.0, std, 0.0, 3.0) for i in range(len(moved)))
     values = {q.name: 1.0 + std * m for q, m in zip(parameters, moved, strict=True)}
-    return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
+    base = SimpleNamespace(parameters=parameters, noun="vehicle", file="vehicle file", rolls=True)
+    return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=base))
 
 
 def said(found=(), terms=(), base=None, at_end=None, slow=QUIET, hint="", held=None, drift=None, changed=(), **more):
@@ -96,7 +115,11 @@ def test_an_error_with_an_assumed_sensor_is_said_without_it_too():
     gain = Parameter("error", "1", -0.015, 0.015, 0.005 / PRIOR_STDS, "relative", off=0.0)
     offset = Parameter("offset", "Nm", -45.0, 45.0, 15.0 / PRIOR_STDS, "", off=0.0)
     both = "gain 0.1 %, offset 2 Nm"
-    for gain_at, offset_at, assumed in ((0.015, 2.0, "gain 1.5 %"), (0.001, -20.0, "offset -20 Nm"), (0.001, 2.0, both)):
+    for gain_at, offset_at, assumed in (
+        (0.015, 2.0, "gain 1.5 %, the most it assumes"),
+        (0.001, -20.0, "offset -20 Nm"),
+        (0.001, 2.0, both),
+    ):
         values = (("torque_gain", gain, gain_at), ("torque_offset", offset, offset_at))
         acting = [Active(SimpleNamespace(name=name, parameters=(q,)), {q.name: x}) for name, q, x in values]
         for fit, terms in (("with the effects", [found()]), ("of the re-fit", [])):
@@ -168,6 +191,12 @@ def test_several_values_far_out_of_range_reject_the_vehicle_file():
     assert "q1 would be 0.4" in verdict.sentence
     assert "q2" not in verdict.sentence
     assert said(base=refitted(8.0, 1.0)).status == "none"  # one value may be wrong
+    by_load = said(base=refitted(8.0, -6.0), by_load="hinge_above_load")
+    assert by_load.sentence.startswith(
+        "The recordings differ in their load, and a torque that follows it would explain them (hin"
+    )
+    assert by_load.seen in by_load.sentence
+    assert "The vehicle file does not fit this vehicle." in by_load.sentence
 
 
 def test_a_value_as_far_as_is_plausible_is_far_out():
@@ -249,7 +278,7 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
 
 def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     sentence = said(unconfirmed=[Graded("torque_offset", BETTER, displaces=("rolling_coefficient",))]).sentence
-    assert "drops torque_offset: it pushes rolling_coefficient of the vehicle file to the end of its range." in sentence
+    assert "drops torque_offset: it pushes rolling_coefficient to the end of its range." in sentence
     assert "reject" not in sentence
 
 
@@ -300,18 +329,20 @@ def test_the_term_that_removes_most_error_comes_first():
     assert [f.name for f in by_improvement([found("a", improvement=UNSURE), found("b", improvement=BETTER)])] == ["b", "a"]
 
 
-def test_the_sentence_gives_the_size_of_the_pictured_residual():
-    here, bins = Bin("speed", 4.0, 10.0, 63.0, "m/s", 50, 0.001), regimes(-40.0, 5.0, 63.0)
-    one_way = Location("speed", "m/s", 4.0, 10.0, 0.0, 10.0, 0.0, 384.0, 1.0)
-    assert "about 63 Nm more" in one_way.residual(here, bins, 20.0)
-    both = replace(one_way, smallest=-384.0)
-    assert "from 40 Nm less to 63 Nm more" in both.residual(here, bins, 20.0)
-    assert "root mean square of 20 Nm" in replace(one_way, follows=0.0).residual(here, bins, 20.0)
-    assert "about 63 Nm more" in both.residual(here, regimes(), 20.0)
-    everywhere, small = replace(one_way, low=0.0), replace(here, mean_residual=-3.0)
-    assert "about 63 Nm more" in everywhere.residual(here, bins, 20.0)
-    for where in (everywhere, one_way):
-        assert "root mean square of 20 Nm" in where.residual(small, bins, 20.0)
+def test_the_sentence_gives_the_size_of_the_term_itself():
+    one_way = Location("speed", "m/s", 4.0, 10.0, 0.0, 10.0, 0.0, 384.0, 1.0, 300.0, 320.0)
+    assert one_way.size("vehicle") == "the vehicle needs about 300 Nm more than the model"
+    assert "about 300 Nm less" in replace(one_way, mean=-300.0).size("machine")
+    assert "from 40 Nm less to 63 Nm more" in replace(one_way, smallest=-40.0, largest=63.0).size("vehicle")
+    assert "root mean square of 320 Nm" in replace(one_way, follows=0.0).size("vehicle")
+
+
+def test_a_place_that_two_variables_give_names_both():
+    turning = found()
+    turning = replace(turning, place="above 4 m/s of speed", location=replace(EVERYWHERE, alike=("yaw rate",)))
+    assert "These recordings cannot separate speed or yaw rate." in said([turning]).sentence
+    assert "cannot separate" not in said([found()]).sentence
+    assert "cannot separate speed, load or curvature." in said(terms=[replace(term(), alike=("load", "curvature"))]).sentence
 
 
 def test_an_edge_that_is_nothing_on_its_scale_is_zero():
@@ -325,15 +356,49 @@ def test_names_that_cannot_be_told_apart_are_one_of_a_class():
     assert said([found(), found("payne")]).status == "named"
 
 
-def test_a_recorded_distance_speaks_on_an_error_of_the_speed():
+OFF_SPEED = speed_off({"a": -0.05, "b": -0.052, "c": -0.048})
+AT_REST = SensorFinding("the torque is -161 Nm at rest; it", "The torque is -161 Nm at rest", "torque_offset", -161.0)
+
+
+def test_a_second_sensor_speaks_on_a_class_with_its_error():
     class_of = found("torque_gain", members=("torque_gain", "speed_scale"))
-    sentence = said([class_of], distance_off=-0.048).sentence
-    implied = "The recorded distance implies speed_scale with an error of -4.8 %."
-    assert f"The torque cannot tell them apart. {implied}" in sentence
+    sentence = said([class_of], sensors=[OFF_SPEED]).sentence
+    assert "The torque cannot tell them apart, but a second sensor is for speed_scale." in sentence
     others = found(members=("scrub", "cornering"))
-    for silent in (said([class_of]), said([class_of], distance_off=0.004), said([others], distance_off=-0.048)):
+    for silent in (said([class_of]), said([others], sensors=[OFF_SPEED])):
         assert "These recordings cannot tell them apart." in silent.sentence
-        assert "distance" not in silent.sentence
+
+
+@pytest.mark.parametrize("finding", [OFF_SPEED, AT_REST], ids=["speed", "offset"])
+def test_no_verdict_contradicts_a_warning_on_a_sensor(finding):
+    """Each verdict says what the warning says; none that nothing is wrong before it."""
+    spells = UnnamedTerm(Described("drift", "", "The residual drifts", ("a zero",), 40.0), [], [], {}, Graded("drift", BETTER))
+    verdicts = [
+        {}, {"held": worth(UNSURE)}, {"changed": (BEARING,)}, {"base": refitted(2.0, 1.0), "held": worth(WORSE)},
+        {"found": [found()]}, {"found": [found("torque_offset")]}, {"terms": [term()]}, {"at_end": regimes(-70.0)},
+        {"base": refitted(8.0, -6.0)}, {"slow": NOISY}, {"slow": NOISY, "drift": spells}, {"later": (50.0, 200.0)},
+        {"found": [found()], "at_end": regimes(-500.0)}, {"terms": [term(improvement=UNSURE)]},
+    ]  # fmt: skip
+    for findings in verdicts:
+        verdict, without = said(sensors=[finding], **findings), said(**findings)
+        assert f"{finding.says}." in verdict.sentence
+        assert finding.startswith(f"{finding.says[0].lower()}{finding.says[1:]}") or finding.says[1:] in finding
+        assert (verdict.status, verdict.grade) == (without.status, without.grade)
+        assert finding.says not in without.sentence
+        if verdict.status == "none":
+            assert verdict.sentence.startswith(f"{finding.says}. ")
+            assert "No physics is missing" not in verdict.sentence
+            assert "No mismatch" not in verdict.sentence
+
+
+def test_one_warning_tells_all_recordings_with_a_wrong_speed():
+    each = [speed_off({name: value}) for name, value in (("a", -0.05), ("b", -0.06), ("c", 0.04))]
+    notes = pooled(["x: y", *each, "z"])
+    assert [note for note in notes if note in ("x: y", "z")] == ["x: y", "z"]
+    low, high = (note for note in notes if isinstance(note, SensorFinding))
+    assert low == "a, b: the speed is 5.8% more than the recorded distance implies: one of them is wrong"
+    assert high == "c: the speed is 3.8% less than the recorded distance implies: one of them is wrong"
+    assert low.value == pytest.approx(-0.055)
 
 
 def test_a_suspected_term_never_hides_a_confirmed_one():
@@ -359,7 +424,7 @@ def test_a_suspected_effect_is_never_the_headline():
     assert slow.sentence.startswith("Averaged over 30 s, the measured torque differs")
     assert "It may be: scrub." in slow.sentence
     described = said(terms=[term(improvement=UNSURE)])
-    assert described.sentence.startswith("The measured torque differs from the re-fitted model by about 100 Nm, depending on")
+    assert described.sentence.startswith("The measured torque differs from the model by about 100 Nm, depending on")
 
 
 def test_a_suspected_term_that_removes_little_is_only_listed():
@@ -424,7 +489,7 @@ def test_a_slow_residual_that_can_be_followed_is_a_drift():
     of = Described("drift", "", "The residual drifts by 40 Nm", ("a zero that drifts",), 40.0, memory=300.0)
 
     def drift(improvement):
-        return UnnamedTerm(of, [], [], {}, 0.0, Graded("drift", improvement))
+        return UnnamedTerm(of, [], [], {}, Graded("drift", improvement))
 
     verdict = said(slow=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
@@ -525,7 +590,7 @@ def test_no_effect_explains_it_only_where_no_name_would():
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
     text = f"The vehicle needs {abs(adds):.0f} Nm more"
     described = Described("curve", name, text, ("a fan",), abs(adds), "speed", predictable=predictable)
-    return UnnamedTerm(described, [np.full(100, adds)], [], {}, adds, Graded(name, improvement))
+    return UnnamedTerm(described, [np.full(100, adds)], [], {}, Graded(name, improvement))
 
 
 def test_what_has_no_name_is_described_with_what_to_look_for():
@@ -564,6 +629,7 @@ def test_only_terms_predictable_ahead_are_written():
 
 
 LEFT_CURVE, RISING, DRAG = Curve(ALWAYS, LEFT, [0.0]), Curve(DRIVING_TORQUE, OPEN, [100.0, 5000.0]), BuildUp(BY_BRAKING, 20.0)
+PEAK, WAVY = Curve(SPEED, OPEN, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, OPEN, [1.0, 2.0, 3.0, 4.0, 5.0])
 
 
 @pytest.mark.parametrize(
@@ -572,16 +638,32 @@ LEFT_CURVE, RISING, DRAG = Curve(ALWAYS, LEFT, [0.0]), Curve(DRIVING_TORQUE, OPE
         (LEFT_CURVE, {"y1": -380.0}, "In left turns, the vehicle needs 380 Nm less than the model"),
         (RISING, {"x1": 100.0, "x2": 5000.0, "y1": 282.0, "y2": -278.0},
          "The extra torque falls from +282 Nm at 100 Nm of driving torque to -278 Nm at 5000 Nm"),
+        (PEAK, {"y1": 10.0, "y2": 300.0, "y3": 280.0, "y4": 20.0},
+         "The extra torque rises from +10 Nm at 1 m/s of speed to +300 Nm at 3 m/s. It then falls to +20 Nm at 7 m/s"),
+        (WAVY, {"y1": 0.0, "y2": 300.0, "y3": -50.0, "y4": 200.0, "y5": -10.0},
+         "The extra torque rises from 0 Nm at 1 m/s of speed to +300 Nm at 2 m/s. It then falls to -50 Nm at 3 m/s and rises to "
+         "+200 Nm at 4 m/s and falls to -10 Nm at 5 m/s"),
         (DRAG, {"y1": 90.0, "scale": 20.0},
          "After braking, the vehicle needs 90 Nm more than the model. That fades within about 20 s"),
     ],
-    ids=["gate", "curve", "build-up"],
+    ids=["gate", "curve", "peak", "wavy", "build-up"],
 )  # fmt: skip
 def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
-    described = of_learned(effect, {**{q.name: q.start for q in effect.parameters}, **values})
+    described = of_learned(effect, {**{q.name: q.start for q in effect.parameters}, **values}, "vehicle")
     assert described.sentence == sentence
     verdict = said(terms=[replace(term(), described=described)])
     assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue explains this. Look for ")
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=6, unique=True))
+def test_turning_points_hold_all_large_swings_of_a_curve(heights):
+    found = turning_points(heights)
+    assert (found[0], found[-1]) == (0, len(heights) - 1)
+    span = max(heights) - min(heights)
+    assert max(heights[i] for i in found) > max(heights) - 0.2 * span
+    assert min(heights[i] for i in found) < min(heights) + 0.2 * span
+    ways = np.sign(np.diff([heights[i] for i in found]))
+    assert (ways[1:] != ways[:-1]).all()
 
 
 @pytest.mark.parametrize("effect", catalogue().values(), ids=lambda e: e.name)

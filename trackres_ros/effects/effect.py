@@ -253,6 +253,10 @@ class Effect(ABC):
         """The values that act alike from a first start that comes so much further [m], see `Conditions.distance`."""
         return dict(values)
 
+    def acts(self, values: Mapping[str, float]) -> tuple[str, str]:  # noqa: ARG002 - most show it in the drives
+        """When it acts and its torque, in words, where the values tell this better than a range of a variable; else empty."""
+        return "", ""
+
     def values(self, off: bool = False) -> dict[str, float]:
         """Typical values of the parameters, or those without effect."""
         return {q.name: q.off if off and q.off is not None else q.start for q in self.parameters}

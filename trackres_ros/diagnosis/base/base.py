@@ -89,6 +89,16 @@ class Base(ABC):
         self._last = dict[tuple[object, ...], list[Array]]()
 
     @property
+    def noun(self) -> str:
+        """What sentences call the thing that moves."""
+        return "vehicle" if self.rolls else "machine"
+
+    @property
+    def file(self) -> str:
+        """What sentences call the file of `nominal`."""
+        return "vehicle file" if self.rolls else "model"
+
+    @property
     def nominal(self) -> dict[str, float]:
         """Values of `parameters` in the vehicle file."""
         return {q.name: q.nominal for q in self.parameters}

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.empirical.closest import closest_channel
 from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
 from trackres_ros.diagnosis.empirical.payload import PAYLOAD, Payload, find_payload
 from trackres_ros.diagnosis.empirical.places import Place, find_place
@@ -277,8 +278,21 @@ def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term
 
 
 def slow_term(final: Fit) -> Described | None:
-    """Lasting residual: a level per recording, or a drifting level."""
-    return attempt("a drift", lambda: _recordings(final) or _drift(final))
+    """Lasting residual: a level per recording, or a drifting level; with the channel that comes closest to it."""
+    described = attempt("a drift", lambda: _recordings(final) or _drift(final))
+    if described is None:
+        return None
+    text = f"{described.sentence}. {closest_to_slow(final, LEAST_DRIFT_S)}"
+    return replace(described, sentence=text).of(final.problem.base.noun)
+
+
+def closest_to_slow(final: Fit, seconds: float) -> str:
+    """Sentence on the channel that comes closest to the residual in means over some seconds."""
+    sessions = final.problem.sessions
+    b = torque_blocks(final, torque_residuals(final), [s.used for s in sessions], seconds)
+    means = [np.full(len(s), math.nan) for s in sessions]
+    fill(means, b, b.mean)
+    return closest_channel(final, means)
 
 
 def _recordings(final: Fit) -> Described | None:
@@ -286,7 +300,7 @@ def _recordings(final: Fit) -> Described | None:
     sessions = final.problem.sessions
     levels, size, share = by_recording(torque_blocks(final, torque_residuals(final), [s.used for s in sessions]))
     large = size > LEAST_DRIFT * rms([s.torque for s in sessions], final)
-    return of_recordings(levels, sessions) if large and share > BETWEEN else None
+    return of_recordings(levels, final.problem.base.noun) if large and share > BETWEEN else None
 
 
 def by_recording(b: Blocks) -> tuple[Array, float, float]:

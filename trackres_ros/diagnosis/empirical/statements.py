@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ClockTerm
 from trackres_ros.diagnosis.empirical import terms
 from trackres_ros.diagnosis.empirical.candidates import series
+from trackres_ros.diagnosis.empirical.closest import closest_channel
 from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals_without, torque_blocks
 from trackres_ros.diagnosis.empirical.spells import Chain, spell_probability
 from trackres_ros.diagnosis.empirical.terms import Described
@@ -29,30 +31,38 @@ MOST_OF_IT = (0.025, 0.975)  # quantiles
 
 def describe(term: Term, final: Fit) -> Described:
     """Description of a term, with the values of the final fit."""
+    described = _described(term, final, final.problem.base.noun).of(final.problem.base.noun)
+    if described.predictable or term.payload is not None:
+        return described
+    adds = against_travel(final.problem.sessions, final.contribution(term.candidate.name))
+    return replace(described, sentence=f"{described.sentence}. {closest_channel(final, adds)}")
+
+
+def _described(term: Term, final: Fit, noun: str) -> Described:
     name = term.candidate.name
     active = next(a for a in final.effects if a.effect.name == name)
     if isinstance(active.effect, EmpiricalEffect):
-        return terms.of_learned(active.effect, active.values)
+        return terms.of_learned(active.effect, active.values, noun)
     level = active.numbers[0]
     if isinstance(active.effect, ClockTerm):
-        return terms.of_clock(active.effect, level)
+        return terms.of_clock(active.effect, level, noun)
     if term.wave is not None:
         return terms.of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     if term.change is not None:
-        return terms.of_level_change(name, level, final.problem.sessions, term.change)
+        return terms.of_level_change(name, level, final.problem.sessions, term.change, noun)
     if term.place is not None:
-        return terms.of_place(name, level, term.place)
+        return terms.of_place(name, level, term.place, noun)
     if term.payload is not None:
-        return terms.of_payload(name, level, term.payload)
+        return terms.of_payload(name, level, term.payload, noun)
     if term.route is not None:
         adds = against_travel(final.problem.sessions, final.contribution(name))
         used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
         least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
-        return terms.of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route)
+        return terms.of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route, noun)
     assert term.chain is not None
     spells = _spells_of(term.chain, name, final)
     lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
-    return terms.of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final))
+    return terms.of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final), noun)
 
 
 def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:

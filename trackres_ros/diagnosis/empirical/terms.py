@@ -21,48 +21,66 @@ from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
 from trackres_ros.diagnosis.empirical.waves import Wave
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, shown_names
+from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.effects import learned
 from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
 from trackres_ros.text.numbers import figures, on_scale
 
+
+class OfVehicle(str):
+    """A mechanism that only a vehicle has."""
+
+    __slots__ = ()
+
+
+ANY_MACHINE = ("a part that rubs, binds or slips under these conditions",)
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
-    learned.SPEED: ("a resonance of belt, wheels or drive train", "a fan or pump driven by the vehicle's motion"),
-    learned.ACCELERATION: ("play in the drive train", "an inertia that is not in the vehicle file"),
-    learned.LOAD: ("a part that touches when the springs are compressed", "soft ground"),
+    learned.SPEED: (OfVehicle("a resonance of belt, wheels or drive train"), "a fan or pump driven by the motion"),
+    learned.ACCELERATION: ("play in the drive train", "an inertia that the model lacks"),
+    learned.LOAD: (OfVehicle("a part that touches when the springs are compressed"), OfVehicle("soft ground")),
     learned.AMBIENT: ("grease or oil that thickens in the cold",),
-    learned.TURN: ("a part that touches on one side in turns", "a steering brake"),
-    learned.TURNING: ("a part that touches in turns", "sheared ground"),
-    learned.CURVATURE: ("a part that touches in turns", "sheared ground"),
+    learned.TURN: (OfVehicle("a part that touches on one side in turns"), OfVehicle("a steering brake")),
+    learned.TURNING: (OfVehicle("a part that touches in turns"), OfVehicle("sheared ground")),
+    learned.CURVATURE: (OfVehicle("a part that touches in turns"), OfVehicle("sheared ground")),
     learned.DRIVING_TORQUE: (
         "play in the drive train, taken up as the torque changes its sign",
         "a gear or coupling that binds under load",
     ),
     learned.BELT: (
         "a fan or pump that is switched by temperature",
-        "rubber or grease with a stronger temperature dependence than in the file",
+        OfVehicle("rubber or grease with a stronger temperature dependence than in the file"),
     ),
 }
 OF_LATCHES: Mapping[int, tuple[str, ...]] = {
     learned.SPEED: ("a gearbox that shifts up and down at different speeds", "a pump or fan that is switched by speed"),
-    learned.LOAD: ("a part that touches and sticks when the springs are compressed",),
+    learned.LOAD: (OfVehicle("a part that touches and sticks when the springs are compressed"),),
     learned.BELT: ("a fan, pump or valve with a thermostat",),
 }
 OF_GAINS: Mapping[int, tuple[str, ...]] = {
-    learned.DRIVES: ("a torque sensor with another gain for one sign", "gears with a larger loss when driving"),
+    learned.DRIVES: ("a torque sensor with another gain for one sign", OfVehicle("gears with a larger loss when driving")),
     learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
     learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
 }
 OF_GATES: Mapping[int, tuple[str, ...]] = {
-    learned.LEFT: ("a part that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
-    learned.RIGHT: ("a part that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
-    learned.HEAVY: ("a part that touches when the springs are compressed", "a bearing that binds under load"),
-    learned.LIGHT: ("a part that swings when the load does not hold it down", "belt tension without load"),
-    learned.BRAKING: ("a brake that also acts", "a machine driven by the wheels"),
+    learned.LEFT: (
+        OfVehicle("a part that touches in left turns only: a guide, a mudguard, a hose"),
+        OfVehicle("the guides of the right belt"),
+    ),
+    learned.RIGHT: (
+        OfVehicle("a part that touches in right turns only: a guide, a mudguard, a hose"),
+        OfVehicle("the guides of the left belt"),
+    ),
+    learned.HEAVY: (OfVehicle("a part that touches when the springs are compressed"), "a bearing that binds under load"),
+    learned.LIGHT: ("a part that swings when the load does not hold it down", OfVehicle("belt tension without load")),
+    learned.BRAKING: ("a brake that also acts", OfVehicle("a machine driven by the wheels")),
     learned.ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
 }
 OF_BUILD_UPS: Mapping[int, tuple[str, ...]] = {
-    learned.BY_DISTANCE: ("mud or snow that builds up and drops off", "a belt that runs out of line until it is released"),
-    learned.BY_TIME: ("a pressure or temperature that rises while driving", "a brake that releases incompletely and heats up"),
+    learned.BY_DISTANCE: (
+        OfVehicle("mud or snow that builds up and drops off"),
+        OfVehicle("a belt that runs out of line until it is released"),
+    ),
+    learned.BY_TIME: ("a pressure or temperature that rises while it runs", "a brake that releases incompletely and heats up"),
     learned.BY_BRAKING: ("a brake that drags after use",),
 }
 OF_SPELLS = (
@@ -70,7 +88,7 @@ OF_SPELLS = (
     "a brake that stays applied for a while",
     "another consumer on the same drive",
 )
-OF_WAVES = ("a stiff or damaged place in a belt", "an out-of-round wheel or a worn bearing")
+OF_WAVES = (OfVehicle("a stiff or damaged place in a belt"), OfVehicle("an out-of-round wheel or a worn bearing"))
 OF_LEVEL_CHANGES = (
     "a part that was changed",
     "a brake left applied",
@@ -78,12 +96,11 @@ OF_LEVEL_CHANGES = (
     "a torque sensor whose zero was reset",
 )
 OF_CLOCKS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
-OF_PLACES = ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")
-OF_PAYLOAD = ("boarding passengers or loaded goods", "a tank or a hopper that fills and empties")
-OF_RECORDINGS = ("a load, ground or wind that differs from the recorded one", "a torque sensor whose zero is reset")
-OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind or ground")
+OF_PLACES = tuple(map(OfVehicle, ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")))
+OF_PAYLOAD = (OfVehicle("boarding passengers or loaded goods"), "a tank or a hopper that fills and empties")
+OF_RECORDINGS = (OfVehicle("a load, ground or wind that differs from the recorded one"), "a torque sensor whose zero is reset")
+OF_DRIFT = ("a torque sensor with a drifting zero", OfVehicle("an unrecorded slope, wind or ground"))
 
-DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 Form = Literal[
     "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "wave", "place", "payload",
     "level_change", "recordings", "drift", "spread", "clock",
@@ -94,7 +111,6 @@ FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate
     "level_change": "its time alone", "clock": "the clock or the driven distance alone",
 }  # fmt: skip
 """Source of an unpredictable term on hold-out laps, thus in their error."""
-LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,29 +135,35 @@ class Described:
         """Source of an unpredictable term on hold-out laps; empty if the recorded channels give it."""
         return "" if self.predictable else FROM.get(self.form, "")
 
+    def of(self, noun: str) -> Described:
+        """The same of a vehicle or a machine, with the mechanisms that this may have."""
+        parts = tuple(part for part in self.mechanisms if noun == "vehicle" or not isinstance(part, OfVehicle))
+        return replace(self, mechanisms=parts or ANY_MACHINE)
 
-def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Described:
+
+def of_learned(effect: EmpiricalEffect, values: Mapping[str, float], noun: str) -> Described:
     """Describe an unnamed effect with the values of a fit."""
     if isinstance(effect, BuildUp):
-        return _of_build_up(effect, values)
+        return _of_build_up(effect, values, noun)
     if isinstance(effect, SidedGain):
         return _of_gain(effect, values)
     if isinstance(effect, Corner | Latch):
-        return _of_threshold(effect, values)
+        return _of_threshold(effect, values, noun)
     assert isinstance(effect, Curve)
     x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(of)] for of in ("x", "y"))
     follows, opens = learned.VARIABLES[effect.variable], learned.GATES[effect.gate]
     unit = "" if follows.unit == "1" else follows.unit
     if len(y) == 1:
         at_any = "" if effect.variable == learned.ALWAYS else f", at any {follows.text}"
-        text = f"the vehicle needs {_more(y[0])} than the model{at_any}"
+        text = f"the {noun} needs {_more(y[0])} than the model{at_any}"
     else:
-        one, other = sorted((min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)), key=x.__getitem__)
+        begin, *others = turning_points(y)
         at = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
-        text = (
-            f"the extra torque {'rises' if y[other] > y[one] else 'falls'} from {_signed(y[one])} at {at[one]} of "
-            f"{follows.text} to {_signed(y[other])} at {at[other]}"
-        )
+        ways = ["rises" if y[i] > y[before] else "falls" for before, i in zip((begin, *others), others, strict=False)]
+        to = [f"to {_signed(y[i])} at {at[i]}" for i in others]
+        text = f"the extra torque {ways[0]} from {_signed(y[begin])} at {at[begin]} of {follows.text} {to[0]}"
+        further = " and ".join(f"{way} {end}" for way, end in zip(ways[1:], to[1:], strict=True))
+        text = f"{text}. It then {further}" if further else text
     text = f"{opens.text}, {text}" if opens.text else text
     looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == learned.ALWAYS else MECHANISMS[effect.variable][:1])
     return Described(
@@ -150,11 +172,28 @@ def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Describe
     )  # fmt: skip
 
 
-def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
+def turning_points(heights: Sequence[float]) -> list[int]:
+    """Knots at which a curve turns, and its ends, rising; without swings smaller than the error of a form."""
+    least = FORM_ERROR * (max(heights) - min(heights))
+    found = list(range(len(heights)))
+    while len(found) > 2:
+        inner = range(1, len(found) - 1)
+        smallest = {i: min(abs(heights[found[i]] - heights[found[j]]) for j in (i - 1, i + 1)) for i in inner}
+        turns = {
+            i: (heights[found[i]] - heights[found[i - 1]]) * (heights[found[i]] - heights[found[i + 1]]) > 0.0 for i in inner
+        }
+        straight = [i for i in inner if not turns[i]] or [i for i in inner if smallest[i] < least]
+        if not straight:
+            break
+        del found[min(straight, key=smallest.__getitem__)]
+    return found
+
+
+def _of_build_up(effect: BuildUp, values: Mapping[str, float], noun: str) -> Described:
     level, scale = values["y1"], values["scale"]
     if effect.by == learned.BY_BRAKING:
         variable = "braking"
-        text = f"After braking, the vehicle needs {_more(level)} than the model. That fades within about {figures(scale)} s"
+        text = f"After braking, the {noun} needs {_more(level)} than the model. That fades within about {figures(scale)} s"
     else:
         unit, since = ("m", "distance") if effect.by == learned.BY_DISTANCE else ("s", "time")
         variable = f"{since} since a stop"
@@ -163,7 +202,7 @@ def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
     return Described("build_up", effect.name, text, mechanisms, abs(level), variable, predictable=True, memory=scale)
 
 
-def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:
+def _of_threshold(effect: Corner | Latch, values: Mapping[str, float], noun: str) -> Described:
     follows, level, scale = learned.VARIABLES[effect.variable], values["y1"], values["x2"] - values["x1"]
     form: Form
 
@@ -173,17 +212,17 @@ def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Descri
     if isinstance(effect, Latch):
         form, mechanisms = "latch", OF_LATCHES[effect.variable]
         text = (
-            f"The vehicle needs {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below "
+            f"The {noun} needs {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below "
             f"{at('off')}"
         )
     elif effect.kind == learned.STEP:
         form, mechanisms = "step", MECHANISMS[effect.variable]
-        text = f"The vehicle needs {_more(level)} with the {follows.text} above {at('threshold')} than below"
+        text = f"The {noun} needs {_more(level)} with the {follows.text} above {at('threshold')} than below"
     else:
         form, mechanisms = "hinge", MECHANISMS[effect.variable]
         side, end = ("below", "x1") if effect.kind == learned.BELOW else ("above", "x2")
         text = (
-            f"With the {follows.text} {side} {at('threshold')} the vehicle needs increasingly {_more_or_less(level)}, "
+            f"With the {follows.text} {side} {at('threshold')} the {noun} needs increasingly {_more_or_less(level)}, "
             f"{_more(level)} at {at(end)}"
         )
     return Described(form, effect.name, text, mechanisms, abs(level), follows.text, follows.unit, predictable=True)
@@ -196,12 +235,12 @@ def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
     return Described("sided_gain", effect.name, text, mechanisms, size, follows.text, follows.unit, side.text, True)
 
 
-def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Array, begins: str) -> Described:
+def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Array, begins: str, noun: str) -> Described:
     """Describe spells of this size [Nm]: their number, the duration of each [s], and the common event at their start."""
     low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [chain.mean_s], (0.1, 0.9)))
     text = (
-        f"For {low} to {high} s at a time, the vehicle needs {_more(level)} than the model. That happens {count} times in these "
-        f"recordings{begins}. It follows no recorded channel"
+        f"For {low} to {high} s at a time, the {noun} needs {_more(level)} than the model. That happens {count} times in these "
+        f"recordings{begins}"
     )
     return Described("spells", name, text, OF_SPELLS, abs(level), memory=chain.mean_s)
 
@@ -213,7 +252,7 @@ def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
     return Described("wave", name, text, OF_WAVES, abs(level), "driven distance", period_m=wave.length_m)
 
 
-def of_clock(effect: ClockTerm, level: float) -> Described:
+def of_clock(effect: ClockTerm, level: float, noun: str) -> Described:
     """Describe a torque of this size [Nm] that follows the clock or the odometer."""
     low, high = effect.ends
     unit = "m" if effect.variable == "distance" else "s"
@@ -223,30 +262,30 @@ def of_clock(effect: ClockTerm, level: float) -> Described:
 
     since = effect.text_of_variable
     if effect.kind == FADE:
-        text = f"At first the vehicle needs {_more(level)}. That fades {since} with a constant of {at(effect.threshold)}"
+        text = f"At first the {noun} needs {_more(level)}. That fades {since} with a constant of {at(effect.threshold)}"
     elif effect.kind == learned.STEP:
-        text = f"From {at(effect.threshold)} {since} on, the vehicle needs {_more(level)} than before"
+        text = f"From {at(effect.threshold)} {since} on, the {noun} needs {_more(level)} than before"
     else:
         order, end = ("before", low) if effect.kind == learned.BELOW else ("after", high)
         text = (
-            f"{order.capitalize()} {at(effect.threshold)} {since} the vehicle needs increasingly {_more_or_less(level)}, "
+            f"{order.capitalize()} {at(effect.threshold)} {since} the {noun} needs increasingly {_more_or_less(level)}, "
             f"{_more(level)} at {at(end)}"
         )
     return Described("clock", effect.name, text, OF_CLOCKS, abs(level), effect.variable, unit, predictable=False)
 
 
-def of_place(name: str, level: float, place: Place) -> Described:
+def of_place(name: str, level: float, place: Place, noun: str) -> Described:
     """Describe a torque of this size [Nm] at the same place on each pass."""
     route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
     text = (
-        f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}, the vehicle needs "
+        f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}, the {noun} needs "
         f"{_more(level)} than the model. The recordings show it on {place.passes} passes"
     )
     lap_m = place.lap_m if place.folded else None
     return Described("place", name, text, OF_PLACES, abs(level), "place on the route", "m", period_m=lap_m)
 
 
-def of_payload(name: str, level: float, payload: Payload) -> Described:
+def of_payload(name: str, level: float, payload: Payload, noun: str) -> Described:
     """Describe a mass by stretch, with a torque of this size [Nm]."""
     scale = level / payload.level
     stretches = tuple(replace(s, mass=scale * s.mass, std=scale * s.std) for s in payload.stretches)
@@ -254,17 +293,17 @@ def of_payload(name: str, level: float, payload: Payload) -> Described:
     low, high = np.quantile(np.repeat(masses, np.maximum(1, np.round(seconds)).astype(int)), (0.05, 0.95))
     sure = float(np.median([s.std for s in stretches]))
     text = (
-        f"The vehicle weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model. The mass "
+        f"The {noun} weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model. The mass "
         f"changes at stops ({len(stretches)} stretches, each with a standard deviation of about {figures(sure)} kg)"
     )
     return Described("payload", name, text, OF_PAYLOAD, abs(level), "mass", "kg", stretches=stretches)
 
 
-def of_route(name: str, size: float, least: float, most: float, route: Route) -> Described:
+def of_route(name: str, size: float, least: float, most: float, route: Route, noun: str) -> Described:
     """Describe a torque by place with its minimum, maximum and size [Nm], if it is not a slope."""
     tied = abs(route.slope_gain) <= SURE_OF_KIND
     text = (
-        f"On {figures(0.001 * route.metres)} km of streets, the vehicle needs between {_more(least)} and {_more(most)} than the "
+        f"On {figures(0.001 * route.metres)} km of streets, the {noun} needs between {_more(least)} and {_more(most)} than the "
         f"model, by the place. The repeated streets have {route.passes} passes (median)"
     )
     if tied:
@@ -273,11 +312,11 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
     return Described("place", name, text, mechanisms, size, "place on the route", "m", predictable=True)
 
 
-def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange) -> Described:
+def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange, noun: str) -> Described:
     """Describe a lasting level change of this size [Nm]."""
     text = (
-        f"Since {_when(sessions, change)} the vehicle needs {_more(level)} than before, until the end of the recordings. "
-        "Diagnose the recordings since then alone to write that into a vehicle file"
+        f"Since {_when(sessions, change)} the {noun} needs {_more(level)} than before, until the end of the recordings. "
+        "Diagnose the recordings since then alone to write that into a file"
     )
     return Described("level_change", name, text, OF_LEVEL_CHANGES, abs(level))
 
@@ -295,24 +334,19 @@ def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
     return f"{at:%H:%M} UTC on {at:%Y-%m-%d} ({where}{day})"
 
 
-def of_recordings(levels: Array, sessions: Sequence[DriveSession]) -> Described:
+def of_recordings(levels: Array, noun: str) -> Described:
     """Describe a different level [Nm] in each recording; nan if a recording is not compared."""
     low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
     text = (
-        f"From recording to recording the vehicle needs between {_more(low)} and {_more(high)} than the model. Within each "
+        f"From recording to recording the {noun} needs between {_more(low)} and {_more(high)} than the model. Within each "
         "recording it hardly changes"
     )
-    means = {name: [float(np.mean(getattr(s, at))) for s in sessions] for name, at in DIFFERING.items()}
-    differing = [name for name, x in means.items() if max(x) - min(x) > LEAST_DIFFERENCE * max(map(abs, x))]
-    if differing:
-        text += f". The recordings also differ in {' and '.join(differing)}; with so few, that may be the cause"
     return Described("recordings", "", text, OF_RECORDINGS, max(-low, high), "recording")
 
 
 def of_drift(drifting: DriftingLevel) -> Described:
     """Describe a drifting torque."""
-    over = f"{figures(drifting.size)} Nm over about {figures(drifting.seconds, 2)} s"
-    text = f"The residual drifts by {over}. It follows no recorded channel"
+    text = f"The residual drifts by {figures(drifting.size)} Nm over about {figures(drifting.seconds, 2)} s"
     return Described("drift", "", text, OF_DRIFT, drifting.size, memory=drifting.seconds)
 
 

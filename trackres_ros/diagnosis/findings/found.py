@@ -38,8 +38,9 @@ class NamedEffect:
     resists: list[Array]  # the same, positive against travel in both directions
     where: Sequence[Span]  # times at which it acts most
     location: Location  # its main variable, and the range of that
+    place: str  # when it acts, in words; empty if always
     regime: Sequence[Bin]  # residual of the base where it acts
-    seen: str  # residual of the re-fitted base where it acts, in words, see `locate.Location.residual`
+    seen: str  # its torque there, in words
     graded: Graded  # by laps left out in turn (`graded.grade`)
 
     @property
@@ -60,9 +61,9 @@ class UnnamedTerm:
     adds: list[Array]  # predicted torque of each session [Nm]
     course: list[Array]  # its variable in each session; empty for the clock alone
     intervals: Mapping[str, Interval]  # 95 %, of its parameters
-    seen_nm: float  # mean residual of the re-fitted base where the term acts, in the direction of the term
     graded: Graded
     instead: str = ""  # the name that would explain it best, if one gains more than the threshold
+    alike: tuple[str, ...] = ()  # other variables of forms that laps left out do not separate from it
 
 
 @dataclass(frozen=True, slots=True)

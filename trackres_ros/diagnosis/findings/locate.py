@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.empirical.closest import CLEARLY, FOLLOWS_LEAST, evenly_filled
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
@@ -23,8 +23,6 @@ from trackres_ros.units import GRAVITY
 
 ACTING_SHARE = 0.5  # of its 95th percentile
 BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign
-MEANS_LITTLE = 0.05  # of an effect's torque: a smaller mean residual is what the re-fit left of it
-FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that the effect follows no variable
 JOINED_S, SHORTEST_S = 10.0, 5.0
 MOSTLY = 0.5  # of the variance
 SLOW_S = 30.0
@@ -32,7 +30,7 @@ SMOOTHED_S = 20.0  # for the residual over time in plots
 BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
 MOST_SPANS = 60
 NEAR_END = 0.1  # of its whole range: a range that ends nearer to an end of that reaches it
-CLOCK_BY = 1.25  # times any other variable's share: needed to attribute an effect to time or distance
+TIED = 1.02  # of the share: a variable that explains less more than another explains as much
 BINS = 12
 LATER = 2.0  # times the error on the fitted laps: a larger one on the hold-out laps needs a separate cause
 LATER_SHARE = 0.015  # of the torque: least additional error
@@ -56,14 +54,6 @@ class ThermalCheck:
     text: str
 
 
-def residual_where_it_acts(sessions: Sequence[DriveSession], adds: Sequence[Array], residuals: Sequence[Array]) -> float:
-    """Mean residual in the direction of a term [Nm], where the term exceeds `ACTING_SHARE` of its 95th percentile."""
-    used = np.concatenate([s.used for s in sessions])
-    term, residual = np.concatenate(adds)[used], np.concatenate(residuals)[used]
-    acting = np.abs(term) >= ACTING_SHARE * np.percentile(np.abs(term), 95.0)
-    return float(np.mean((residual * np.sign(term))[acting])) if acting.any() else 0.0
-
-
 def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]:
     """Times when a series is large: at least `ACTING_SHARE` of its 95th percentile."""
     used = np.concatenate([np.abs(x[s.used]) for x, s in zip(series, sessions, strict=True)])
@@ -84,12 +74,6 @@ def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]
     return [s for s in lasting if s in longest]
 
 
-def evenly_filled(x: Array, bins: int) -> tuple[Array, NDArray[np.int64]]:
-    """Edges of at most `bins` equally filled bins, and the bin of each sample."""
-    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)))
-    return edges, np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
-
-
 @dataclass(frozen=True, slots=True)
 class Location:
     """Location and size of an effect."""
@@ -103,6 +87,9 @@ class Location:
     smallest: float  # mean of the effect's torque over bins of the variable [Nm]
     largest: float
     follows: float  # share of the effect's mean square that the variable explains
+    mean: float = 0.0  # of the effect's torque within the range [Nm]
+    rms: float = 0.0  # of it, root mean square over all [Nm]
+    alike: tuple[str, ...] = ()  # other variables that explain it as well in these drives
 
     @property
     def text(self) -> str:
@@ -123,22 +110,15 @@ class Location:
         """Whether the effect increases the torque in one part of the range and reduces it in another."""
         return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)
 
-    def residual(self, here: Bin, at_base: RegimeMap, rms_nm: float) -> str:
-        """Residual of the re-fitted base where the effect acts, in words and with the numbers of the plots.
-
-        `here` is the mean residual where the effect acts, `rms_nm` the root mean square of the residual over time there.
-        """
-        little = abs(here.mean_residual) < MEANS_LITTLE * max(self.largest, -self.smallest)
-        if self.follows < FOLLOWS_LEAST or (little and not self.both_ways):
-            size = f"with a root mean square of {in_nm(rms_nm)} Nm"
-            return f"the vehicle needs sometimes more and sometimes less torque than the re-fitted model, {size}"
-        means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]
-        if self.both_ways and means and min(means) < 0.0 < max(means):
-            low, high = -min(means), max(means)
-            between = f"from {in_nm(low)} Nm less to {in_nm(high)} Nm more"
-            return f"the vehicle needs {between} than the re-fitted model, depending on the {self.variable}"
-        way = "more" if here.mean_residual > 0.0 else "less"
-        return f"the vehicle needs about {in_nm(abs(here.mean_residual))} Nm {way} than the re-fitted model"
+    def size(self, noun: str) -> str:
+        """The effect's own torque, in words. The residual of a base that absorbed a part of it is smaller."""
+        if self.follows < FOLLOWS_LEAST:
+            size = f"with a root mean square of {in_nm(self.rms)} Nm"
+            return f"the {noun} needs sometimes more and sometimes less than the model, {size}"
+        if self.both_ways:
+            between = f"from {in_nm(-self.smallest)} Nm less to {in_nm(self.largest)} Nm more"
+            return f"the {noun} needs {between} than the model, depending on the {self.variable}"
+        return f"the {noun} needs about {in_nm(abs(self.mean))} Nm {'more' if self.mean > 0.0 else 'less'} than the model"
 
 
 def in_nm(torque: float) -> str:
@@ -159,6 +139,7 @@ def locate(found: Fit, adds: Sequence[Array]) -> Location:
     series = np.concatenate(adds)[used]
     square = float(np.mean(series**2))
     best, result = -1.0, Location("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
+    shares: dict[str, float] = {}
     # Time-like variables follow every single change in a drive, so they must explain clearly more.
     for name, everywhere in sorted(varying(sessions, found.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
         x = everywhere[used]
@@ -168,7 +149,8 @@ def locate(found: Fit, adds: Sequence[Array]) -> Location:
         count = np.maximum(np.bincount(place), 1)
         means = np.bincount(place, weights=series) / count
         explained = float(np.var(means[place]))
-        if explained > best * (CLOCK_BY if BY_NAME[name].as_clock else 1.02) + 1e-9:
+        shares[name] = explained
+        if explained > best * (CLEARLY if BY_NAME[name].as_clock else TIED) + 1e-9:
             best = explained
             size = np.bincount(place, weights=np.abs(series)) / count
             large = np.flatnonzero(size >= ACTING_SHARE * size.max())
@@ -178,8 +160,11 @@ def locate(found: Fit, adds: Sequence[Array]) -> Location:
                 name, BY_NAME[name].unit, float(low), float(high), float(edges[0]), float(edges[-1]),
                 min(0.0, float(means.min())), max(0.0, float(means.max())),
                 float(np.mean(means[place] ** 2)) / max(square, 1e-300),
+                float(np.mean(series[(x >= low) & (x <= high)])), math.sqrt(square),
             )  # fmt: skip
-    return result
+    as_clock = BY_NAME[result.variable].as_clock
+    alike = (name for name, x in shares.items() if name != result.variable and BY_NAME[name].as_clock == as_clock)
+    return replace(result, alike=tuple(name for name in alike if TIED * shares[name] >= best))
 
 
 def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
@@ -200,25 +185,18 @@ def rms_over_time(means: Sequence[Array]) -> tuple[list[float], float]:
     return sizes, of_all
 
 
-def rms_where(where: Location, final: Fit, means: Sequence[Array]) -> float:
-    """The same where an effect of the `final` fit acts by its text, or everywhere [Nm]."""
-    if not where.text:
-        return rms_over_time(means)[1]
-    limits = where.variable, where.low, where.high
-    there = (within(*limits, s, p) for s, p in zip(final.problem.sessions, final.predicted, strict=True))
-    return rms_over_time([np.where(here, r, np.nan) for here, r in zip(there, means, strict=True)])[1]
-
-
 @dataclass(frozen=True, slots=True)
 class SlowResidual:
     """Root mean square of the torque residual in means over `SLOW_S` of a drive [Nm]; its share of the torque, the
-    equivalent slope, nan where it was measured or nothing rolls, and the averaging time here [s].
+    equivalent slope, nan where it was measured or nothing rolls, the averaging time here [s], and the recorded channel that
+    comes closest, in a sentence.
     """
 
     size: float
     share: float
     slope: float
     seconds: float = SLOW_S
+    closest: str = ""
 
 
 def slow_residual(found: Fit) -> SlowResidual:

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
@@ -41,6 +42,7 @@ from trackres_ros.diagnosis.findings.wording import (
     upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.notes import SensorFinding
 from trackres_ros.diagnosis.selection.grade import Graded, far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.text.numbers import figures
@@ -87,8 +89,14 @@ class Findings:
     spread: Described | None = None  # the regime with larger oscillations
     sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
     unusable: str = ""  # why no command would accept a file with the re-fit; empty if one would
-    distance_off: float = 0.0  # recorded distance over that by the speed, minus one; zero without a recorded one
+    sensors: Sequence[SensorFinding] = ()  # that other inputs contradict, as the warnings say
+    by_load: str = ""  # a suspected term that follows the load, where only the recordings differ in that
     later: tuple[float, float] | None = None  # errors on the fitted and the hold-out laps [Nm], see `locate.only_later`
+
+    @property
+    def base(self) -> Base:
+        """The model, whose noun the sentences take."""
+        return self.refitted.problem.base
 
     @cached_property
     def left(self) -> list[Bin]:
@@ -138,15 +146,25 @@ class Findings:
     def worth_of_refit(self) -> str:
         """Gain of a re-fit, if confirmed."""
         refit = self.held_out.of_refit
-        return mean_error(refit.before, refit.after) + " with a re-fit of the vehicle file" if refit.grade == CONFIRMED else ""
+        return (
+            mean_error(refit.before, refit.after) + f" with a re-fit of the {self.base.file}" if refit.grade == CONFIRMED else ""
+        )
 
 
 def judge(f: Findings) -> Verdict:
     """The verdict.
 
     It begins with the confirmed term that reduces the hold-out error most. Without a confirmed one it begins with
-    the location and size of the difference; suspected terms are only listed.
+    the location and size of the difference; suspected terms are only listed. What the warnings say of sensors is in each verdict:
+    first where no physics is missing, else last.
     """
+    verdict, said = _by_terms(f), joined([s.says for s in f.sensors])
+    parts = (said, verdict.sentence) if verdict.status == "none" else (verdict.sentence, said)
+    return replace(verdict, sentence=" ".join(filter(None, parts)))
+
+
+def _by_terms(f: Findings) -> Verdict:
+    """The verdict by the terms and the residual."""
     if f.sure:
         return _confirmed(f)
     if far_from_file(f.refitted) or f.unusable:
@@ -175,19 +193,19 @@ def _confirmed(f: Findings) -> Verdict:
     added = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
     explained = float(np.percentile(np.abs(added), 95.0))  # where they act, which may be minutes of an hour
     if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained:
-        names, seen = " and ".join(map(short, f.sure)), unexplained(f.left)
+        names, seen = " and ".join(map(short, f.sure)), unexplained(f.left, f.base.noun)
         partly = f"{names} would explain a part of it, but the remaining error is too large to confirm that"
         return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), f.listed, seen)
     named = [t for t in f.sure if isinstance(t, NamedEffect)]
     status = "described" if not named else "named" if all(len(t.step.members) <= 1 for t in named) else "one_of"
-    lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.distance_off), *after, *f.rest]
+    lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.sensors), *after, *f.rest]
     return Verdict(status, CONFIRMED, joined(lines), f.listed)
 
 
 def _far_from_file(f: Findings) -> Verdict:
     """The verdict for a re-fit implausibly far from the vehicle file, or that no command would accept."""
     outside = [(q, value) for q, value in moved_parameters(f.refitted) if q.outside(value)]
-    seen, *more = file_is_off(far_from_file(f.refitted) or outside)
+    seen, *more = file_is_off(far_from_file(f.refitted) or outside, f.base, f.by_load)
     refit = f.held_out.of_refit
     worth = f"{mean_error(refit.before, refit.after)} with that re-fit"
     if f.unusable:
@@ -200,7 +218,7 @@ def _unexplained(f: Findings) -> Verdict | None:
     """The verdict for an unexplained difference of the measured torque; None without a difference."""
     large = [t for t in f.unsure if not is_small(t)]
     if f.left:
-        seen, *more = [unexplained(f.left), *(slow(f.left_over) if f.has_slow_residual else [])]
+        seen, *more = [unexplained(f.left, f.base.noun), *(slow(f.left_over) if f.has_slow_residual else [])]
     elif f.later:
         seen, *more = only_later(*f.later)
     elif f.has_slow_residual:
@@ -220,27 +238,28 @@ def _unexplained(f: Findings) -> Verdict | None:
 def _nothing_missing(f: Findings) -> Verdict:
     """The verdict without missing physics: values of the file were wrong, or none."""
     held_out, changed, listed = f.held_out, f.changed, f.listed
+    no = "Apart from that, no" if f.sensors else "No"
     hint = f"{f.hint} would fit, but the model's own error can look the same" if f.hint else ""
     after = [may_be(listed, also=True), *f.after, hint]
     out_of_range = moved_parameters(f.refitted)
     refit = held_out.of_refit
     worth = mean_error(refit.before, refit.after)
     if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
-        missing = f"{upper(LEFT_OUT)} confirm no missing physics" if listed else "No physics is missing"
-        off = [f"{missing}, but values of the vehicle file were off", *(c.text for c in changed[:MOST_CHANGED])]
+        missing = f"{upper(LEFT_OUT)} confirm no missing physics" if listed else f"{no} physics is missing"
+        off = [f"{missing}, but values of the {f.base.file} were off", *(c.text for c in changed[:MOST_CHANGED])]
         if not changed:
-            off = [missing, "No value of the vehicle file is surely off, but a re-fit of all of them predicts better"]
+            off = [missing, f"No value of the {f.base.file} is surely off, but a re-fit of all of them predicts better"]
         text = joined([*off, worth, *after])
         return Verdict("none", CONFIRMED, text, listed, changed=tuple(changed))
     if out_of_range:
         values = ", ".join(moved(q, value) for q, value in out_of_range)
         judged = "reject" if refit.grade == REFUTED else "do not confirm"
-        lines = ["No physics is missing", f"A re-fit would move parameters of the vehicle file: {values}"]
+        lines = [f"{no} physics is missing", f"A re-fit would move parameters of the {f.base.file}: {values}"]
         grade = REFUTED if refit.grade == REFUTED else SUSPECTED
         return Verdict("none", grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), listed)
     nominal, re_fitted = figures(refit.before), figures(refit.after)
     lines = [
-        "No mismatch beyond noise and an error of the torque sensor" if f.sensor else "No mismatch beyond noise",
-        f"The mean error on hold-out laps is {nominal} Nm with the vehicle file and {re_fitted} Nm re-fitted",
+        f"{no} mismatch beyond noise" + (" and an error of the torque sensor" if f.sensor else ""),
+        f"The mean error on hold-out laps is {nominal} Nm with the {f.base.file} and {re_fitted} Nm re-fitted",
     ]
     return Verdict("none", CONFIRMED, joined([*lines, *after]), listed)

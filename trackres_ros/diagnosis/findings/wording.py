@@ -8,18 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.base import Base, BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.prepare.unit_checks import SPEED_OFF
+from trackres_ros.diagnosis.prepare.notes import SensorFinding
 from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.grade import Graded
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import Active
-from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.text.numbers import figures, from_to
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
@@ -64,22 +63,22 @@ def is_small(t: NamedEffect | UnnamedTerm) -> bool:
 
 
 def confirmed_terms(
-    terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible, distance_off: float
+    terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible, sensors: Sequence[SensorFinding]
 ) -> list[str]:
     """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones.
 
-    A rival among the `listed` possibilities has its probability there. `distance_off`: see `verdict.Findings`.
+    A rival among the `listed` possibilities has its probability there.
     """
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
     taken = [taken_from(t) for t in terms if isinstance(t, UnnamedTerm)]
     if not large:
-        lines = (line for t in small for line in _of(t, listed, distance_off))
+        lines = (line for t in small for line in _of(t, listed, sensors))
         return ["The missing physics is small", worth, *taken, *lines]
     gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
     return [
-        *(line for t in large for line in _of(t, listed, distance_off)),
+        *(line for t in large for line in _of(t, listed, sensors)),
         worth,
         *taken,
         *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
@@ -92,27 +91,31 @@ def taken_from(t: UnnamedTerm) -> str:
     return f"The feed-forward leaves out {short(t)}; this error includes it, taken from {source}" if source else ""
 
 
-def _of(t: NamedEffect | UnnamedTerm, listed: Possible, distance_off: float) -> list[str]:
+def _of(t: NamedEffect | UnnamedTerm, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if isinstance(t, UnnamedTerm):
         named = f"{upper(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
-        return [t.described.sentence, named, look_for(t.described.mechanisms)]
+        return [t.described.sentence, inseparable(t.described.variable, t.alike), named, look_for(t.described.mechanisms)]
     members = t.step.members
     if len(members) > 1:
-        options = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
-        apart = ["These recordings cannot tell them apart"]
-        if SpeedScale.name in members and abs(distance_off) > SPEED_OFF:
-            implied = f"{SpeedScale.name} with an error of {100.0 * distance_off:+.1f} %"
-            apart = ["The torque cannot tell them apart", f"The recorded distance implies {implied}"]
-        return [seen(t), f"The cause is {options}", *apart]
+        likeliest = sorted(members, key=lambda name: -t.step.weights[name])
+        options = either([f"{name} ({_percent(t.step.weights[name])})" for name in likeliest])
+        sensor = "The torque cannot tell them apart, but a second sensor is for"
+        implied = [f"{sensor} {s.effect}" for s in sensors if s.effect in members]
+        return [seen(t), f"The cause is {options}", *(implied or ["These recordings cannot tell them apart"])]
     values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
-    return [seen(t), f"The cause is {t.name}", upper(t.text), values, _rival(t, listed)]
+    place = t.location.variable if t.location.variable in f"{t.place} {t.seen}" else ""
+    return [seen(t), inseparable(place, t.location.alike), f"The cause is {t.name}", upper(t.text), values, _rival(t, listed)]
+
+
+def inseparable(variable: str, alike: Sequence[str]) -> str:
+    """Sentence on variables that a term may follow as well as its own; empty without any."""
+    return f"These recordings cannot separate {either([variable, *alike])}" if variable and alike else ""
 
 
 def seen(f: NamedEffect) -> str:
     """Location and size of the difference in the measured torque."""
-    where = f.location.text
-    return upper(f"{where}, {f.seen}" if where else f.seen)
+    return upper(f"{f.place}, {f.seen}" if f.place else f.seen)
 
 
 def differs(t: NamedEffect | UnnamedTerm) -> str:
@@ -121,7 +124,7 @@ def differs(t: NamedEffect | UnnamedTerm) -> str:
         return seen(t)
     of = t.described
     where = f" {of.gate}" if of.gate else f", depending on the {of.variable}" if of.variable else " at times"
-    return f"The measured torque differs from the re-fitted model by about {figures(abs(t.seen_nm) or of.size_nm, 2)} Nm{where}"
+    return f"The measured torque differs from the model by about {figures(of.size_nm, 2)} Nm{where}"
 
 
 def look_for(mechanisms: Sequence[str]) -> str:
@@ -165,7 +168,10 @@ def assumed_sensor(instrument: Sequence[Active], held_out: HeldOut, fit: str) ->
         return ""
     assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
     unusual = [one for one in assumed if abs(one[2]) > PRIOR_STDS * one[1].start] or assumed
-    sizes = (f"{name} {figures(100.0 * x)} %" if q.unit == "1" else f"{name} {figures(x)} {q.unit}" for name, q, x in unusual)
+    sizes = []
+    for name, q, x in unusual:
+        size = f"{figures(100.0 * x)} %" if q.unit == "1" else f"{figures(x)} {q.unit}"
+        sizes.append(f"{name} {size}{', the most it assumes' if abs(x) >= q.high else ''}")
     before, after = figures(held_out.without_sensor), figures(held_out.mae["with_effects"])
     return f"An assumed torque sensor error ({', '.join(sizes)}) lowers the mean error {fit} from {before} to {after} Nm"
 
@@ -236,16 +242,24 @@ def moved(q: BaseParameter, value: float) -> str:
     return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
 
 
-def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
-    """Sentences for a vehicle file of another vehicle: the values that a re-fit moves far out of their ranges."""
+def file_is_off(far: Sequence[tuple[BaseParameter, float]], base: Base, by_load: str) -> list[str]:
+    """Sentences for a vehicle file of another vehicle: the values that a re-fit moves far out of their ranges.
+
+    They begin with the load where a suspected term `by_load` follows it, and it is what separates the recordings.
+    """
+    load = [f"The recordings differ in their load, and a torque that follows it would explain them ({by_load})"]
+    also = "As other things may differ between them too, record different loads under the same conditions"
     return [
-        "The vehicle file does not fit this vehicle",
+        *([*load, also] if by_load else []),
+        f"The {base.file} does not fit this {base.noun}",
         "Only values far outside its ranges reproduce the recordings",
         *(
             f"The {q.name} would be {figures(at)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
             for q, at in far[:MOST_LISTED]
         ),
-        "Check the values that are not re-fitted: the rubber file, the dimensions of belt and wheels, and the unit of the load",
+        "Check the values that are not re-fitted: the rubber file, the dimensions of belt and wheels, and the unit of the load"
+        if base.rolls
+        else "",
     ]
 
 
@@ -287,11 +301,11 @@ def largest_of(left: Sequence[Bin]) -> Bin:
     return max(left, key=lambda b: abs(b.mean_residual))
 
 
-def unexplained(left: Sequence[Bin]) -> str:
+def unexplained(left: Sequence[Bin], noun: str) -> str:
     """Location and size of the largest difference between measured torque and model."""
     first = largest_of(left)
     way = "more" if first.mean_residual > 0 else "less"
-    return f"{upper(range_of(first))} the vehicle needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
+    return f"{upper(range_of(first))} the {noun} needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
 
 
 def slow(s: SlowResidual) -> list[str]:
@@ -299,7 +313,7 @@ def slow(s: SlowResidual) -> list[str]:
     return [
         f"Averaged over {s.seconds:g} s, the measured torque differs from the model by {figures(s.size, 2)} Nm, "
         f"{_percent(s.share)} of the torque",
-        "Nothing recorded explains this difference",
+        s.closest,
         "" if math.isnan(s.slope) else f"An unrecorded slope of {100.0 * s.slope:.1f} % would do the same",
     ]
 

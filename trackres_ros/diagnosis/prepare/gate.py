@@ -16,7 +16,7 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.altitude import with_slope
 from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone, near
 from trackres_ros.diagnosis.prepare.clocks import on_one_clock
-from trackres_ros.diagnosis.prepare.notes import WarningNote
+from trackres_ros.diagnosis.prepare.notes import SensorFinding, WarningNote
 from trackres_ros.diagnosis.prepare.refuse import (
     EARLIEST_CLOCK_S,
     SHORTEST_S,
@@ -34,6 +34,7 @@ from trackres_ros.diagnosis.prepare.resample import BRAKES_ON, QUICK, STEADY, re
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, DriveSession, Mask, whole_past
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.split import lap_numbers
+from trackres_ros.diagnosis.prepare.unit_checks import pooled
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.samples import standing_time
@@ -57,6 +58,11 @@ class Gated:
     sessions: tuple[DriveSession, ...]  # one for each used recording, of one step, cut into laps
     excluded: Mapping[str, int]  # time [s], by reason
     notes: tuple[str, ...]  # assumptions, one sentence each
+
+    @property
+    def sensors(self) -> tuple[SensorFinding, ...]:
+        """The warnings on sensors, which the verdict says too."""
+        return tuple(note for note in self.notes if isinstance(note, SensorFinding))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -106,7 +112,7 @@ def gate(
     if step > STEP_S:
         notes.append(f"samples are sparse, so torques are compared as means over {step:.0f} s")
     sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes, settings.has_belt)
-    return Gated(tuple(sessions), {reason: n for reason, n in excluded.items() if n}, tuple(notes))
+    return Gated(tuple(sessions), {reason: n for reason, n in excluded.items() if n}, tuple(pooled(notes)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.notes import WarningNote
+from trackres_ros.diagnosis.prepare.notes import SensorFinding
 from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
@@ -105,7 +105,7 @@ def check_torque(
 
 
 def _doubt(where: str, given: str, remedy: str) -> str:
-    return WarningNote(f"{where}: {given}, unless the model lacks much; {remedy}")
+    return SensorFinding(f"{where}: {given}, unless the model lacks much; {remedy}", f"The torque is {given}")
 
 
 def _sign_notes(
@@ -133,7 +133,8 @@ def _sign_notes(
         raise InputError(where, given, f"a torque that is positive when {motion}", line)
     lacks = "a slope that is not recorded" if known.is_vehicle else "something that the model lacks"
     sure = "its sign is right by the energy" if energy > 0.0 else f"if the sign is wrong, {line}"
-    return [WarningNote(f"{where}: {given}: {lacks} may do this; {sure}")]
+    says = f"The torque has a correlation of {alike:.2f} with the expected torque: {lacks} may do this"
+    return [SensorFinding(f"{where}: {given}: {lacks} may do this; {sure}", says)]
 
 
 def faulty_torques(
@@ -230,9 +231,10 @@ def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequenc
     shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]
     middle = float(np.median(shares)) if len(shares) > 2 else max(shares)
     return [
-        WarningNote(
+        SensorFinding(
             f"{s.name}: its torque is {share:.2g} times the expected one, but {middle:.2g} times in other recordings: is it the "
-            f"same {'vehicle' if is_vehicle else 'machine'}?"
+            f"same {'vehicle' if is_vehicle else 'machine'}?",
+            f"The torque of {s.name} is {share:.2g} times the expected one, but {middle:.2g} times in other recordings",
         )
         for s, share in zip(sessions, shares, strict=True)
         if s.used.sum() > 60 and not 1.0 / UNLIKE < share / middle < UNLIKE

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.notes import WarningNote
+from trackres_ros.diagnosis.prepare.notes import SensorFinding
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.recording.binding import TopicBinding
@@ -19,6 +20,7 @@ from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import UNITS, Conversion
 from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.text.numbers import some_of
 from trackres_ros.units import GRAVITY
 
 HOTTEST_AIR_DEGC = 50.0  # as a median of hours; the record of a moment in the shade is 57
@@ -84,12 +86,27 @@ def check_speed_unit(
                 _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed", bindings)
         if 0.9 < 1e3 * ratio < 1.1:
             _refuse(f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", "distance", bindings)
-        off = 1.0 / ratio - 1.0
-        if abs(off) > SPEED_OFF:
-            more = "more" if off > 0.0 else "less"
-            text = f"the speed is {abs(off):.1%} {more} than the recorded distance implies: one of them is wrong"
-            return [WarningNote(f"{name}: {text}")]
+        if abs(1.0 / ratio - 1.0) > SPEED_OFF:
+            return [speed_off({name: ratio - 1.0})]
     return []
+
+
+def speed_off(errors: Mapping[str, float]) -> SensorFinding:
+    """A speed that the recorded distance contradicts: true over measured speed, minus one, of each recording."""
+    value = float(np.median(list(errors.values())))
+    off = 1.0 / (1.0 + value) - 1.0
+    says = f"the speed is {abs(off):.1%} {'more' if off > 0.0 else 'less'} than the recorded distance implies"
+    return SensorFinding(f"{some_of(list(errors))}: {says}: one of them is wrong", f"T{says[1:]}", SpeedScale.name, value)
+
+
+def pooled(notes: Sequence[str]) -> list[str]:
+    """Notes with one finding for all recordings whose speed is off to the same side."""
+    found: dict[bool, dict[str, float]] = {}
+    for note in notes:
+        if isinstance(note, SensorFinding) and note.effect == SpeedScale.name:
+            found.setdefault(note.value > 0.0, {})[note.partition(": ")[0]] = note.value
+    others = [note for note in notes if not (isinstance(note, SensorFinding) and note.effect == SpeedScale.name)]
+    return [*map(speed_off, found.values()), *others]
 
 
 def _others(role: str) -> dict[str, Conversion]:
@@ -111,8 +128,8 @@ def _temperature(where: str, role: str, middle: float, bindings: Mapping[str, To
         raise InputError(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
     if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
         line = line_to_write(role, _others(role)["degF"], bindings)
-        text = f"air of {middle:.0f} degC is unusual; if it is in degF, {line}"
-        return [WarningNote(f"{where}: {text}")]
+        says = f"air of {middle:.0f} degC is unusual"
+        return [SensorFinding(f"{where}: {says}; if it is in degF, {line}", says.capitalize())]
     return []
 
 
@@ -136,7 +153,7 @@ def _weight(recording: Recording, known: GateSettings) -> list[str]:
         remedy = f"give the weight of {carrier}; for a payload, add the empty weight as offset in the topics file"
         raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:
-        return [WarningNote(f"{where}: {given}: is each part of the load recorded exactly once?")]
+        return [SensorFinding(f"{where}: {given}: is each part of the load recorded exactly once?", f"The load is {given}")]
     return []
 
 

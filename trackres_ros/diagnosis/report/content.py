@@ -86,6 +86,9 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "split": d.split.text,
         "notes": d.gated.notes,
         "warnings": d.gated.warnings,
+        "sensors": [
+            {"effect": s.effect or None, "value": s.value if s.effect else None, "text": s.says} for s in d.gated.sensors
+        ],
         "inputs": inputs(d),
         "kept": kept,
         "topics_lines": lines,
@@ -207,7 +210,7 @@ def _effect(f: NamedEffect, belongs_to: str) -> dict[str, Any]:
         "class": f.step.members,
         "weights": f.step.weights,
         "acts_on": f.acts_on,
-        "acts": {"text": f.location.text, "size": f.seen},
+        "acts": {"text": f.place, "size": f.seen},
         "grade": f.graded.grade,
         "heldout": _improvement(f.graded.improvement),
         "on_bounds": f.graded.on_bounds,
@@ -242,7 +245,7 @@ def _described(d: Diagnosis) -> list[dict[str, Any]]:
     found = []
     for t in d.described:
         intervals = {name: _pair(interval) for name, interval in t.intervals.items()}
-        found.append({**_term(t.described, t.graded.improvement, t.graded.grade), "seen_nm": t.seen_nm, "parameters": intervals})
+        found.append({**_term(t.described, t.graded.improvement, t.graded.grade), "parameters": intervals})
         found[-1]["instead"] = t.instead or None
     if d.drift and d.tracked:
         found.append({**_term(d.drift, d.tracked, d.tracked.grade), "parameters": {}})

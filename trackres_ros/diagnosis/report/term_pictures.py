@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.empirical.closest import evenly_filled
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
-from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, evenly_filled, smoothed
+from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, shown_names

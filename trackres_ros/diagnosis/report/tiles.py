@@ -52,7 +52,8 @@ def headline(report: dict[str, Any]) -> str:
     verdict, lead, possible = report["verdict"], leading(report), _possible(report)
     errors = f"Hold-out error: {_errors(report)}"
     if verdict["status"] == "none":
-        parts = [what.answer, *(f"The largest: {changed['text']}" for changed in verdict["changed"][:1]), errors]
+        said = [s["text"] for s in report["sensors"]]
+        parts = [*(said or [what.answer]), *(f"The largest: {changed['text']}" for changed in verdict["changed"][:1]), errors]
     elif lead is None or verdict["status"] == "unexplained":
         nothing = "" if verdict["hint"] else "No effect of the catalogue explains it"
         parts = [verdict["seen"], f"It may be: {possible}" if possible else nothing]
@@ -130,10 +131,10 @@ def _where(r: dict[str, Any]) -> Tile:
             "spread": upper(lead["gate"] or ""),
         }
         answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"
-        size = lead.get("seen_nm") or lead["size_nm"]
+        size = lead["size_nm"]
         if lead["form"] == "spread":
             return Tile(name, answer, f"The torque oscillates by {figures(size)} Nm there (standard deviation)")
-        return Tile(name, answer, f"About {figures(size, 2)} Nm remain there after the re-fit")
+        return Tile(name, answer, f"About {figures(size)} Nm where it acts")
     return Tile(name, upper(_of_curves(lead["acts"]["text"])) or "Everywhere", upper(lead["acts"]["size"]))
 
 
@@ -147,6 +148,9 @@ def _what(r: dict[str, Any]) -> Tile:
     name, verdict, possible = "What", r["verdict"], _possible(r)
     if verdict["status"] == "none":
         answer = "Only values of the file were wrong" if verdict["changed"] else "No physics is missing"
+        if r["sensors"]:
+            besides = f"apart from that: {answer[0].lower()}{answer[1:]}"
+            return Tile(name, "A sensor may be wrong", f"{r['sensors'][0]['text']}; {besides}")
         return Tile(name, answer, SURE_OF_NONE[verdict["grade"]])
     sure = _sure(r)
     if not sure:
@@ -160,7 +164,9 @@ def _what(r: dict[str, Any]) -> Tile:
         elif len(term["class"]) == 1:
             answers.append(_plain(term["name"]))
         else:
-            answers.append(either([f"{_plain(n)} ({100 * term['weights'][n]:.0f} %)" for n in term["class"]]))
+            likeliest = sorted(term["class"], key=lambda n: -term["weights"][n])
+            more = [f"{len(likeliest) - FEW} more"] if len(likeliest) > FEW else []
+            answers.append(either([*(f"{_plain(n)} ({100 * term['weights'][n]:.0f} %)" for n in likeliest[:FEW]), *more]))
             detail.append("not distinguishable here")
     if possible:
         detail.append(f"it may also be: {possible}")
@@ -185,6 +191,8 @@ def _better(r: dict[str, Any]) -> Tile:
 def _next(r: dict[str, Any]) -> Tile:
     name, lead, written = "Next", leading(r), r["written"]
     unexplained = r["verdict"]["status"] == "unexplained"
+    if r["sensors"] and r["verdict"]["status"] == "none":
+        return Tile(name, "Check the sensor", "correct it and diagnose again, as the fitted values include its error")
     for a in r["advice"]:
         if lead is None or lead["name"] in a["separates"]:
             return Tile(name, "Drive once more", f"{upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
@@ -258,7 +266,7 @@ def _gained(term: dict[str, Any]) -> tuple[float, float]:
 def _names(r: dict[str, Any]) -> str:
     """The names; for a large class, the number of its members."""
     classes = [e["class"] for e in _sure(r) if "form" not in e]
-    return " and ".join(" or ".join(map(_plain, of)) if len(of) <= FEW else f"one of {len(of)}" for of in classes)
+    return " and ".join(" or ".join(map(_plain, of)) if len(of) <= FEW else f"one of {len(of)} effects" for of in classes)
 
 
 def _plain(name: str) -> str:

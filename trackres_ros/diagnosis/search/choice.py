@@ -32,6 +32,7 @@ from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, 
 from trackres_ros.diagnosis.selection.grade import ON_BOUND, Graded, displaced, on_bounds
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.steps import Step
+from trackres_ros.effects.learned import ALWAYS, VARIABLES, EmpiricalEffect
 from trackres_ros.text.numbers import figures
 
 MOST_JUDGED = 5  # explanations, those with the highest worth
@@ -76,6 +77,13 @@ class Chosen:
         least = max(step.cost, 0.5 * step.chosen.level) if step.chosen is not None else step.cost
         names = [c for c in step.candidates if c.is_name and c.name != name and c.matters and c.level > least]
         return max(names, key=lambda c: c.level).name if names else ""
+
+    def variables_like(self, name: str) -> tuple[str, ...]:
+        """The variables of other forms that laps left out do not separate from a form over another one."""
+        own, step = self.explanation.candidates[name].effect, self.steps[name]
+        effects = [c.effect for c in step.candidates if c.name in step.members] if isinstance(own, EmpiricalEffect) else []
+        codes = dict.fromkeys(e.variable for e in effects if isinstance(e, EmpiricalEffect) and e.variable != ALWAYS)
+        return tuple(VARIABLES[code].text for code in codes if code != getattr(own, "variable", code))
 
     @property
     def routes(self) -> tuple[Route, ...]:
@@ -168,7 +176,7 @@ class Choice:
         if self._validation.least_gain(score, explanation.score) > 0.0:
             return []
         names = [q.name for q in wide.problem.base.parameters if q.outside(wide.base_values[q.name])]
-        return [f"predicts no better than {', '.join(names)} outside the range in the vehicle file"] if names else []
+        return [f"predicts no better than {', '.join(names)} outside the given range"] if names else []
 
     @staticmethod
     def _only_between(explanation: Explanation, name: str) -> bool:

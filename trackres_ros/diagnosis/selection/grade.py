@@ -49,7 +49,7 @@ class Graded:
     def fault(self) -> str:
         """Why it is not confirmed whatever these laps show, in words after its name; empty if only they decide."""
         if self.displaces:
-            return f"pushes {', '.join(self.displaces)} of the vehicle file to the end of its range"
+            return f"pushes {', '.join(self.displaces)} to the end of its range"
         if self.improvement.grade != CONFIRMED:
             return ""
         if self.on_bounds:

@@ -11,28 +11,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ByPlace
-from trackres_ros.diagnosis.empirical.finders import slow_term
+from trackres_ros.diagnosis.empirical.candidates import driven, shows, varies
+from trackres_ros.diagnosis.empirical.finders import closest_to_slow, slow_term
 from trackres_ros.diagnosis.empirical.live_disturbance import drift_on_held_out
 from trackres_ros.diagnosis.empirical.statements import describe, variable_of
 from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
+from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm, by_improvement, changed_values
 from trackres_ros.diagnosis.findings.locate import (
     is_like_slope,
     locate,
     only_later,
     regime_of,
-    residual_where_it_acts,
-    rms_where,
     slow_residual,
-    smoothed,
     spans,
-)
-from trackres_ros.diagnosis.findings.machine_words import (
-    effects_of_machine,
-    term_of_machine,
-    terms_of_machine,
-    verdict_of_machine,
 )
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.findings.spread import Spread, find_spread
@@ -42,16 +34,17 @@ from trackres_ros.diagnosis.findings.wording import assumed_sensor
 from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import Bounds
 from trackres_ros.diagnosis.selection.grade import Graded
-from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, HeldOut, Improvement, held_out
+from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, REFUTED, HeldOut, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
+from trackres_ros.effects import learned
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle.writing.changes import Interval
 
@@ -84,15 +77,14 @@ def judge(
     at_end = regime_map(tested_end, rng)
     options.on_stage("confidence intervals")
     bounds = intervals(final)
-    found, terms = _found(base, chosen, bounds), _terms(base, chosen, bounds)
+    found, terms = _found(base, chosen, bounds), _terms(chosen, bounds)
     left_over = slow_residual(final)
+    left_over = replace(left_over, closest=closest_to_slow(final, left_over.seconds))
     later = only_later(base.refitted, worth.mae["refitted"])
     drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
     is_vehicle = prepared.vehicle.known.is_vehicle
-    if not is_vehicle:
-        found, terms, drift = effects_of_machine(found), terms_of_machine(terms), drift and term_of_machine(drift)
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
-    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked))
+    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, Graded(drift.form, tracked))
     spread = attempt("an oscillation", lambda: find_spread(final)) if is_vehicle else None  # its regimes are a vehicle's
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
@@ -109,21 +101,21 @@ def judge(
             changed=changed,
             shares=chosen.shares,
             spread=None if spread is None else spread.described,
-            distance_off=_distance_off(prepared.sessions),
+            sensors=prepared.gated.sensors,
+            by_load=_by_load(chosen, final),
             later=later,
             sensor=assumed_sensor(final.instrument, worth, "with the effects" if final.effects else "of the re-fit"),
             unusable=unusable,
         )
     )
-    verdict = verdict if is_vehicle else verdict_of_machine(verdict)
     return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
 
-def _distance_off(sessions: Sequence[DriveSession]) -> float:
-    """Recorded distance over that by the speed, minus one; zero without a recorded one."""
-    recorded = sum(float(s.distance[-1] - s.distance[0]) for s in sessions)
-    by_speed = sum(float(np.abs(np.nan_to_num(s.speed[1:])).sum()) * s.step for s in sessions)
-    return recorded / by_speed - 1.0 if by_speed > 0.0 else 0.0
+def _by_load(chosen: Chosen, final: Fit) -> str:
+    """A suspected form over the load, if the load varies between the recordings alone; else empty."""
+    between = varies(driven(learned.LOAD, final)) and not shows(learned.LOAD, final)
+    forms = [g.name for g in chosen.unconfirmed if g.grade != REFUTED and g.name.endswith(learned.VARIABLES[learned.LOAD].name)]
+    return forms[0] if between and forms else ""
 
 
 def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
@@ -161,10 +153,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
 
 
 def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
-    final, sessions = chosen.final, chosen.final.problem.sessions
-    of_base = torque_residuals(base.refitted)
-    over_time = [smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)]
-    found = []
+    final, sessions, found = chosen.final, chosen.final.problem.sessions, []
     for active in final.effects:
         effect = active.effect
         if not chosen.is_named(effect.name):
@@ -175,24 +164,25 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
         if isinstance(effect, ByPlace):
             where = replace(where, low=where.least, high=where.most)  # limits by place only
         regime = regime_of(base.refitted, final, base.at_base, where)
+        place, seen = effect.acts(active.values)
         found.append(
             NamedEffect(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,
-                bounds_of(effect.name, bounds), adds, resists, spans(sessions, adds), where, regime,
-                where.residual(regime[0], base.at_base, rms_where(where, final, over_time)), chosen.graded[effect.name],
+                bounds_of(effect.name, bounds), adds, resists, spans(sessions, adds), where,
+                place or where.text, regime, seen or where.size(final.problem.base.noun), chosen.graded[effect.name],
             )
         )  # fmt: skip
     return [f for f in by_improvement(found) if isinstance(f, NamedEffect)]
 
 
-def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[UnnamedTerm]:
-    final, of_base, terms = chosen.final, torque_residuals(base.refitted), []
+def _terms(chosen: Chosen, bounds: Bounds) -> list[UnnamedTerm]:
+    final, terms = chosen.final, []
     for name in final.effect_names:
         if not chosen.is_named(name):
             adds, term = final.contribution(name), chosen.term(name)
-            seen_nm = residual_where_it_acts(final.problem.sessions, adds, of_base)
             course, within, instead = variable_of(term, final), bounds_of(name, bounds), chosen.instead_of(name)
-            terms.append(UnnamedTerm(describe(term, final), adds, course, within, seen_nm, chosen.graded[name], instead))
+            graded, alike = chosen.graded[name], chosen.variables_like(name)
+            terms.append(UnnamedTerm(describe(term, final), adds, course, within, graded, instead, alike))
     return [t for t in by_improvement(terms) if isinstance(t, UnnamedTerm)]
 
 

@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.gate import Gated, gate
-from trackres_ros.diagnosis.prepare.notes import WarningNote
+from trackres_ros.diagnosis.prepare.notes import SensorFinding
 from trackres_ros.diagnosis.prepare.on_route import on_route, with_fewer_steps
 from trackres_ros.diagnosis.prepare.refuse import Refusal
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, Split
@@ -115,10 +115,9 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float, scale: float)
         return ""
     shown = figures(scale * mean)
     line = line_to_write("torque", Conversion(offset=-float(shown)), *(s.bindings for s in sessions))
-    return WarningNote(
-        f"the torque is {shown} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together; if neither a slope, "
-        f"a load nor a brake holds it, the sensor has an offset; {line}"
-    )
+    says = f"the torque is {shown} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together"
+    offset = "if neither a slope, a load nor a brake holds it, the sensor has an offset"
+    return SensorFinding(f"{says}; {offset}; {line}", f"T{says[1:]}", TorqueOffset.name, scale * mean)
 
 
 def _stops(sessions: Sequence[DriveSession]) -> list[tuple[float, float]]:

@@ -5,9 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from trackres_ros.effects.effect import Conditions, Effect, Lag, Parameter, Terms, Values
+from trackres_ros.text.numbers import figures
 
 MOVING_MPS = 0.3
+GONE = 3.0  # time constants: then 5 % are left
 
 
 class WarmUp(Effect):
@@ -23,6 +27,10 @@ class WarmUp(Effect):
         Parameter("time_constant", "s", 30.0, 1500.0, 300.0, "of warming while driving", more_starts=(100.0, 800.0)),
         Parameter("cooling", "s", 300.0, 40000.0, 7200.0, "time constant of cooling while standing"),
     )
+
+    def acts(self, values: Mapping[str, float]) -> tuple[str, str]:
+        torque, minutes = figures(values["torque"]), figures(GONE * values["time_constant"] / 60.0, 2)
+        return "after a stop", f"the drive train drags: {torque} Nm more at first, gone after some {minutes} min of driving"
 
     def lag(self, at: Conditions, p: Values) -> Lag:
         if abs(at.speed) > MOVING_MPS:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from trackres_ros.diagnosis.findings.locate import evenly_filled
+from trackres_ros.diagnosis.empirical.closest import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.evaluation.field.bus import bus_page

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.findings.locate import evenly_filled
+from trackres_ros.diagnosis.empirical.closest import evenly_filled
 from trackres_ros.evaluation.processes import check_seal, each, read_json, read_labels
 from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
