@@ -101,7 +101,7 @@ def test_each_candidate_says_why_it_was_not_chosen():
     assert why(candidate("tied", 1.0), best, members=("best", "tied")) == "not distinguishable from best here"
     assert "by chance" in why(candidate("weak", COST), best)
     assert "by chance" not in why(candidate("weak", COST + 0.1), best)
-    assert why(candidate("small", 9.0, share=0.001), best) == "adds only 0.1% of the torque"
+    assert why(candidate("small", 9.0, share=0.001), best) == "adds only 0.1 % of the torque"
     assert why(candidate("far", 18.0), best) == "7 times less likely than best"
     assert "laps left out in turn decide for best" in why(candidate("near", 19.5), best, worse=("near",))
     assert "bends to the data" in why(candidate(CURVE.name, 19.5, effect=CURVE), best)

@@ -212,7 +212,7 @@ def test_a_speed_that_reads_too_high_is_in_the_class(run, recorded, tmp_path):
 
     paths = [rewritten(path, tmp_path, too_high) for path in recorded()[:1]]
     found = found_in(run, paths, tmp_path / "out")
-    assert any("is 4.0% more than the recorded distance" in note for note in found["notes"])
+    assert any("is 4.0 % more than the recorded distance" in note for note in found["notes"])
     assert any("speed_scale" in e["class"] for e in found["effects"])
 
 

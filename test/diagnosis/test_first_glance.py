@@ -208,7 +208,7 @@ def test_what_is_only_suspected_asks_for_more_laps():
 
 
 def test_tiles_and_headline_hold_what_a_warning_says_of_a_sensor():
-    says = "The speed is 5.5% more than the recorded distance implies"
+    says = "The speed is 5.5 % more than the recorded distance implies"
     r = report_of("none", "confirmed", sensors=[{"effect": "speed_scale", "value": -0.052, "text": says}])
     _, what, _, following = tiles(r)
     assert headline(r).startswith(f"{says}. ")

@@ -296,7 +296,7 @@ def test_a_term_that_grows_the_error_is_refuted(hidden):
 def test_next_to_nothing_is_not_confirmed(hidden):
     of, explanation, name = hidden
     little = {name: replace(explanation.candidates[name], share=0.004)}
-    assert judged_with(of, replace(explanation, candidates=little), name).fault == "adds only 0.4% of the torque"
+    assert judged_with(of, replace(explanation, candidates=little), name).fault == "adds only 0.4 % of the torque"
 
 
 # A recorded channel and the clock

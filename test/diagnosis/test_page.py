@@ -85,7 +85,7 @@ def test_each_effect_says_how_far_it_is_confirmed(scrubbed, tmp_path, grade):
     written = re.search(r'<p id="written">(.*?)</p>', page)[1]
     assert ("turning_scrub" in written, "no effect" in written) == (grade == "confirmed", grade != "confirmed")
     assert ("the re-fitted base" in written) == r["written"]["base"]
-    assert "so it is" in written
+    assert "So it is." in written
 
 
 def test_the_page_begins_with_the_residual_and_its_terms(scrubbed, tmp_path):

@@ -107,7 +107,7 @@ def test_on_an_open_one_way_road_the_std_has_the_unknown_mean(base):
     assert abs(np.nanmean(error)) < np.nanmedian(std)
     assert 0.0015 < np.nanmedian(std) < 0.004  # as of the rolling coefficient in the vehicle file
     assert np.sqrt(np.nanmean((error / std) ** 2)) < 2.0
-    assert effect.text.endswith("on a road driven one way, all may be 0.6% off")
+    assert effect.text.endswith("on a road driven one way, all may be 0.6 % off")
 
 
 def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):
@@ -261,7 +261,7 @@ def test_a_route_elsewhere_is_not_used(hilly, diagnosed):
     away = replace(given.route[0], latitude=given.route[0].latitude + 0.001)
     gated = on_route(gate(read_recordings([hilly], None), given.known), [away])
     assert "grade" not in gated.sessions[0].given
-    assert gated.notes[-1].endswith("0% of it is on the route with known slopes; they are not used")
+    assert gated.notes[-1].endswith("0 % of it is on the route with known slopes; they are not used")
 
 
 def test_soft_ground_is_described_confirmed_and_written_each_way(soft):

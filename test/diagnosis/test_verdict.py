@@ -162,7 +162,7 @@ OFFSET = Changed("grade", "1", 0.0, -0.002, -0.003, -0.001, 12.0)
 def test_a_refit_that_gains_names_the_changed_values():
     verdict = said(changed=(BEARING, OFFSET))
     assert (verdict.status, verdict.grade, verdict.changed) == ("none", CONFIRMED, (BEARING, OFFSET))
-    assert "bearing_friction is 14% higher, 0.01140 [0.01110, 0.01170] instead of 0.01000" in verdict.sentence
+    assert "bearing_friction is 14 % higher, 0.01140 [0.01110, 0.01170] instead of 0.01000" in verdict.sentence
     assert "grade is 0.002 lower" in verdict.sentence
     assert "falls from 100 to 80 Nm" in verdict.sentence
     assert said().sentence.startswith("No physics is missing. No value of the vehicle file is surely off, but a re-fit")
@@ -282,6 +282,13 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     assert "reject" not in sentence
 
 
+def test_terms_that_hardly_change_the_error_share_a_sentence():
+    little = [Graded(name, Improvement(100.0, after, -5.0, 5.0)) for name, after in (("payne", 99.5), ("mullins", 100.3))]
+    together = "Laps left out in turn do not confirm payne or mullins: their mean error changes by 0.5 Nm at most."
+    assert together in said(unconfirmed=little).sentence
+    assert "do not confirm payne: their mean error goes from 100 to 99.5 Nm" in said(unconfirmed=little[:1]).sentence
+
+
 @pytest.mark.parametrize(
     ("graded", "why"),
     [
@@ -340,9 +347,9 @@ def test_the_sentence_gives_the_size_of_the_term_itself():
 def test_a_place_that_two_variables_give_names_both():
     turning = found()
     turning = replace(turning, place="above 4 m/s of speed", location=replace(EVERYWHERE, alike=("yaw rate",)))
-    assert "These recordings cannot separate speed or yaw rate." in said([turning]).sentence
+    assert "These recordings cannot separate speed and yaw rate." in said([turning]).sentence
     assert "cannot separate" not in said([found()]).sentence
-    assert "cannot separate speed, load or curvature." in said(terms=[replace(term(), alike=("load", "curvature"))]).sentence
+    assert "cannot separate speed, load and curvature." in said(terms=[replace(term(), alike=("load", "curvature"))]).sentence
 
 
 def test_an_edge_that_is_nothing_on_its_scale_is_zero():
@@ -396,8 +403,8 @@ def test_one_warning_tells_all_recordings_with_a_wrong_speed():
     notes = pooled(["x: y", *each, "z"])
     assert [note for note in notes if note in ("x: y", "z")] == ["x: y", "z"]
     low, high = (note for note in notes if isinstance(note, SensorFinding))
-    assert low == "a, b: the speed is 5.8% more than the recorded distance implies: one of them is wrong"
-    assert high == "c: the speed is 3.8% less than the recorded distance implies: one of them is wrong"
+    assert low == "a, b: the speed is 5.8 % more than the recorded distance implies: one of them is wrong"
+    assert high == "c: the speed is 3.8 % less than the recorded distance implies: one of them is wrong"
     assert low.value == pytest.approx(-0.055)
 
 

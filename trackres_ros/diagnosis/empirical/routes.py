@@ -288,7 +288,8 @@ def _text(route: RouteMap, of_mean: float) -> str:
     low, high = (float(q) for q in np.nanquantile(route.value, (0.025, 0.975)))
     if route.kind == TORQUE:
         return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"
-    text = f"the road has slopes of up to {max(-low, high):.1%}, the same on each pass"
+    text = f"the road has slopes of up to {100.0 * max(-low, high):.1f} %, the same on each pass"
     if of_mean > COMMON * float(np.sqrt(np.nanmean(route.value**2))):
-        text += f"; as rolling resistance looks like a mean slope on a road driven one way, all may be {2.0 * of_mean:.1%} off"
+        off = f"{200.0 * of_mean:.1f} %"
+        text += f"; as rolling resistance looks like a mean slope on a road driven one way, all may be {off} off"
     return text

@@ -230,7 +230,7 @@ def _of_threshold(effect: Corner | Latch, values: Mapping[str, float], noun: str
 
 def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
     gain, side, follows = values["gain"], learned.SIDES[effect.side], learned.VARIABLES[effect.variable]
-    text = f"The torque {side.text} is {abs(gain):.1%} {'larger' if gain > 0.0 else 'smaller'} than in the model"
+    text = f"The torque {side.text} is {100.0 * abs(gain):.1f} % {'larger' if gain > 0.0 else 'smaller'} than in the model"
     size, mechanisms = abs(gain) * values["x1"], OF_GAINS[effect.side]
     return Described("sided_gain", effect.name, text, mechanisms, size, follows.text, follows.unit, side.text, True)
 

@@ -84,7 +84,7 @@ class Changed:
         """A wrong value of the vehicle file, with its change and interval."""
         unit = "" if self.unit == "1" else f" {self.unit}"
         off = self.value - self.nominal
-        share = f"{abs(off / self.nominal):.0%}" if self.nominal else f"{figures(abs(off))}{unit}"
+        share = f"{100.0 * abs(off / self.nominal):.0f} %" if self.nominal else f"{figures(abs(off))}{unit}"
         value, low, high, nominal = alike((self.value, self.low, self.high, self.nominal), self.high - self.low)
         if self.at_bound:
             way = "high" if off > 0.0 else "low"

@@ -168,7 +168,7 @@ def menu(weight: float, max_speed: float) -> dict[str, Callable[[DriveSession], 
     to_and_fro = [(0.0, 0.0), (10.0, slow), (120.0, slow), (135.0, -slow), (250.0, -slow), (260.0, 0.0)]
     stairs = [(0.0, 0.0), *((60.0 * i + t, v) for i, v in enumerate(np.linspace(slow, fast, 8)) for t in (15.0, 60.0))]
     circles = [(0.0, 0.0), *((300.0 * i + t, v) for i, v in enumerate((0.6 * slow, slow, 1.4 * slow)) for t in (10.0, 300.0))]
-    slope = f"alternate up and down a surveyed slope of {KNOWN_SLOPE:.0%}, a minute each, and record the grade"
+    slope = f"alternate up and down a surveyed slope of {100.0 * KNOWN_SLOPE:.0f} %, a minute each, and record the grade"
     light_and_heavy = LOADS[0], LOADS[-1]
     return {
         "drive forwards and then in reverse, two minutes each": drive(to_and_fro),

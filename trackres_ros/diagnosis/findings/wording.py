@@ -110,7 +110,7 @@ def _of(t: NamedEffect | UnnamedTerm, listed: Possible, sensors: Sequence[Sensor
 
 def inseparable(variable: str, alike: Sequence[str]) -> str:
     """Sentence on variables that a term may follow as well as its own; empty without any."""
-    return f"These recordings cannot separate {either([variable, *alike])}" if variable and alike else ""
+    return f"These recordings cannot separate {', '.join((variable, *alike[:-1]))} and {alike[-1]}" if variable and alike else ""
 
 
 def seen(f: NamedEffect) -> str:
@@ -206,9 +206,16 @@ def may_be(listed: Possible, also: bool = False) -> str:
 
 
 def doubts(unsure: Sequence[Graded]) -> list[str]:
-    """Reasons why terms are only suspected."""
+    """Reasons why terms are only suspected; those that hardly change the error are told together."""
+    little = [g for g in unsure if not (g.fault or g.improvement.less_likely) and _hardly_gains(g)]
+    if len(little) < 2:
+        little = []
     found = []
-    for graded in unsure:
+    if little:
+        most = figures(max(abs(g.improvement.before - g.improvement.after) for g in little), 1)
+        names = either([g.name for g in little[:MOST_LISTED]])
+        found.append(f"{upper(LEFT_OUT)} do not confirm {names}: their mean error changes by {most} Nm at most")
+    for graded in (g for g in unsure if g not in little):
         i = graded.improvement
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
         error = f"from {figures(i.before)} to {figures(i.after)} Nm"
@@ -220,6 +227,11 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
         else:
             found.append(f"{denied} goes {error} ({gain})")
     return list(dict.fromkeys(found))
+
+
+def _hardly_gains(graded: Graded) -> bool:
+    i = graded.improvement
+    return abs(i.before - i.after) < SMALL_SHARE * i.before
 
 
 def rejected(unconfirmed: Sequence[Graded]) -> list[str]:

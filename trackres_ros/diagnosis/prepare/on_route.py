@@ -34,7 +34,7 @@ def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] =
                 continue
             found = _along(session, one)
             known = np.isfinite(found)
-            notes.append(f"{session.name}: {known.mean():.0%} of it is on the route with known {one.kind}s")
+            notes.append(f"{session.name}: {100.0 * known.mean():.0f} % of it is on the route with known {one.kind}s")
             if known.mean() <= MOST_UNKNOWN:
                 notes[-1] = WarningNote(f"{notes[-1]}; they are not used")
                 continue

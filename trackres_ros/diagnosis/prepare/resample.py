@@ -316,7 +316,7 @@ def _slope(grid: _Grid) -> Mask:
     """Steps without a slope; if these are the majority, the slope is treated as not recorded."""
     unknown = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in grid.given else grid.nowhere
     if unknown.mean() > MOST_UNKNOWN:
-        text = f"{grid.name}: the slope is unknown for {unknown.mean():.0%} of the time; treated as not recorded"
+        text = f"{grid.name}: the slope is unknown for {100.0 * unknown.mean():.0f} % of the time; treated as not recorded"
         grid.notes.append(WarningNote(text))
         grid.given.remove("grade")
         return grid.nowhere

@@ -95,8 +95,8 @@ def speed_off(errors: Mapping[str, float]) -> SensorFinding:
     """A speed that the recorded distance contradicts: true over measured speed, minus one, of each recording."""
     value = float(np.median(list(errors.values())))
     off = 1.0 / (1.0 + value) - 1.0
-    says = f"the speed is {abs(off):.1%} {'more' if off > 0.0 else 'less'} than the recorded distance implies"
-    return SensorFinding(f"{some_of(list(errors))}: {says}: one of them is wrong", f"T{says[1:]}", SpeedScale.name, value)
+    says = f"the speed is {100.0 * abs(off):.1f} % {'more' if off > 0.0 else 'less'} than the recorded distance implies"
+    return SensorFinding(f"{some_of(list(errors), 2)}: {says}: one of them is wrong", f"T{says[1:]}", SpeedScale.name, value)
 
 
 def pooled(notes: Sequence[str]) -> list[str]:

@@ -190,7 +190,7 @@ def _why(c: Candidate, step: Step) -> str:
     if c.level <= step.cost:
         return "the best of as many candidates may gain as much by chance"
     if not c.matters:
-        return f"adds only {c.share:.1%} of the torque"
+        return f"adds only {100.0 * c.share:.1f} % of the torque"
     if step.chosen is None:
         return why_not(c, step)
     if c.level > step.chosen.level - LEAST_AHEAD:

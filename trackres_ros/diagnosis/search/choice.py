@@ -125,7 +125,7 @@ class Choice:
         if not improvement.likelier > 0.0 or improvement.gained < least:
             found.append(f"gains no more than the best of many candidates may by chance: {shows}")
         if not candidate.matters:
-            found.append(f"adds only {candidate.share:.1%} of the torque")
+            found.append(f"adds only {100.0 * candidate.share:.1f} % of the torque")
         small = improvement.before - improvement.after < SMALL_SHARE * improvement.before
         if small and not validation.level_falls(without.score, explanation.score):
             found.append(f"hardly reduces the error: {shows}")

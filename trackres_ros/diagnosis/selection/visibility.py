@@ -116,7 +116,7 @@ def separability(
         else:
             # An absorbed effect is hardly visible, but may explain better than base values outside their ranges.
             if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
-                why = f"the base's parameters absorb {1 - best.kept:.0%} of it"
+                why = f"the base's parameters absorb {100.0 * (1 - best.kept):.0f} % of it"
                 not_visible.append(NotVisible(effect, why))
             found = found if is_name(effect) else [replace(s, direction=np.empty(0)) for s in found]
             visible += [quick.added(s) for s in found]
