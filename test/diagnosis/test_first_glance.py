@@ -56,8 +56,8 @@ def report_of(status, grade, names=(), mae=MAE, **more):
     effects = [
         {
             "name": n[0], "class": list(n), "weights": dict.fromkeys(n, 1.0 / len(n)), "where": {"time": [], "regime": []},
-            "acts": {"text": "above 0.01 1/m of curvature", "size": SEEN}, "grade": grade, "heldout": {"mae": [62.6, 22.6]},
-            "belongs_to": "vehicle",
+            "acts": {"text": "above 0.01 1/m of curvature", "size": SEEN, "by": ""}, "grade": grade,
+            "heldout": {"mae": [62.6, 22.6]}, "belongs_to": "vehicle",
         }
         for n in names
     ]  # fmt: skip
@@ -161,7 +161,7 @@ def graded(term, grade, before, after):
 def test_headline_and_next_step_follow_the_largest_confirmed_one():
     r = report_of("named", "confirmed", [["viscous_bearing"], ["grade"]])
     small, large = r["effects"]
-    large["acts"] = {"text": "", "size": "the vehicle needs sometimes more and sometimes less torque than the model"}
+    large["acts"] = {"text": "", "by": "", "size": "the vehicle needs sometimes more and sometimes less torque than the model"}
     r["effects"] = [graded(small, "confirmed", 216.0, 214.0), graded(large, "confirmed", 1311.0, 214.0)]
     r["written"]["effects"] = ["grade"]
     r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
@@ -214,6 +214,7 @@ def test_tiles_and_headline_hold_what_a_warning_says_of_a_sensor():
     assert headline(r).startswith(f"{says}. ")
     assert (what.answer, what.detail) == ("A sensor may be wrong", f"{says}; apart from that: no physics is missing")
     assert following.answer == "Check the sensor"
+    assert tiles(report_of("named", "confirmed", [["scrub"]], sensors=r["sensors"]))[-1] == following
     assert "No physics is missing" not in headline(r)
 
 

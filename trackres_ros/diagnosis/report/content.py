@@ -210,7 +210,7 @@ def _effect(f: NamedEffect, belongs_to: str) -> dict[str, Any]:
         "class": f.step.members,
         "weights": f.step.weights,
         "acts_on": f.acts_on,
-        "acts": {"text": f.place, "size": f.seen},
+        "acts": {"text": f.place, "size": f.seen, "by": f.location.variable if f.location.both_ways else ""},
         "grade": f.graded.grade,
         "heldout": _improvement(f.graded.improvement),
         "on_bounds": f.graded.on_bounds,

@@ -62,8 +62,9 @@ def headline(report: dict[str, Any]) -> str:
         nothing = "" if lead.get("instead") else "No effect of the catalogue explains this"
         parts = [first, errors, f"Also confirmed: {_names(report)}" if _names(report) else nothing]
     else:
-        placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {where.detail[:1].lower()}{where.detail[1:]}"
-        parts = [placed, f"The cause{'s are' if len(_sure(report)) > 1 else ' is'} {_names(report)} (confirmed)", errors]
+        placed = f"{where.answer}, {where.detail[:1].lower()}{where.detail[1:]}" if lead["acts"]["text"] else where.detail
+        several = sum("form" not in term for term in _sure(report)) > 1
+        parts = [placed, f"The cause{'s are' if several else ' is'} {_names(report)} (confirmed)", errors]
     text = ""
     for part in filter(None, parts):
         if len(f"{text} {part}".split()) < MOST_WORDS:
@@ -135,7 +136,8 @@ def _where(r: dict[str, Any]) -> Tile:
         if lead["form"] == "spread":
             return Tile(name, answer, f"The torque oscillates by {figures(size)} Nm there (standard deviation)")
         return Tile(name, answer, f"About {figures(size)} Nm where it acts")
-    return Tile(name, upper(_of_curves(lead["acts"]["text"])) or "Everywhere", upper(lead["acts"]["size"]))
+    by = f"By {lead['acts']['by']}" if lead["acts"]["by"] else "Everywhere"
+    return Tile(name, upper(_of_curves(lead["acts"]["text"])) or by, upper(lead["acts"]["size"]))
 
 
 def _of_curves(text: str) -> str:
@@ -191,8 +193,8 @@ def _better(r: dict[str, Any]) -> Tile:
 def _next(r: dict[str, Any]) -> Tile:
     name, lead, written = "Next", leading(r), r["written"]
     unexplained = r["verdict"]["status"] == "unexplained"
-    if r["sensors"] and r["verdict"]["status"] == "none":
-        return Tile(name, "Check the sensor", "correct it and diagnose again, as the fitted values include its error")
+    if r["sensors"] and not r["topics_lines"]:
+        return Tile(name, "Check the sensor", f"{r['sensors'][0]['text']}; correct one and diagnose again")
     for a in r["advice"]:
         if lead is None or lead["name"] in a["separates"]:
             return Tile(name, "Drive once more", f"{upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
