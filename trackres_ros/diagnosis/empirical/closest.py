@@ -32,7 +32,9 @@ def closest_channel(fit: Fit, torques: Sequence[Array]) -> str:
     known["driving torque"] = np.concatenate([p.at_sprockets * s.ahead for p, s in zip(fit.predicted, sessions, strict=True)])
     if all("grade" in s.given for s in sessions):
         known["slope"] = np.concatenate([s.grade for s in sessions])
-    channels = {name: x[used] for name, x in known.items() if np.isfinite(x[used]).all()}
+    channels = {name: x[used] for name, x in known.items() if np.isfinite(x[used]).all() and used.any()}
+    if not channels:
+        return "No channel is known throughout"
     coarse = {name: _cells(x, CELLS_OF_PAIR) for name, x in channels.items()}
     shares: dict[tuple[str, ...], float] = {}
     for name, x in channels.items():

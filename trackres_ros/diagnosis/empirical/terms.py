@@ -174,18 +174,17 @@ def of_learned(effect: EmpiricalEffect, values: Mapping[str, float], noun: str) 
 
 def turning_points(heights: Sequence[float]) -> list[int]:
     """Knots at which a curve turns, and its ends, rising; without swings smaller than the error of a form."""
-    least = FORM_ERROR * (max(heights) - min(heights))
-    found = list(range(len(heights)))
+    least, found = FORM_ERROR * (max(heights) - min(heights)), list(range(len(heights)))
+
+    def swing(place: int) -> float:
+        back, on = (heights[found[place]] - heights[found[place + way]] for way in (-1, 1))
+        return min(abs(back), abs(on)) if back * on > 0.0 else 0.0
+
     while len(found) > 2:
-        inner = range(1, len(found) - 1)
-        smallest = {i: min(abs(heights[found[i]] - heights[found[j]]) for j in (i - 1, i + 1)) for i in inner}
-        turns = {
-            i: (heights[found[i]] - heights[found[i - 1]]) * (heights[found[i]] - heights[found[i + 1]]) > 0.0 for i in inner
-        }
-        straight = [i for i in inner if not turns[i]] or [i for i in inner if smallest[i] < least]
-        if not straight:
+        smallest = min(range(1, len(found) - 1), key=swing)
+        if swing(smallest) > least:
             break
-        del found[min(straight, key=smallest.__getitem__)]
+        del found[smallest]
     return found
 
 

@@ -79,7 +79,8 @@ def judge(
     bounds = intervals(final)
     found, terms = _found(base, chosen, bounds), _terms(chosen, bounds)
     left_over = slow_residual(final)
-    left_over = replace(left_over, closest=closest_to_slow(final, left_over.seconds))
+    if left_over.share > LARGE_SLOW_SHARE:
+        left_over = replace(left_over, closest=closest_to_slow(final, left_over.seconds))
     later = only_later(base.refitted, worth.mae["refitted"])
     drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
     is_vehicle = prepared.vehicle.known.is_vehicle
