@@ -4,14 +4,12 @@
 """What a torque follows: the channel that comes closest, with the share that other laps confirm; and the load between drives."""
 
 import re
-from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.empirical.closest import FOLLOWS_LEAST, closest_channel
-from trackres_ros.diagnosis.selection.grade import Graded
+from trackres_ros.diagnosis.selection.grade import ONLY_BETWEEN, Graded
 from trackres_ros.diagnosis.selection.held_out import Improvement
 from trackres_ros.diagnosis.stages.judge import _by_load
 
@@ -49,14 +47,9 @@ def test_no_channel_explains_what_each_lap_has_differently(diagnosed):
     assert said(diagnosed, torques)[1] < 20
 
 
-@pytest.mark.parametrize(("within", "name"), [(0.0, "hinge_above_load"), (0.2, "")])
-def test_load_is_told_first_where_only_recordings_differ_in_it(diagnosed, within, name):
-    """And where a form that follows it is suspected, not refuted."""
-    problem = diagnosed.final.problem
-    weights = [(1.0 + 0.1 * i) * (1.0 + within * np.sin(s.time / 50.0)) for i, s in enumerate(problem.sessions)]
-    sessions = tuple(replace(s, weight=2e5 * w) for s, w in zip(problem.sessions, weights, strict=True))
-    final = replace(diagnosed.final, problem=replace(problem, sessions=sessions))
-    better, worse = (Improvement(100.0, after, 0.0, 1.0) for after in (90.0, 120.0))
-    for improvement, expected in ((better, name), (replace(worse, low=-30.0, high=-10.0), "")):
-        chosen = SimpleNamespace(unconfirmed=(Graded("payne", better), Graded("hinge_above_load", improvement)))
-        assert _by_load(chosen, final) == expected
+def test_load_is_told_first_where_only_recordings_differ_in_it():
+    better, between = Improvement(100.0, 90.0, 5.0, 15.0), (f"{ONLY_BETWEEN} 5 recordings, as other things may",)
+    of_load, of_speed = (Graded(name, better, between) for name in ("hinge_above_load", "step_of_speed"))
+    assert _by_load((of_speed, of_load)) == "hinge_above_load"
+    for silent in ((of_speed,), (Graded("hinge_above_load", better, ("mostly cancels another term",)),), ()):
+        assert not _by_load(silent)

@@ -29,7 +29,7 @@ from trackres_ros.diagnosis.search.proposals import TIED
 from trackres_ros.diagnosis.search.stability import unstable
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, NAME
-from trackres_ros.diagnosis.selection.grade import ON_BOUND, Graded, displaced, on_bounds
+from trackres_ros.diagnosis.selection.grade import ON_BOUND, ONLY_BETWEEN, Graded, displaced, on_bounds
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.learned import ALWAYS, VARIABLES, EmpiricalEffect
@@ -135,7 +135,7 @@ class Choice:
         moves = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
         acts = (moves > MOVES * moves.max()) & (validation.by_recording(np.ones_like(without.score.error)) > 0.0)
         if len(moves) < FEWEST_SESSIONS and self._only_between(explanation, name):
-            found.append(f"differs only between these {len(moves)} recordings, as other things may")
+            found.append(f"{ONLY_BETWEEN} {len(moves)} recordings, as other things may")
         gained = validation.by_recording(without.score.error - explanation.score.error)[acts]
         if len(gained) > 1 and np.mean(gained > 0.0) <= 0.5:
             found.append(f"helps in {int((gained > 0.0).sum())} of the {len(gained)} recordings in which it acts")

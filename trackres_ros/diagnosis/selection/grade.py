@@ -15,6 +15,7 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPEC
 from trackres_ros.effects.effect import Active
 
 ON_BOUND = 1e-3  # of the span between the bounds
+ONLY_BETWEEN = "differs only between these"  # begins the fault of a term that other differences between recordings may explain
 LITTLE = 0.1  # of the mean error: the largest improvement by an effect that replaces a base value
 MOVED = 1.5  # standard deviations of the file's own range
 FAR = 5.0  # such standard deviations

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ByPlace
-from trackres_ros.diagnosis.empirical.candidates import driven, shows, varies
 from trackres_ros.diagnosis.empirical.finders import closest_to_slow, slow_term
 from trackres_ros.diagnosis.empirical.live_disturbance import drift_on_held_out
 from trackres_ros.diagnosis.empirical.statements import describe, variable_of
@@ -38,8 +37,8 @@ from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import Bounds
-from trackres_ros.diagnosis.selection.grade import Graded
-from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, REFUTED, HeldOut, Improvement, held_out
+from trackres_ros.diagnosis.selection.grade import ONLY_BETWEEN, Graded
+from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, HeldOut, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import PreparedSessions
@@ -103,7 +102,7 @@ def judge(
             shares=chosen.shares,
             spread=None if spread is None else spread.described,
             sensors=prepared.gated.sensors,
-            by_load=_by_load(chosen, final),
+            by_load=_by_load(chosen.unconfirmed),
             later=later,
             sensor=assumed_sensor(final.instrument, worth, "with the effects" if final.effects else "of the re-fit"),
             unusable=unusable,
@@ -112,11 +111,10 @@ def judge(
     return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
 
-def _by_load(chosen: Chosen, final: Fit) -> str:
-    """A suspected form over the load, if the load varies between the recordings alone; else empty."""
-    between = varies(driven(learned.LOAD, final)) and not shows(learned.LOAD, final)
-    forms = [g.name for g in chosen.unconfirmed if g.grade != REFUTED and g.name.endswith(learned.VARIABLES[learned.LOAD].name)]
-    return forms[0] if between and forms else ""
+def _by_load(unconfirmed: Sequence[Graded]) -> str:
+    """A suspected form over the load that differs only between the recordings; empty without one."""
+    of_load = [g for g in unconfirmed if g.name.endswith(learned.VARIABLES[learned.LOAD].name)]
+    return next((g.name for g in of_load if any(fault.startswith(ONLY_BETWEEN) for fault in g.faults)), "")
 
 
 def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
