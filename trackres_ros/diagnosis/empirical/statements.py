@@ -16,7 +16,6 @@ from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals
 from trackres_ros.diagnosis.empirical.spells import Chain, spell_probability
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
-from trackres_ros.diagnosis.empirical.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, EmpiricalEffect
@@ -36,8 +35,6 @@ def describe(term: Term, final: Fit) -> Described:
     level = active.numbers[0]
     if isinstance(active.effect, ClockTerm):
         return terms.of_clock(active.effect, level)
-    if term.wave is not None:
-        return terms.of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     if term.change is not None:
         return terms.of_level_change(name, level, final.problem.sessions, term.change)
     if term.place is not None:

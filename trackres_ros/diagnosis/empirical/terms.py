@@ -19,7 +19,6 @@ from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.places import Place
 from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
-from trackres_ros.diagnosis.empirical.waves import Wave
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, shown_names
 from trackres_ros.effects import learned
 from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
@@ -70,7 +69,6 @@ OF_SPELLS = (
     "a brake that stays applied for a while",
     "another consumer on the same drive",
 )
-OF_WAVES = ("a stiff or damaged place in a belt", "an out-of-round wheel or a worn bearing")
 OF_LEVEL_CHANGES = (
     "a part that was changed",
     "a brake left applied",
@@ -85,12 +83,12 @@ OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind o
 
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 Form = Literal[
-    "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "wave", "place", "payload",
+    "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "place", "payload",
     "level_change", "recordings", "drift", "spread", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
 FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate that tracks it") | {
-    "wave": "the torque measured before", "payload": "the torque measured before", "place": "the driven distance alone",
+    "payload": "the torque measured before", "place": "the driven distance alone",
     "level_change": "its time alone", "clock": "the clock or the driven distance alone",
 }  # fmt: skip
 """Source of an unpredictable term on hold-out laps, thus in their error."""
@@ -110,7 +108,7 @@ class Described:
     unit: str = ""  # of the variable
     gate: str = ""  # in words; empty without
     predictable: bool = False  # whether it can be fed forward, because its inputs are known at the time
-    period_m: float | None = None  # length of a wave, or of the lap of a place
+    period_m: float | None = None  # length of the lap of a place
     memory: float | None = None  # scale of a build-up in its own unit, or the mean duration of a spell [s]
     stretches: tuple[Stretch, ...] = ()  # of a payload: the mass of each stretch between stops
 
@@ -204,13 +202,6 @@ def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Arra
         f"recordings{begins}. It follows no recorded channel"
     )
     return Described("spells", name, text, OF_SPELLS, abs(level), memory=chain.mean_s)
-
-
-def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
-    """Describe a wave of this size [Nm], named after the part with its length per turn, if there is one."""
-    of = f", which is {part}" if part else ""
-    text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{of}"
-    return Described("wave", name, text, OF_WAVES, abs(level), "driven distance", period_m=wave.length_m)
 
 
 def of_clock(effect: ClockTerm, level: float) -> Described:

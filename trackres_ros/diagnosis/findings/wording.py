@@ -36,7 +36,6 @@ FORMS = {
     "gated_curve": "a curve",
     "spells": "an intermittent torque",
     "clock": "a torque that follows the clock",
-    "wave": "a periodic torque over distance",
     "place": "a torque at a place",
     "payload": "a payload",
     "level_change": "a change of level",

@@ -56,7 +56,7 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
     if form == "drift":  # slow, and no single variable explains it
         rivals = [x for name, x in over.items() if name not in CLOCKS]
         return _correlation(_smooth(added, 60), added) >= ALL > max(partial([_bins(x, BINS)], over, added) for x in rivals)
-    if form in ("wave", "place"):
+    if form == "place":
         period = term.get("period_m")
         return period is not None and partial([_bins(series["distance"] % float(period), 2 * BINS)], over, added) >= BOUND
     target = np.abs(added - _smooth(added, 20)) if form == "spread" else added
