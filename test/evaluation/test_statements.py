@@ -57,8 +57,6 @@ def test_spells_have_two_levels_that_last(kept):
     on = 300.0 * (second // 97 % 3 == 1)
     assert is_true(term("spells"), over, on, lengths)
     assert not is_true(term("spells"), over, 300.0 * np.sin(second / 60.0), lengths)
-    assert is_true(term("level_change"), over, 300.0 * (second > 900), lengths)
-    assert not is_true(term("level_change"), over, on, lengths)
 
 
 def test_recording_levels_are_true_of_offsets_between_recordings(kept):

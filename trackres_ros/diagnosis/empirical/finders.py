@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds terms that follow the clock or the place in the residual of a fit: spells, a change of level, a place, a mass by
+"""Finds terms that follow the clock or the place in the residual of a fit: spells, a place, a mass by
 stretch, a route. A term of the clock must gain more than noise and the model's own error would.
 """
 
@@ -15,7 +15,6 @@ from functools import partial
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
 from trackres_ros.diagnosis.empirical.payload import PAYLOAD, Payload, find_payload
 from trackres_ros.diagnosis.empirical.places import Place, find_place
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, Route, find_route
@@ -44,11 +43,11 @@ Search = Callable[[Fit, Fit], "Term | None"]
 """Searches for a term of the clock alone, in addition to a fit. The torque residual is that of a later fit, which may have it."""
 
 SURE = 10.0  # in log-likelihood: spells over a drift, a drift over none, a term over none
-FEWEST_SPELLS = 2  # with one, it is a level change
+FEWEST_SPELLS = 2  # with one, it is a step
 LEAST_DRIFT_S = 60.0  # a faster drift is noise that the autoregression includes
 LEAST_DRIFT = 0.01  # of the torque
 BETWEEN = 0.7  # of the slow variance: share between recordings
-SPELLS, LEVEL_CHANGE, PLACE = "spells", "level_change", "place"
+SPELLS, PLACE = "spells", "place"
 LIKELY = 0.5  # probability of an active spell
 FEWEST_TURNS = 2.0  # of a session, least for a circuit
 
@@ -59,7 +58,6 @@ class Term:
 
     candidate: Candidate
     chain: Chain | None = None
-    change: LevelChange | None = None
     place: Place | None = None
     payload: Payload | None = None
     route: Route | None = None
@@ -171,22 +169,6 @@ def beginnings(b: Blocks, there: Array, backwards: bool = False) -> Mask:
     return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
 
 
-def _level_change(current: Fit, last: Fit) -> Term | None:
-    """A lasting level change; on hold-out laps known from their time alone."""
-    residuals = residuals_without(last, LEVEL_CHANGE)
-    sessions, masks = current.problem.sessions, current.problem.masks
-    step = sessions[0].step
-    seconds = piece_s(step * sum(int(m.sum()) for m in masks))
-    change = find_change(torque_blocks(current, residuals, seconds=seconds), step)
-    if change is None:
-        return None
-    against = residuals[change.session] * np.sign(sessions[change.session].speed)
-    change = sharpened(change, against, masks[change.session], round(seconds / step))
-    shape = against_travel(sessions, change.shape([len(s) for s in sessions]))
-    candidate = _fitted(current, LEVEL_CHANGE, "a torque that is there from some time on", shape, change.size, change.cost)
-    return Term(candidate, change=change) if _counts(candidate, current) else None
-
-
 def _place(current: Fit, last: Fit) -> Term | None:
     """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
     residuals = residuals_without(last, PLACE)
@@ -236,7 +218,6 @@ def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes
     route = next((routes[name] for name in current.effect_names if name in routes), None)
     searches: dict[str, Search] = {
         SPELLS: _spells,
-        LEVEL_CHANGE: _level_change,
         **({PLACE: _place} if roads is None else {}),
         PAYLOAD: partial(_payload, route=route),
     }

@@ -35,8 +35,6 @@ def describe(term: Term, final: Fit) -> Described:
     level = active.numbers[0]
     if isinstance(active.effect, ClockTerm):
         return terms.of_clock(active.effect, level)
-    if term.change is not None:
-        return terms.of_level_change(name, level, final.problem.sessions, term.change)
     if term.place is not None:
         return terms.of_place(name, level, term.place)
     if term.payload is not None:

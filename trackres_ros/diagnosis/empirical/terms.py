@@ -5,21 +5,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import FADE, ClockTerm
-from trackres_ros.diagnosis.empirical.level_changes import LevelChange
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.places import Place
 from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, shown_names
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects import learned
 from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
 from trackres_ros.text.numbers import figures, on_scale
@@ -69,12 +66,6 @@ OF_SPELLS = (
     "a brake that stays applied for a while",
     "another consumer on the same drive",
 )
-OF_LEVEL_CHANGES = (
-    "a part that was changed",
-    "a brake left applied",
-    "a bearing that failed",
-    "a torque sensor whose zero was reset",
-)
 OF_CLOCKS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
 OF_PLACES = ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")
 OF_PAYLOAD = ("boarding passengers or loaded goods", "a tank or a hopper that fills and empties")
@@ -84,12 +75,12 @@ OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind o
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 Form = Literal[
     "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "place", "payload",
-    "level_change", "recordings", "drift", "spread", "clock",
+    "recordings", "drift", "spread", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
 FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate that tracks it") | {
     "payload": "the torque measured before", "place": "the driven distance alone",
-    "level_change": "its time alone", "clock": "the clock or the driven distance alone",
+    "clock": "the clock or the driven distance alone",
 }  # fmt: skip
 """Source of an unpredictable term on hold-out laps, thus in their error."""
 LEAST_DIFFERENCE = 0.02  # of its size: recordings with a smaller difference are alike
@@ -262,28 +253,6 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
         text += ". To identify a slope, drive them in the other direction too, or with another load"
     mechanisms = OF_PLACES if tied else OF_PLACES[1:]
     return Described("place", name, text, mechanisms, size, "place on the route", "m", predictable=True)
-
-
-def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange) -> Described:
-    """Describe a lasting level change of this size [Nm]."""
-    text = (
-        f"Since {_when(sessions, change)} the vehicle needs {_more(level)} than before, until the end of the recordings. "
-        "Diagnose the recordings since then alone to write that into a vehicle file"
-    )
-    return Described("level_change", name, text, OF_LEVEL_CHANGES, abs(level))
-
-
-def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
-    """Time of a level change: the time of day and date if known, and the time in its recording."""
-    session, first = sessions[change.session], sessions[0]
-    seconds = float(session.time[change.row])
-    recording = shown_names(sessions)[change.session]
-    where = f"{figures(seconds / 60.0)} min into {recording}" if change.row else f"the beginning of {recording}"
-    if math.isnan(session.start_s):
-        return where
-    at = datetime.fromtimestamp(session.start_s + seconds, UTC)
-    day = "" if math.isnan(first.start_s) else f", day {(at.date() - datetime.fromtimestamp(first.start_s, UTC).date()).days + 1}"
-    return f"{at:%H:%M} UTC on {at:%Y-%m-%d} ({where}{day})"
 
 
 def of_recordings(levels: Array, sessions: Sequence[DriveSession]) -> Described:

@@ -38,7 +38,6 @@ FORMS = {
     "clock": "a torque that follows the clock",
     "place": "a torque at a place",
     "payload": "a payload",
-    "level_change": "a change of level",
     "recordings": "a different level in each recording",
     "spread": "an oscillating torque",
 }

@@ -126,7 +126,6 @@ def _where(r: dict[str, Any]) -> Tile:
             "place": "By place on the route",
             "recordings": "From recording to recording",
             "drift": "Over time, slowly",
-            "level_change": "Since a point in time",
             "spread": upper(lead["gate"] or ""),
         }
         answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"

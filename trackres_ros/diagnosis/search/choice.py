@@ -99,9 +99,7 @@ class Choice:
         at = explanation.key, name
         if at not in self._graded:
             without = self._search.without(explanation, name)
-            term = explanation.terms.get(name)
-            change = term is not None and term.change is not None
-            improvement = self._validation.improvement(without.score, explanation.score, for_good=change)
+            improvement = self._validation.improvement(without.score, explanation.score)
             active = next(a for a in explanation.fit.effects if a.effect.name == name)
             faults = self._faults(explanation, name, improvement, without) if improvement.confirmed else ()
             instead = displaced(improvement, explanation.fit, without.fit)
@@ -207,8 +205,7 @@ class Choice:
         return {name: graded for (of, name), graded in self._graded.items() if of - {name} == key}
 
     def _is_confirmed(self, explanation: Explanation) -> bool:
-        once = any(term.change is not None for term in explanation.terms.values())
-        whole = self._validation.improvement(self._search.nothing.score, explanation.score, for_good=once)
+        whole = self._validation.improvement(self._search.nothing.score, explanation.score)
         kept = self._kept(explanation)
         # Terms that pass only together were chosen from many more sets, and cancel each other as they please.
         if explanation.worth <= SURE * (len(explanation.key) - 1):
@@ -284,8 +281,7 @@ class Choice:
         mean square error must fall by more than the square of a tenth of the others' torque.
         """
         more_forms = one.without_a_name > other.without_a_name
-        once = any(term.change is not None for name, term in one.terms.items() if name not in other.key)
-        if self._validation.least_gain(other.score, one.score, once) <= (SURE if more_forms else ALIKE_WITHIN):
+        if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
         torques = [self._beyond_base(other.fit.contribution(name)) for name in other.key]
         by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2

@@ -50,9 +50,6 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
         return _two_levels(np.split(added, np.cumsum(lengths)[:-1]))
     if form == "recordings":
         return partial([np.repeat(np.arange(len(lengths)), lengths.astype(int))], over, added) >= BOUND
-    if form == "level_change":
-        edges = range(BLOCK_S, len(added) - BLOCK_S, 10)
-        return max((abs(_correlation((np.arange(len(added)) >= k).astype(float), added)) for k in edges), default=0.0) >= ALL
     if form == "drift":  # slow, and no single variable explains it
         rivals = [x for name, x in over.items() if name not in CLOCKS]
         return _correlation(_smooth(added, 60), added) >= ALL > max(partial([_bins(x, BINS)], over, added) for x in rivals)
