@@ -87,10 +87,3 @@ def test_a_place_needs_the_right_lap_and_a_build_up_a_stop(kept):
         since[i] = 300.0 * (1.0 - np.exp(-way / 400.0))
     assert is_true(term("build_up", "distance since a stop"), over, since, lengths)
     assert not is_true(term("build_up", "braking"), over, wave, lengths)
-
-
-def test_a_torque_that_shakes_at_some_speeds_is_a_spread(kept):
-    over, lengths = kept
-    shakes = np.random.default_rng(2).normal(0.0, 1.0, int(lengths.sum())) * (1.0 + 300.0 * (over["speed"] < 4.0))
-    assert is_true(term("spread", "speed"), over, shakes, lengths)
-    assert not is_true(term("curve", "speed"), over, shakes, lengths)

@@ -75,7 +75,7 @@ OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind o
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 Form = Literal[
     "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "place", "payload",
-    "recordings", "drift", "spread", "clock",
+    "recordings", "drift", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
 FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate that tracks it") | {

@@ -39,7 +39,6 @@ FORMS = {
     "place": "a torque at a place",
     "payload": "a payload",
     "recordings": "a different level in each recording",
-    "spread": "an oscillating torque",
 }
 
 Possible = tuple[tuple[str, float | None], ...]

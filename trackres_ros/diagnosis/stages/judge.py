@@ -35,11 +35,9 @@ from trackres_ros.diagnosis.findings.machine_words import (
     verdict_of_machine,
 )
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
-from trackres_ros.diagnosis.findings.spread import Spread, find_spread
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.findings.wording import assumed_sensor
-from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
@@ -64,7 +62,6 @@ class Judgement:
     described: tuple[UnnamedTerm, ...]  # unnamed terms, the largest first
     drift: Described | None  # the slow residual, where it is larger than expected
     tracked: Improvement | None  # hold-out result of following the drift live
-    spread: Spread | None  # conditions with a larger scatter of the torque
     held_out: HeldOut  # errors on hold-out laps
     tested_end: Fit  # the final fit with the noise that best whitens its residual
     at_end: RegimeMap  # its residual by regime
@@ -93,7 +90,6 @@ def judge(
         found, terms, drift = effects_of_machine(found), terms_of_machine(terms), drift and term_of_machine(drift)
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
     as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, 0.0, Graded(drift.form, tracked))
-    spread = attempt("an oscillation", lambda: find_spread(final)) if is_vehicle else None  # its regimes are a vehicle's
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
         Findings(
@@ -108,7 +104,6 @@ def judge(
             drift=as_term,
             changed=changed,
             shares=chosen.shares,
-            spread=None if spread is None else spread.described,
             distance_off=_distance_off(prepared.sessions),
             later=later,
             sensor=assumed_sensor(final.instrument, worth, "with the effects" if final.effects else "of the re-fit"),
@@ -116,7 +111,7 @@ def judge(
         )
     )
     verdict = verdict if is_vehicle else verdict_of_machine(verdict)
-    return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
+    return Judgement(tuple(found), tuple(terms), drift, tracked, worth, tested_end, at_end, bounds, verdict)
 
 
 def _distance_off(sessions: Sequence[DriveSession]) -> float:

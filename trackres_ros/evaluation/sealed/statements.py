@@ -56,11 +56,10 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
     if form == "place":
         period = term.get("period_m")
         return period is not None and partial([_bins(series["distance"] % float(period), 2 * BINS)], over, added) >= BOUND
-    target = np.abs(added - _smooth(added, 20)) if form == "spread" else added
     named = [*_named(words(term.get("variable")), series)[:1], *_named(words(term.get("gate")), series)[:1]]
     meant = [[series[x] for x in (name, ALSO.get(name)) if x in series] for name in named]
     return any(
-        partial([_bins(x, count) for x, count in zip(xs, (BINS, SIDES), strict=False)], over, target) >= BOUND
+        partial([_bins(x, count) for x, count in zip(xs, (BINS, SIDES), strict=False)], over, added) >= BOUND
         for xs in product(*meant) if xs
     )  # fmt: skip
 
