@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects without a name: laws of curves, gates and build-ups, and their way through a vehicle file."""
+"""Effects without a name: laws of curves, gates and latches, and their way through a vehicle file."""
 
 import math
 
@@ -24,10 +24,6 @@ from trackres_ros.effects.learned import (
     BELOW,
     BELT,
     BRAKING,
-    BUILD_UPS,
-    BY_BRAKING,
-    BY_DISTANCE,
-    BY_TIME,
     CORNERS,
     CURVATURE,
     CURVES,
@@ -49,7 +45,6 @@ from trackres_ros.effects.learned import (
     TURN,
     TURNING,
     VARIABLES,
-    BuildUp,
     Corner,
     Curve,
     Latch,
@@ -57,7 +52,7 @@ from trackres_ros.effects.learned import (
     sized,
 )
 from trackres_ros.effects.native import is_compiled
-from trackres_ros.effects.stepping import FIRST_OWN, new_memory
+from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.units import STANDSTILL_MPS
@@ -106,9 +101,6 @@ SOME = [  # of every kind, one
     Latch(SPEED, 1.0, 3.0, 6.0, 10.0),
     Latch(BELT, 10.0, 20.0, 40.0, 60.0),
     *(SidedGain(side, 9000.0) for side in SIDES),
-    BuildUp(BY_DISTANCE, 300.0),
-    BuildUp(BY_TIME, 120.0),
-    BuildUp(BY_BRAKING, 60.0),
 ]
 
 
@@ -163,47 +155,6 @@ def test_compiled_and_interpreted_give_the_same_bits(stepped, effect, speed):
     np.testing.assert_array_equal(of_machine, of_python)
 
 
-# Build-ups
-
-
-@given(st.lists(st.tuples(within((0.5, 12.0)), st.integers(1, 40)), min_size=1, max_size=6), within((50.0, 2000.0)))
-def test_what_builds_up_over_distance_knows_but_the_distance(stepped, legs, scale):
-    one = Active(BuildUp(BY_DISTANCE, scale), {"by": float(BY_DISTANCE), "y1": 400.0, "scale": scale})
-    memory, driven = new_memory(1), 0.0
-    for speed, seconds in legs:
-        stepped([one], conditions(FACTS, speed), memory)  # the target and pace of the leg
-        torque = stepped([one], conditions(FACTS, speed), memory, dt=float(seconds))[0]
-        driven += speed * seconds
-        assert torque == pytest.approx(400.0 * -math.expm1(-driven / scale) * math.tanh(speed / STANDSTILL_MPS), rel=1e-9)
-
-
-@pytest.mark.parametrize("by", [BY_DISTANCE, BY_TIME])
-def test_a_stop_takes_away_what_has_built_up(stepped, by):
-    one = Active(BuildUp(by, 100.0), {"by": float(by), "y1": 400.0, "scale": 100.0})
-    memory = new_memory(1)
-    stepped([one], conditions(FACTS, 8.0), memory)
-    torque = stepped([one], conditions(FACTS, 8.0), memory, dt=300.0)[0]
-    assert torque > 0.9 * 400.0
-    stepped([one], conditions(FACTS, 0.0), memory)
-    stepped([one], conditions(FACTS, 0.0), memory, dt=20.0)
-    torque = stepped([one], conditions(FACTS, 8.0), memory)[0]
-    assert abs(torque) < 1e-3 * 400.0
-
-
-def test_drag_after_braking_comes_with_it_and_goes_with_time(stepped):
-    one = Active(BuildUp(BY_BRAKING, 60.0), {"by": float(BY_BRAKING), "y1": 400.0, "scale": 60.0})
-    memory = new_memory(1)
-
-    def drive(accel, seconds):
-        stepped([one], conditions(FACTS, 6.0, accel), memory)
-        return stepped([one], conditions(FACTS, 6.0, accel), memory, dt=seconds)[0]
-
-    assert drive(0.0, 100.0) == 0.0
-    assert drive(-0.8, 10.0) == pytest.approx(400.0, rel=0.01)
-    assert drive(0.0, 60.0) == pytest.approx(400.0 / math.e, rel=0.01)
-    assert memory[FIRST_OWN] == pytest.approx(1.0 / math.e, rel=0.01)
-
-
 # Corners, latches and gains
 
 
@@ -251,8 +202,8 @@ def test_at_rest_no_learned_effect_does_anything(effect):
 # Names and sizes
 
 
-def test_every_name_is_one_curve_or_build_up():
-    assert len(set(NAMES)) == len(NAMES) == len(CURVES) + 9 * len(CORNERS) + len(LATCHED) + len(SIDES) + len(BUILD_UPS)
+def test_every_name_is_that_of_one_form():
+    assert len(set(NAMES)) == len(NAMES) == len(CURVES) + 9 * len(CORNERS) + len(LATCHED) + len(SIDES)
     assert not set(NAMES) & set(catalogue())
     for name, (variable, gate) in CURVES.items():
         assert Curve(variable, gate, [0.0]).name == name
@@ -322,7 +273,6 @@ MANY = {"threshold": 0.0, **{f"{of}{i}": float(i) for of in "xy" for i in range(
         ("latch_of_speed", {"off": 3.0, "on": 2.0, "x1": 1.0, "x2": 4.0, "y1": 10.0}, "x1, off, on, x2 that rise"),
         ("gain_while_braking", {"gain": -0.9, "x1": 1e4}, "gain_while_braking.gain"),
         ("curve_of_sped", KNOTS, "curve_of_sped.*did you mean curve_of_speed"),
-        ("build_up_over_distance", {"y1": 100.0}, "effects.build_up_over_distance.*y1, scale"),
     ],
     ids=str,
 )

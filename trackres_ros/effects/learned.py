@@ -4,10 +4,9 @@
 """Defines empirical effects, which have no name in the catalogue: each is a torque that depends on a variable of the drive.
 
 A curve depends on one variable, always or only while a gate is open. A corner is a step or a hinge at one value of a variable. A
-latch is on above one value and off below another. A sided gain changes the gain of the driving torque for one of its signs. A
-build-up is reset by a stop or decays with time. They are fitted, run live and written to the
-vehicle file like any other effect. Their names give the variable (`curve_of_speed_when_light`), their parameters are knots and
-heights.
+latch is on above one value and off below another. A sided gain changes the gain of the driving torque for one of its signs. They
+are fitted, run live and written to the vehicle file like any other effect. Their names give the variable
+(`curve_of_speed_when_light`), their parameters are knots and heights.
 """
 
 from __future__ import annotations
@@ -26,10 +25,6 @@ MOST_KNOTS = 9
 FURTHEST = 1e7  # of a knot, in any unit
 CODES = 3  # parameters of a curve before its knots: variable, gate, threshold
 MARGIN = 0.1  # of the range between the knots: so far outside of them it was driven now and then
-MOVING_MPS = 0.3
-BRAKING_MPS2 = -0.3
-RESET_S = 1.0
-SETS_ON_S = 2.0
 LATCHES_S = 1e-3  # shorter than any step: a latch has its state from the last one
 MOST_GAIN = 0.8
 TYPICAL_GAIN = 0.1
@@ -39,12 +34,11 @@ ALWAYS, SPEED, ACCELERATION, LOAD, AMBIENT, TURN, TURNING, CURVATURE, DRIVING_TO
 OPEN, LEFT, RIGHT, HEAVY, LIGHT, BRAKING, ACCELERATING = range(7)
 STEP, ABOVE, BELOW = range(3)
 DRIVES, BRAKES, NEGATIVE = 1, -1, 0
-BY_DISTANCE, BY_TIME, BY_BRAKING = range(3)
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """A variable, a gate or a build-up: its part of an effect's name and of a sentence, its unit and its required inputs."""
+    """A variable or a gate: its part of an effect's name and of a sentence, its unit and its required inputs."""
 
     name: str
     text: str
@@ -76,11 +70,6 @@ GATES = {
     LIGHT: Followed("light", "when light", "N", ("weight",)),
     BRAKING: Followed("braking", "while it slows down", "m/s^2", ("accel",)),
     ACCELERATING: Followed("accelerating", "while it speeds up", "m/s^2", ("accel",)),
-}
-BUILD_UPS = {
-    BY_DISTANCE: Followed("build_up_over_distance", "with distance since a stop", "m"),
-    BY_TIME: Followed("build_up_over_time", "with time since a stop", "s"),
-    BY_BRAKING: Followed("drag_after_braking", "after it has slowed down", "s", ("speed", "accel")),
 }
 
 
@@ -311,39 +300,6 @@ class SidedGain(EmpiricalEffect):
         )
 
 
-class BuildUp(EmpiricalEffect):
-    """A torque against travel that builds up with distance or time since a stop, which resets it; or that
-    builds up with braking and decays with time.
-
-    `scale` is the distance [m] or time [s] for two thirds of the build-up, or of the decay.
-    """
-
-    def __init__(self, by: int, scale: float) -> None:
-        of = BUILD_UPS[by]
-        self.by, self.name, self.needs = by, of.name, of.needs
-        self.text = f"a torque that {'goes with time' if by == BY_BRAKING else 'builds up'} {of.text}"
-        low, high = (20.0, 20_000.0) if by == BY_DISTANCE else (5.0, 3000.0)
-        self.parameters = (
-            _fixed("by", by, "code of what builds it up"),
-            height("y1", "torque when built up"),
-            Parameter("scale", of.unit, low, high, scale, "time or distance constant of build-up or decay",
-                      more_starts=(0.25 * scale, 4.0 * scale)),
-        )  # fmt: skip
-
-    def lag(self, at: Conditions, p: Values) -> Lag:
-        moving = abs(at.speed) > MOVING_MPS
-        if p[0] == BY_BRAKING:
-            if moving and at.accel * at.direction < BRAKING_MPS2:
-                return Lag(1.0, SETS_ON_S, 0.0)
-            return Lag(0.0, p[2], 0.0)
-        if not moving:
-            return Lag(0.0, RESET_S, 0.0)
-        return Lag(1.0, p[2] / abs(at.speed) if p[0] == BY_DISTANCE else p[2], 0.0)
-
-    def terms(self, at: Conditions, p: Values) -> Terms:
-        return Terms(torque=p[1] * at.own * at.direction)
-
-
 def curve_name(variable: int, gate: int) -> str:
     """The name of a curve."""
     follows = "constant" if variable == ALWAYS else f"curve_of_{VARIABLES[variable].name}"
@@ -360,7 +316,6 @@ OTHERS: dict[str, Callable[[], EmpiricalEffect]] = {
     **{corner_name(v, kind): partial(Corner, v, kind) for v in VARIABLES if v != ALWAYS for kind in CORNERS},
     **{f"latch_of_{VARIABLES[v].name}": partial(Latch, v) for v in LATCHED},
     **{f"gain_while_{SIDES[side].name}": partial(SidedGain, side) for side in SIDES},
-    **{of.name: partial(BuildUp, by, 300.0) for by, of in BUILD_UPS.items()},
 }
 NAMES = (*CURVES, *OTHERS)
 

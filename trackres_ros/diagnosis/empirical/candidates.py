@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Unnamed candidate forms of a mismatch: curves, gated curves, steps, hinges, latches, gains for one sign and
-build-ups, with knots within the driven range.
+"""Unnamed candidate forms of a mismatch: curves, gated curves, steps, hinges, latches and gains for one sign,
+with knots within the driven range.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects import learned
 from trackres_ros.effects.effect import Conditions
-from trackres_ros.effects.learned import BuildUp, Curve, EmpiricalEffect, SidedGain
+from trackres_ros.effects.learned import Curve, EmpiricalEffect, SidedGain
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.units import STANDSTILL_MPS
 
@@ -46,8 +46,6 @@ APART = 0.04  # of the range of the load: least difference of two levels
 FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any cause
 LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, it differs only between them
 FEWEST_OPEN = 60  # samples on either side of a gate
-BUILD_UP_SCALE = {learned.BY_DISTANCE: 600.0}
-BUILD_UP_SCALE_S = 120.0
 
 
 def series(code: int, fit: Fit) -> list[Array]:
@@ -168,6 +166,5 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
                 elif varies(x[code]):
                     count = KNOTS[learned.SPEED] if code == learned.SPEED else GATED_KNOTS
                     found.append(Curve(code, gate, knots(code, x[code], count), threshold))
-    found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in learned.BUILD_UPS]
     size = facts.weight * facts.radius
     return {f"{effect.name} {i}": learned.sized(effect, size) for i, effect in enumerate(found)}

@@ -18,9 +18,10 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
-from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, EmpiricalEffect
+from trackres_ros.effects.learned import ALWAYS, EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S
 
+MOVING_MPS = 0.3
 BEGINNINGS_S = 15.0  # largest time from a stop to a spell that begins with it
 MOST_BEGIN = 0.7  # of the spells
 MOST_OF_IT = (0.025, 0.975)  # quantiles
@@ -60,7 +61,7 @@ def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]
 
 
 def variable_of(term: Term, final: Fit) -> list[Array]:
-    """Variable or build-up state of a term in each session; empty for the clock alone."""
+    """Variable of a term in each session; empty for the clock alone."""
     effect = term.candidate.effect
     if isinstance(effect, EmpiricalEffect) and effect.variable != ALWAYS:
         return series(effect.variable, final)

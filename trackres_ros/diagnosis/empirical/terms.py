@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects import learned
-from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
+from trackres_ros.effects.learned import Corner, Curve, EmpiricalEffect, Latch, SidedGain
 from trackres_ros.text.numbers import figures, on_scale
 
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
@@ -56,11 +56,6 @@ OF_GATES: Mapping[int, tuple[str, ...]] = {
     learned.BRAKING: ("a brake that also acts", "a machine driven by the wheels"),
     learned.ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
 }
-OF_BUILD_UPS: Mapping[int, tuple[str, ...]] = {
-    learned.BY_DISTANCE: ("mud or snow that builds up and drops off", "a belt that runs out of line until it is released"),
-    learned.BY_TIME: ("a pressure or temperature that rises while driving", "a brake that releases incompletely and heats up"),
-    learned.BY_BRAKING: ("a brake that drags after use",),
-}
 OF_SPELLS = (
     "a pump, fan or compressor that switches on and off",
     "a brake that stays applied for a while",
@@ -74,7 +69,7 @@ OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind o
 
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 Form = Literal[
-    "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "place", "payload",
+    "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "spells", "place", "payload",
     "recordings", "drift", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
@@ -100,7 +95,7 @@ class Described:
     gate: str = ""  # in words; empty without
     predictable: bool = False  # whether it can be fed forward, because its inputs are known at the time
     period_m: float | None = None  # length of the lap of a place
-    memory: float | None = None  # scale of a build-up in its own unit, or the mean duration of a spell [s]
+    memory: float | None = None  # mean duration of a spell, or time constant of a drift [s]
     stretches: tuple[Stretch, ...] = ()  # of a payload: the mass of each stretch between stops
 
     @property
@@ -111,8 +106,6 @@ class Described:
 
 def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Described:
     """Describe an unnamed effect with the values of a fit."""
-    if isinstance(effect, BuildUp):
-        return _of_build_up(effect, values)
     if isinstance(effect, SidedGain):
         return _of_gain(effect, values)
     if isinstance(effect, Corner | Latch):
@@ -137,19 +130,6 @@ def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Describe
         "gated_curve" if opens.text else "curve", effect.name, f"{text[0].upper()}{text[1:]}",
         looked or MECHANISMS[effect.variable], max(map(abs, y)), follows.text, unit, opens.text, True,
     )  # fmt: skip
-
-
-def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
-    level, scale = values["y1"], values["scale"]
-    if effect.by == learned.BY_BRAKING:
-        variable = "braking"
-        text = f"After braking, the vehicle needs {_more(level)} than the model. That fades within about {figures(scale)} s"
-    else:
-        unit, since = ("m", "distance") if effect.by == learned.BY_DISTANCE else ("s", "time")
-        variable = f"{since} since a stop"
-        text = f"An extra torque of {_signed(level)} builds up over about {figures(scale)} {unit}. It is gone after a stop"
-    mechanisms = OF_BUILD_UPS[effect.by]
-    return Described("build_up", effect.name, text, mechanisms, abs(level), variable, predictable=True, memory=scale)
 
 
 def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:
