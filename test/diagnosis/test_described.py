@@ -74,18 +74,18 @@ def written(found, folder, **changes):
 
 
 @pytest.mark.long
-def test_a_torque_in_left_turns_alone_is_described_and_written(of_bus, bus, tmp_path):
+def test_a_torque_in_left_turns_is_described_and_written(of_bus, bus, tmp_path):
     def adds(r, times):
         return TURN_NM * ((at(r, "yaw_rate", times) > 0.01) & (at(r, "speed", times) > 0.1))
 
     found, told = described(with_added(of_bus, adds), bus)
     assert found.found == ()
-    assert told.described.form == "gated_curve"
-    assert told.described.gate == "in left turns"
+    assert told.described.form == "step"
+    assert told.described.variable == "yaw rate to the left"
     assert told.described.size_nm == pytest.approx(TURN_NM, rel=0.15)
     (effect,) = load_any(written(found, tmp_path)).effects
     assert effect.effect.name == told.described.name
-    assert effect.effect.name.endswith("when_left")
+    assert effect.effect.name == "step_of_yaw_rate"
     sessions, values = found.sessions, found.final.base_values
     for s, bare, p in zip(sessions, *(found.base.predict(sessions, values, e) for e in ((), (effect,))), strict=True):
         adds = p.torque - bare.torque

@@ -185,8 +185,8 @@ def test_the_root_mean_square_of_an_effect_is_of_its_own_range(diagnosed):
     assert rms_where(early, d.final, shift) == rms_where(early, d.final, means) < 500.0 < rms_over_time(shift)[1]
 
 
-def test_a_gated_curve_is_drawn_of_steps_with_an_open_gate(drawn, diagnosed, tmp_path):
-    described = Described("gated_curve", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
+def test_a_sided_gain_is_drawn_of_steps_where_it_acts(drawn, diagnosed, tmp_path):
+    described = Described("sided_gain", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
     adds = [np.where(s.time % 40.0 < 10.0, 100.0 * np.sign(s.speed), 0.0) for s in diagnosed.sessions]
     course = [s.time for s in diagnosed.sessions]
     term = UnnamedTerm(described, adds, course, {}, 0.0, diagnosed.found[0].graded)

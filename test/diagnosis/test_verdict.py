@@ -29,7 +29,7 @@ from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.diagnosis.stages.conclude import believed_in
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active, Parameter
-from trackres_ros.effects.learned import ALWAYS, DRIVING_TORQUE, LEFT, OPEN, Curve
+from trackres_ros.effects.learned import DRIVING_TORQUE, SPEED, STEP, Corner, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
 LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelier=-30.0, gained=-2.0)  # confirmed but for its level score
@@ -558,22 +558,22 @@ def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():
 
 def test_only_terms_predictable_ahead_are_written():
     described = Verdict("described", CONFIRMED, "")
-    terms = [term(), term("spells", predictable=False), term("constant_when_left", UNSURE)]
+    terms = [term(), term("spells", predictable=False), term("step_of_load", UNSURE)]
     assert believed_in([], terms, described, KINDS, False) == ["curve_of_speed"]
-    assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "constant_when_left"]
+    assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "step_of_load"]
 
 
-LEFT_CURVE, RISING = Curve(ALWAYS, LEFT, [0.0]), Curve(DRIVING_TORQUE, OPEN, [100.0, 5000.0])
+FAST, RISING = Corner(SPEED, STEP, 1.0, 5.0, 10.0), Curve(DRIVING_TORQUE, [100.0, 5000.0])
 
 
 @pytest.mark.parametrize(
     ("effect", "values", "sentence"),
     [
-        (LEFT_CURVE, {"y1": -380.0}, "In left turns, the vehicle needs 380 Nm less than the model"),
+        (FAST, {"y1": -380.0}, "The vehicle needs 380 Nm less with the speed above 5 m/s than below"),
         (RISING, {"x1": 100.0, "x2": 5000.0, "y1": 282.0, "y2": -278.0},
          "The extra torque falls from +282 Nm at 100 Nm of driving torque to -278 Nm at 5000 Nm"),
     ],
-    ids=["gate", "curve"],
+    ids=["step", "curve"],
 )  # fmt: skip
 def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
     described = of_learned(effect, {**{q.name: q.start for q in effect.parameters}, **values})

@@ -39,9 +39,9 @@ def test_the_variable_of_a_curve_is_what_the_torque_follows(kept):
 def test_a_gate_that_is_right_is_enough(kept, gate):
     over, lengths = kept
     left = 400.0 * (over["yaw rate to the left"] > 0.02)
-    assert is_true(term("gated_curve", "", gate), over, left, lengths)
-    assert is_true(term("gated_curve", "curvature", gate), over, left, lengths)
-    assert not is_true(term("gated_curve", "", "when heavy"), over, left, lengths)
+    assert is_true(term("sided_gain", "", gate), over, left, lengths)
+    assert is_true(term("sided_gain", "curvature", gate), over, left, lengths)
+    assert not is_true(term("sided_gain", "", "when heavy"), over, left, lengths)
 
 
 def test_what_the_base_takes_up_makes_no_statement_true(kept):

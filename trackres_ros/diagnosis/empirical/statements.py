@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
-from trackres_ros.effects.learned import ALWAYS, EmpiricalEffect
+from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S
 
 MOVING_MPS = 0.3
@@ -63,17 +63,13 @@ def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]
 def variable_of(term: Term, final: Fit) -> list[Array]:
     """Variable of a term in each session; empty for the clock alone."""
     effect = term.candidate.effect
-    if isinstance(effect, EmpiricalEffect) and effect.variable != ALWAYS:
+    if isinstance(effect, EmpiricalEffect):
         return series(effect.variable, final)
     if term.place is not None:
         return list(term.place.course)
     if term.route is not None:
         return list(term.route.course)
-    if not isinstance(effect, EmpiricalEffect):
-        return []
-    adds = final.contribution(effect.name)
-    level = max(float(np.abs(x).max(initial=0.0)) for x in adds)
-    return [x / max(level, 1e-9) for x in against_travel(final.problem.sessions, adds)]
+    return []
 
 
 def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:

@@ -48,14 +48,6 @@ OF_GAINS: Mapping[int, tuple[str, ...]] = {
     learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
     learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
 }
-OF_GATES: Mapping[int, tuple[str, ...]] = {
-    learned.LEFT: ("a part that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
-    learned.RIGHT: ("a part that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
-    learned.HEAVY: ("a part that touches when the springs are compressed", "a bearing that binds under load"),
-    learned.LIGHT: ("a part that swings when the load does not hold it down", "belt tension without load"),
-    learned.BRAKING: ("a brake that also acts", "a machine driven by the wheels"),
-    learned.ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
-}
 OF_SPELLS = (
     "a pump, fan or compressor that switches on and off",
     "a brake that stays applied for a while",
@@ -69,7 +61,7 @@ OF_DRIFT = ("a torque sensor with a drifting zero", "an unrecorded slope, wind o
 
 DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
 Form = Literal[
-    "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "spells", "place", "payload",
+    "curve", "step", "hinge", "latch", "sided_gain", "spells", "place", "payload",
     "recordings", "drift", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
@@ -112,24 +104,16 @@ def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Describe
         return _of_threshold(effect, values)
     assert isinstance(effect, Curve)
     x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(of)] for of in ("x", "y"))
-    follows, opens = learned.VARIABLES[effect.variable], learned.GATES[effect.gate]
+    follows = learned.VARIABLES[effect.variable]
     unit = "" if follows.unit == "1" else follows.unit
-    if len(y) == 1:
-        at_any = "" if effect.variable == learned.ALWAYS else f", at any {follows.text}"
-        text = f"the vehicle needs {_more(y[0])} than the model{at_any}"
-    else:
-        one, other = sorted((min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)), key=x.__getitem__)
-        at = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
-        text = (
-            f"the extra torque {'rises' if y[other] > y[one] else 'falls'} from {_signed(y[one])} at {at[one]} of "
-            f"{follows.text} to {_signed(y[other])} at {at[other]}"
-        )
-    text = f"{opens.text}, {text}" if opens.text else text
-    looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == learned.ALWAYS else MECHANISMS[effect.variable][:1])
-    return Described(
-        "gated_curve" if opens.text else "curve", effect.name, f"{text[0].upper()}{text[1:]}",
-        looked or MECHANISMS[effect.variable], max(map(abs, y)), follows.text, unit, opens.text, True,
-    )  # fmt: skip
+    one, other = sorted((min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)), key=x.__getitem__)
+    at = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
+    text = (
+        f"The extra torque {'rises' if y[other] > y[one] else 'falls'} from {_signed(y[one])} at {at[one]} of "
+        f"{follows.text} to {_signed(y[other])} at {at[other]}"
+    )
+    mechanisms = MECHANISMS[effect.variable]
+    return Described("curve", effect.name, text, mechanisms, max(map(abs, y)), follows.text, unit, predictable=True)
 
 
 def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:

@@ -33,7 +33,6 @@ NONE_OF_THESE = "none of these"
 NO_NAME = "No effect of the catalogue explains this"
 
 FORMS = {
-    "gated_curve": "a curve",
     "spells": "an intermittent torque",
     "clock": "a torque that follows the clock",
     "place": "a torque at a place",
