@@ -30,8 +30,6 @@ BOTH_SIDES = 0.05  # least share of a signed variable on its rarer side to use b
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
 RESOLVED = 6.0  # times its noise: nearer zero a smoothed acceleration reflects the smoothing more than the drive
 LEAST_RANGE = 0.02  # of its size: a smaller variation is constant
-FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any cause
-LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, it differs only between them
 FEWEST_REVERSE = 60  # samples in reverse
 
 
@@ -60,16 +58,6 @@ def _resolved(fit: Fit) -> bool:
     noise = max(s.accel_noise for s in fit.problem.sessions)
     largest = max(float(np.quantile(np.abs(s.accel), DRIVEN[1])) for s in fit.problem.sessions)
     return RESOLVED * noise <= NEAR_ZERO * largest
-
-
-def shows(code: int, fit: Fit) -> bool:
-    """Whether a variable varies within recordings, or over enough of them to separate it from other differences."""
-    within = [x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True) if m.any()]
-    every = driven(code, fit)
-    if len(within) >= FEWEST_SESSIONS or not varies(every):
-        return varies(every)
-    of_recordings = np.sqrt(sum(len(x) * float(np.var(x)) for x in within) / len(every))
-    return any(map(varies, within)) and bool(of_recordings > LEAST_WITHIN * np.std(every))
 
 
 def varies(x: Array) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS, LEAST_WITHIN, varies
+from trackres_ros.diagnosis.empirical.candidates import varies
 from trackres_ros.diagnosis.empirical.finders import SURE, Term
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.torque import against_travel
@@ -40,6 +40,8 @@ ALIKE_WITHIN = 3.0  # in log-likelihood: a smaller difference decides nothing
 MOVES = 0.2  # of the most: with a smaller spread in a recording, a term does not act there
 SLOW = 0.1  # of the largest speed
 LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: with a smaller fall of the error, it cancels another term
+FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any cause
+LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, a term differs only between them
 NEAR = 100.0  # in level score: no rival further behind is as good
 CLASS_SHARE = 0.8
 
