@@ -404,7 +404,7 @@ def test_simulate_is_the_command(folder, printed):
 
 def test_simulate_and_explain_remark_on_inactive_effects(folder):
     content = yaml.safe_load((config_dir() / "agri3t.yaml").read_text())
-    curve = {"threshold": 0.0, "x1": 0.5, "x2": 1.0, "x3": 1.5, "y1": 0.0, "y2": 5.0, "y3": 15.0}
+    curve = {"x1": 0.5, "x2": 1.0, "x3": 1.5, "y1": 0.0, "y2": 5.0, "y3": 15.0}
     files = [folder / name for name in ("curve.yaml", "turns.yaml")]
     for file, effects in zip(files, ({"curve_of_speed": curve}, {"turning_scrub": {"friction": 0.5}}), strict=True):
         file.write_text(yaml.safe_dump({**content, "effects": effects}))

@@ -14,7 +14,7 @@ from trackres_ros.diagnosis.base.patterns import ByPlace, ResidualPattern
 from trackres_ros.diagnosis.report.content import _why
 from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, NAME, Candidate, compared, rms, spurious_gain
 from trackres_ros.diagnosis.selection.steps import Step
-from trackres_ros.effects.learned import OPEN, SPEED, Curve
+from trackres_ros.effects.learned import SPEED, Curve
 
 SAMPLES = 1000
 COST = 3.0  # logarithm of the number of candidates
@@ -65,7 +65,7 @@ def test_the_models_own_error_gains_more_in_long_quiet_drives():
     assert spurious_gain(fitted(torque=200.0)) == pytest.approx(4.0 * whole)
 
 
-CURVE = Curve(SPEED, OPEN, [1.0, 5.0])
+CURVE = Curve(SPEED, [1.0, 5.0])
 SERIES = ResidualPattern("spells", "of a test", [np.ones(5)], 1e4)
 PLACE = ByPlace("place", "of a test", [np.ones(5)], 1e4, None, 1.0)
 

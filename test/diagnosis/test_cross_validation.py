@@ -180,9 +180,6 @@ def test_fewer_than_five_occasions_are_no_evidence(scaled, scores, occasions, su
     after = replace(before, density=np.full(count, 50.0), error=np.full(count, 5e3))
     assert (validation.least_gain(before, after) > 0.0) == sure
     assert validation.improvement(before, after).confirmed == sure
-    # What lasts has one occasion at most: then each piece counts.
-    assert validation.least_gain(before, after, for_good=True) > 0.0
-    assert validation.improvement(before, after, for_good=True).confirmed
 
 
 def test_pieces_of_one_slow_error_are_one_occasion(scaled):

@@ -26,7 +26,6 @@ TURN_NM = 600.0
 DRIFT_NM, DRIFT_S = 200.0, 240.0
 PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
 SLOPE_NM, LAP_M, BEGIN_M, END_M = 500.0, 700.0, 200.0, 320.0
-FOR_GOOD_NM, SINCE_S = 400.0, 370.0
 
 
 def with_added(recordings, adds):
@@ -75,18 +74,18 @@ def written(found, folder, **changes):
 
 
 @pytest.mark.long
-def test_a_torque_in_left_turns_alone_is_described_and_written(of_bus, bus, tmp_path):
+def test_a_torque_in_left_turns_is_described_and_written(of_bus, bus, tmp_path):
     def adds(r, times):
         return TURN_NM * ((at(r, "yaw_rate", times) > 0.01) & (at(r, "speed", times) > 0.1))
 
     found, told = described(with_added(of_bus, adds), bus)
     assert found.found == ()
-    assert told.described.form == "gated_curve"
-    assert told.described.gate == "in left turns"
+    assert told.described.form == "step"
+    assert told.described.variable == "yaw rate to the left"
     assert told.described.size_nm == pytest.approx(TURN_NM, rel=0.15)
     (effect,) = load_any(written(found, tmp_path)).effects
     assert effect.effect.name == told.described.name
-    assert effect.effect.name.endswith("when_left")
+    assert effect.effect.name == "step_of_yaw_rate"
     sessions, values = found.sessions, found.final.base_values
     for s, bare, p in zip(sessions, *(found.base.predict(sessions, values, e) for e in ((), (effect,))), strict=True):
         adds = p.torque - bare.torque
@@ -180,24 +179,6 @@ def test_a_drift_is_judged_by_following_it_and_written_as_such(recorded, loaded,
     learned = load(written(found, tmp_path)).disturbance
     assert 0.5 * DRIFT_NM < learned.size < 2.0 * DRIFT_NM
     assert learned.noise < 0.5 * learned.size
-
-
-@pytest.mark.long
-def test_a_lasting_level_change_is_described_and_never_written(of_bus, bus, check_form, tmp_path):
-    def adds(r, times):
-        since = SINCE_S if "drive_1" in r.name else 0.0
-        return FOR_GOOD_NM * (times > since) * (at(r, "speed", times) > 0.1)
-
-    found, told = described(with_added(of_bus, adds), bus)
-    assert told.described.form == "level_change"
-    assert not told.described.predictable
-    assert told.described.size_nm == pytest.approx(FOR_GOOD_NM, rel=0.15)
-    assert "Since 08:59 UTC on 2025-10-09 (6." in told.described.sentence
-    assert "min into drive_1.csv, day 1)" in told.described.sentence
-    assert found.kept.effects == ()
-    check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
-    pytest.importorskip("matplotlib")
-    assert "in sequence" in draw_term(found, told, tmp_path / "level_change.svg").alternative
 
 
 @pytest.mark.long

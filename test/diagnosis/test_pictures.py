@@ -186,8 +186,8 @@ def test_the_size_of_an_effect_is_its_mean_where_it_acts(diagnosed):
     assert where.rms == pytest.approx(100.0 * np.sqrt(np.mean(speed > 2.0)))
 
 
-def test_a_gated_curve_is_drawn_of_steps_with_an_open_gate(drawn, diagnosed, tmp_path):
-    described = Described("gated_curve", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
+def test_a_sided_gain_is_drawn_of_steps_where_it_acts(drawn, diagnosed, tmp_path):
+    described = Described("sided_gain", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
     adds = [np.where(s.time % 40.0 < 10.0, 100.0 * np.sign(s.speed), 0.0) for s in diagnosed.sessions]
     course = [s.time for s in diagnosed.sessions]
     term = UnnamedTerm(described, adds, course, {}, diagnosed.found[0].graded)

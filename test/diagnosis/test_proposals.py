@@ -14,7 +14,7 @@ from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposal, Propos
 from trackres_ros.diagnosis.selection.candidate import same_variable
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity
 from trackres_ros.effects.effect import Active, Parameter
-from trackres_ros.effects.learned import ABOVE, AMBIENT, LEFT, OPEN, SPEED, STEP, Corner, Curve, Latch
+from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch
 
 COLD_NM, COLD_DEGC = 300.0, 3.0
 LATE_S = 0.6
@@ -138,5 +138,5 @@ def test_one_form_describes_a_variable():
     assert same_variable(step, hinge)
     assert same_variable(step, Latch(AMBIENT))
     assert not same_variable(step, Corner(SPEED, STEP))
-    assert not same_variable(Curve(SPEED, OPEN, [1.0, 2.0]), Curve(SPEED, LEFT, [1.0, 2.0]))
+    assert same_variable(Corner(SPEED, STEP), Curve(SPEED, [1.0, 2.0]))
     assert not same_variable(step, named()["turning_scrub"])

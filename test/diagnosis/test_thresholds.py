@@ -10,7 +10,7 @@ import pytest
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import FADE
-from trackres_ros.diagnosis.empirical.candidates import candidates, shows
+from trackres_ros.diagnosis.empirical.candidates import candidates
 from trackres_ros.diagnosis.empirical.thresholds import (
     CLOCKS,
     LONG_STOP_S,
@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.selection.level_errors import Levels
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.diagnosis.stages.prepare import prepared
-from trackres_ros.effects.learned import ABOVE, AMBIENT, BELT, SPEED, STEP, Latch, latched
+from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Latch, latched
 
 LEVEL_NM = 400.0
 
@@ -124,14 +124,6 @@ def test_a_negative_torque_is_its_own_side_only_in_reverse(fitted):
     for sessions, extra in ((fitted.problem.sessions, set()), (back, {"gain_while_negative"})):  # forwards it brakes
         names = {form.name for form in candidates(replace(fitted, problem=replace(fitted.problem, sessions=sessions))).values()}
         assert {n for n in names if n.startswith("gain_while")} == {"gain_while_driving", "gain_while_braking"} | extra
-
-
-@pytest.mark.parametrize(("within_k", "shown"), [(0.5, False), (10.0, True)])
-def test_weather_that_differs_by_recording_alone_is_no_variable(fitted, within_k, shown):
-    sessions = tuple(
-        replace(s, ambient=10.0 * i + within_k * np.linspace(-1.0, 1.0, len(s))) for i, s in enumerate(fitted.problem.sessions)
-    )
-    assert shows(AMBIENT, replace(fitted, problem=replace(fitted.problem, sessions=sessions))) == shown
 
 
 def test_latched_states_are_those_of_the_effect():

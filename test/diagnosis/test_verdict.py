@@ -33,7 +33,7 @@ from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.diagnosis.stages.conclude import believed_in
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active, Parameter
-from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEFT, OPEN, SPEED, BuildUp, Curve
+from trackres_ros.effects.learned import DRIVING_TORQUE, SPEED, STEP, Corner, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
 LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelier=-30.0, gained=-2.0)  # confirmed but for its level score
@@ -541,8 +541,8 @@ def test_a_rival_with_as_much_evidence_lost_on_the_unused_laps():
 
 
 def test_a_form_with_as_much_evidence_predicts_no_worse():
-    sentence = said([found(rivals=(candidate(DRAG.name, 21.0, DRAG),))]).sentence
-    assert f"{DRAG.name.capitalize()} fits as well, but is a form: it bends to the data." in sentence
+    sentence = said([found(rivals=(candidate(RISING.name, 21.0, RISING),))]).sentence
+    assert f"{RISING.name.capitalize()} fits as well, but is a form: it bends to the data." in sentence
     assert "worse" not in sentence
 
 
@@ -630,19 +630,19 @@ def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():
 
 def test_only_terms_predictable_ahead_are_written():
     described = Verdict("described", CONFIRMED, "")
-    terms = [term(), term("spells", predictable=False), term("constant_when_left", UNSURE)]
+    terms = [term(), term("spells", predictable=False), term("step_of_load", UNSURE)]
     assert believed_in([], terms, described, KINDS, False) == ["curve_of_speed"]
-    assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "constant_when_left"]
+    assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "step_of_load"]
 
 
-LEFT_CURVE, RISING, DRAG = Curve(ALWAYS, LEFT, [0.0]), Curve(DRIVING_TORQUE, OPEN, [100.0, 5000.0]), BuildUp(BY_BRAKING, 20.0)
-PEAK, WAVY = Curve(SPEED, OPEN, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, OPEN, [1.0, 2.0, 3.0, 4.0, 5.0])
+FAST, RISING = Corner(SPEED, STEP, 1.0, 5.0, 10.0), Curve(DRIVING_TORQUE, [100.0, 5000.0])
+PEAK, WAVY = Curve(SPEED, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, [1.0, 2.0, 3.0, 4.0, 5.0])
 
 
 @pytest.mark.parametrize(
     ("effect", "values", "sentence"),
     [
-        (LEFT_CURVE, {"y1": -380.0}, "In left turns, the vehicle needs 380 Nm less than the model"),
+        (FAST, {"y1": -380.0}, "The vehicle needs 380 Nm less with the speed above 5 m/s than below"),
         (RISING, {"x1": 100.0, "x2": 5000.0, "y1": 282.0, "y2": -278.0},
          "The extra torque falls from +282 Nm at 100 Nm of driving torque to -278 Nm at 5000 Nm"),
         (PEAK, {"y1": 10.0, "y2": 300.0, "y3": 280.0, "y4": 20.0},
@@ -650,10 +650,8 @@ PEAK, WAVY = Curve(SPEED, OPEN, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, OPEN, [1.0, 
         (WAVY, {"y1": 0.0, "y2": 300.0, "y3": -50.0, "y4": 200.0, "y5": -10.0},
          "The extra torque rises from 0 Nm at 1 m/s of speed to +300 Nm at 2 m/s. It then falls to -50 Nm at 3 m/s and rises to "
          "+200 Nm at 4 m/s and falls to -10 Nm at 5 m/s"),
-        (DRAG, {"y1": 90.0, "scale": 20.0},
-         "After braking, the vehicle needs 90 Nm more than the model. That fades within about 20 s"),
     ],
-    ids=["gate", "curve", "peak", "wavy", "build-up"],
+    ids=["step", "curve", "peak", "wavy"],
 )  # fmt: skip
 def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
     described = of_learned(effect, {**{q.name: q.start for q in effect.parameters}, **values}, "vehicle")

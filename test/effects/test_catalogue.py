@@ -324,7 +324,7 @@ def test_an_effect_of_the_users_own_joins_the_catalogue(own):
         ("0.0, 100.0", "float('nan'), 100.0", "finite"),
         ('Parameter("torque"', "Parameter(3", "texts"),
         ("off=0.0),)", 'off=0.0),) + (Parameter("torque", "Nm", 0.0, 1.0, 1.0, "", off=0.0),)', "each name once"),
-        ('"squeak"', '"drag_after_braking"', "no other effect"),
+        ('"squeak"', '"gain_while_braking"', "no other effect"),
         ("    def terms", "    def __init__(self, size):\n        pass\n\n    def terms", "Squeak.*missing 1 required"),
         ("    def terms", "    __slots__ = ()\n    __hash__ = None\n\n    def terms", "unhashable"),
         ("    def terms", "    def lag(self, at, p):\n        return 5.0\n\n    def terms", "lag.*Lag"),

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects without a name: laws of curves, gates and build-ups, and their way through a vehicle file."""
+"""Effects without a name: laws of curves, corners and latches, and their way through a vehicle file."""
 
 import math
 
@@ -17,39 +17,25 @@ from trackres_ros.effects import Active, catalogue, check_effects
 from trackres_ros.effects.effect import conditions
 from trackres_ros.effects.learned import (
     ABOVE,
-    ACCELERATING,
     ACCELERATION,
-    ALWAYS,
     AMBIENT,
     BELOW,
     BELT,
-    BRAKING,
-    BUILD_UPS,
-    BY_BRAKING,
-    BY_DISTANCE,
-    BY_TIME,
     CORNERS,
     CURVATURE,
     CURVES,
     DRIVING_TORQUE,
-    GATES,
-    HEAVY,
     LATCHED,
-    LEFT,
-    LIGHT,
     LOAD,
     MOST_KNOTS,
     NAMES,
     NEGATIVE,
-    OPEN,
-    RIGHT,
     SIDES,
     SPEED,
     STEP,
     TURN,
     TURNING,
     VARIABLES,
-    BuildUp,
     Corner,
     Curve,
     Latch,
@@ -57,7 +43,7 @@ from trackres_ros.effects.learned import (
     sized,
 )
 from trackres_ros.effects.native import is_compiled
-from trackres_ros.effects.stepping import FIRST_OWN, new_memory
+from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.units import STANDSTILL_MPS
@@ -67,7 +53,6 @@ from trackres_ros.vehicle.writing.changes import FileChanges
 FACTS = vehicle_constants(load("xgd24d"))
 STEP_S = 0.1
 OF_VARIABLE = {
-    ALWAYS: lambda at: 0.0,
     SPEED: lambda at: abs(at.speed),
     ACCELERATION: lambda at: at.accel * at.direction,
     LOAD: lambda at: at.weight,
@@ -78,37 +63,21 @@ OF_VARIABLE = {
     DRIVING_TORQUE: lambda at: at.drive_torque * at.direction,
     BELT: lambda at: at.belt,
 }
-OF_GATE = {
-    OPEN: lambda at, threshold: True,
-    LEFT: lambda at, threshold: at.yaw_rate > threshold,
-    RIGHT: lambda at, threshold: -at.yaw_rate > threshold,
-    HEAVY: lambda at, threshold: at.weight > threshold,
-    LIGHT: lambda at, threshold: at.weight < threshold,
-    BRAKING: lambda at, threshold: -at.accel * at.direction > threshold,
-    ACCELERATING: lambda at, threshold: at.accel * at.direction > threshold,
-}
-# Ranges of the variables and of those of gates, for knots and thresholds.
+# Ranges of the variables, for knots.
 REACH = {
-    ALWAYS: (0.0, 1.0), SPEED: (0.0, 15.0), ACCELERATION: (-1.0, 1.0), LOAD: (1e5, 4e5), AMBIENT: (-20.0, 40.0),
+    SPEED: (0.0, 15.0), ACCELERATION: (-1.0, 1.0), LOAD: (1e5, 4e5), AMBIENT: (-20.0, 40.0),
     TURN: (-0.5, 0.5), TURNING: (0.0, 0.5), CURVATURE: (0.0, 0.5), DRIVING_TORQUE: (-2e4, 2e4),
     BELT: (-20.0, 90.0),
 }  # fmt: skip
-OPENS = {OPEN: (0.0, 1.0), LEFT: (0.0, 0.4), RIGHT: (0.0, 0.4), HEAVY: (1e5, 4e5), LIGHT: (1e5, 4e5), BRAKING: (0.0, 0.8),
-         ACCELERATING: (0.0, 0.8)}  # fmt: skip
 SOME = [  # of every kind, one
-    Curve(SPEED, OPEN, [1.0, 3.0, 8.0]),
-    Curve(ALWAYS, LEFT, [0.0], 0.05),
-    Curve(LOAD, BRAKING, [2e5, 3e5], 0.1),
-    Curve(BELT, OPEN, [10.0, 30.0, 60.0]),
+    Curve(SPEED, [1.0, 3.0, 8.0]),
+    Curve(BELT, [10.0, 30.0, 60.0]),
     Corner(SPEED, STEP, 1.0, 5.0, 10.0),
     Corner(BELT, ABOVE, 10.0, 20.0, 60.0),
     Corner(LOAD, BELOW, 2e5, 2.7e5, 3e5),
     Latch(SPEED, 1.0, 3.0, 6.0, 10.0),
     Latch(BELT, 10.0, 20.0, 40.0, 60.0),
     *(SidedGain(side, 9000.0) for side in SIDES),
-    BuildUp(BY_DISTANCE, 300.0),
-    BuildUp(BY_TIME, 120.0),
-    BuildUp(BY_BRAKING, 60.0),
 ]
 
 
@@ -118,13 +87,13 @@ def within(pair):
 
 @st.composite
 def curves(draw):
-    """A curve of any variable behind any gate, with values."""
-    variable, gate = draw(st.sampled_from(sorted(VARIABLES))), draw(st.sampled_from(sorted(GATES)))
+    """A curve of any variable, with values."""
+    variable = draw(st.sampled_from(sorted(VARIABLES)))
     low, high = REACH[variable]
     # Hundredths of the reach: knots that lie apart by more than rounding.
     places = draw(st.lists(st.integers(0, 100), min_size=1, max_size=MOST_KNOTS, unique=True).map(sorted))
     x = [low + 0.01 * place * (high - low) for place in places]
-    curve = Curve(variable, gate, x, draw(within(OPENS[gate])))
+    curve = Curve(variable, x)
     y = draw(st.lists(within((-3000.0, 3000.0)), min_size=len(x), max_size=len(x)))
     return curve, x, y
 
@@ -145,8 +114,7 @@ def active(curve, y):
 @given(curves(), ANYWHERE)
 def test_a_curve_is_linear_between_knots_and_constant_beyond(drawn, at):
     curve, x, y = drawn
-    opens = OF_GATE[curve.gate](at, curve.values()["threshold"])
-    by_hand = np.interp(OF_VARIABLE[curve.variable](at), x, y) * math.tanh(at.speed / STANDSTILL_MPS) if opens else 0.0
+    by_hand = np.interp(OF_VARIABLE[curve.variable](at), x, y) * math.tanh(at.speed / STANDSTILL_MPS)
     assert active(curve, y).terms(at).torque == pytest.approx(by_hand, rel=1e-9, abs=1e-7)
 
 
@@ -161,47 +129,6 @@ def test_compiled_and_interpreted_give_the_same_bits(stepped, effect, speed):
         terms = [stepped([one], at, memory, machine, dt=7.0) for memory, machine in ((of_machine, True), (of_python, False))]
         np.testing.assert_array_equal(*terms)
     np.testing.assert_array_equal(of_machine, of_python)
-
-
-# Build-ups
-
-
-@given(st.lists(st.tuples(within((0.5, 12.0)), st.integers(1, 40)), min_size=1, max_size=6), within((50.0, 2000.0)))
-def test_what_builds_up_over_distance_knows_but_the_distance(stepped, legs, scale):
-    one = Active(BuildUp(BY_DISTANCE, scale), {"by": float(BY_DISTANCE), "y1": 400.0, "scale": scale})
-    memory, driven = new_memory(1), 0.0
-    for speed, seconds in legs:
-        stepped([one], conditions(FACTS, speed), memory)  # the target and pace of the leg
-        torque = stepped([one], conditions(FACTS, speed), memory, dt=float(seconds))[0]
-        driven += speed * seconds
-        assert torque == pytest.approx(400.0 * -math.expm1(-driven / scale) * math.tanh(speed / STANDSTILL_MPS), rel=1e-9)
-
-
-@pytest.mark.parametrize("by", [BY_DISTANCE, BY_TIME])
-def test_a_stop_takes_away_what_has_built_up(stepped, by):
-    one = Active(BuildUp(by, 100.0), {"by": float(by), "y1": 400.0, "scale": 100.0})
-    memory = new_memory(1)
-    stepped([one], conditions(FACTS, 8.0), memory)
-    torque = stepped([one], conditions(FACTS, 8.0), memory, dt=300.0)[0]
-    assert torque > 0.9 * 400.0
-    stepped([one], conditions(FACTS, 0.0), memory)
-    stepped([one], conditions(FACTS, 0.0), memory, dt=20.0)
-    torque = stepped([one], conditions(FACTS, 8.0), memory)[0]
-    assert abs(torque) < 1e-3 * 400.0
-
-
-def test_drag_after_braking_comes_with_it_and_goes_with_time(stepped):
-    one = Active(BuildUp(BY_BRAKING, 60.0), {"by": float(BY_BRAKING), "y1": 400.0, "scale": 60.0})
-    memory = new_memory(1)
-
-    def drive(accel, seconds):
-        stepped([one], conditions(FACTS, 6.0, accel), memory)
-        return stepped([one], conditions(FACTS, 6.0, accel), memory, dt=seconds)[0]
-
-    assert drive(0.0, 100.0) == 0.0
-    assert drive(-0.8, 10.0) == pytest.approx(400.0, rel=0.01)
-    assert drive(0.0, 60.0) == pytest.approx(400.0 / math.e, rel=0.01)
-    assert memory[FIRST_OWN] == pytest.approx(1.0 / math.e, rel=0.01)
 
 
 # Corners, latches and gains
@@ -251,16 +178,15 @@ def test_at_rest_no_learned_effect_does_anything(effect):
 # Names and sizes
 
 
-def test_every_name_is_one_curve_or_build_up():
-    assert len(set(NAMES)) == len(NAMES) == len(CURVES) + 9 * len(CORNERS) + len(LATCHED) + len(SIDES) + len(BUILD_UPS)
+def test_every_name_is_that_of_one_form():
+    assert len(set(NAMES)) == len(NAMES) == len(CURVES) + 9 * len(CORNERS) + len(LATCHED) + len(SIDES)
     assert not set(NAMES) & set(catalogue())
-    for name, (variable, gate) in CURVES.items():
-        assert Curve(variable, gate, [0.0]).name == name
-    assert "constant" not in NAMES  # that is an offset of the sensor or a friction
+    for name, variable in CURVES.items():
+        assert Curve(variable, [0.0]).name == name
 
 
 def test_torques_grow_with_the_vehicle_and_knots_do_not():
-    whole = Curve(SPEED, OPEN, [1.0, 5.0])
+    whole = Curve(SPEED, [1.0, 5.0])
     half = sized(whole, 0.5 * 97920.0)
     for q, other in zip(whole.parameters, half.parameters, strict=True):
         factor = 0.5 if q.name.startswith("y") else 1.0
@@ -291,7 +217,7 @@ def test_a_learned_effect_survives_writing_and_reading_its_file(effect, tmp_path
 
 
 def test_commands_take_a_file_with_what_was_learned(tmp_path):
-    path = written(tmp_path, active(Curve(SPEED, LEFT, [2.0, 6.0], 0.05), [200.0, 500.0]))
+    path = written(tmp_path, active(Curve(TURN, [-0.2, 0.2]), [0.0, 425.0]))
     rows = [f"{i * 0.1:.1f},5.0,{0.2 if i < 100 else -0.2}" for i in range(200)]
     (tmp_path / "drive.csv").write_text("\n".join(["time_s,speed_mps,yaw_rate_radps", *rows]) + "\n")
     for command in (
@@ -305,8 +231,8 @@ def test_commands_take_a_file_with_what_was_learned(tmp_path):
     assert added[105:] == pytest.approx(0.0, abs=1e-6)
 
 
-KNOTS = {"threshold": 0.0, "x1": 1.0, "x2": 3.0, "y1": 10.0, "y2": 20.0}
-MANY = {"threshold": 0.0, **{f"{of}{i}": float(i) for of in "xy" for i in range(1, MOST_KNOTS + 2)}}
+KNOTS = {"x1": 1.0, "x2": 3.0, "y1": 10.0, "y2": 20.0}
+MANY = {f"{of}{i}": float(i) for of in "xy" for i in range(1, MOST_KNOTS + 2)}
 
 
 @pytest.mark.parametrize(
@@ -315,14 +241,13 @@ MANY = {"threshold": 0.0, **{f"{of}{i}": float(i) for of in "xy" for i in range(
         ("curve_of_speed", {**KNOTS, "x2": 1.0}, "x1 to x2.*rise"),
         ("curve_of_speed", {**KNOTS, "x2": 0.5}, "x1 to x2.*rise"),
         ("curve_of_speed", MANY, f"effects.curve_of_speed.*a value for each of .*x{MOST_KNOTS}, y1"),
-        ("curve_of_speed", {**KNOTS, "x3": 4.0}, "effects.curve_of_speed.*a value for each of threshold, x1, x2, y1, y2$"),
+        ("curve_of_speed", {**KNOTS, "x3": 4.0}, "effects.curve_of_speed.*a value for each of x1, x2, y1, y2$"),
         ("curve_of_speed", {**KNOTS, "y1": 1e9}, "effects.curve_of_speed.y1"),
         ("curve_of_speed", 7.0, "effects.curve_of_speed.*a value for each"),
         ("step_of_speed", {"threshold": 5.0, "x1": 1.0, "x2": 4.0, "y1": 10.0}, "x1 to x2.*x1, threshold, x2 that rise"),
         ("latch_of_speed", {"off": 3.0, "on": 2.0, "x1": 1.0, "x2": 4.0, "y1": 10.0}, "x1, off, on, x2 that rise"),
         ("gain_while_braking", {"gain": -0.9, "x1": 1e4}, "gain_while_braking.gain"),
         ("curve_of_sped", KNOTS, "curve_of_sped.*did you mean curve_of_speed"),
-        ("build_up_over_distance", {"y1": 100.0}, "effects.build_up_over_distance.*y1, scale"),
     ],
     ids=str,
 )

@@ -115,5 +115,5 @@ def test_a_statement_is_true_by_its_form_or_its_variable():
 
     assert _stated([{"name": "pump"}], report("spells"), {})
     assert not _stated([{"name": "pump"}], report("curve", variable="speed"), {})
-    assert _stated([{"name": "overload_rub"}], report("gated_curve", gate="when heavy"), {})
+    assert _stated([{"name": "overload_rub"}], report("step", variable="load"), {})
     assert _stated([{"name": "pump"}], {"verdict": {"status": "named"}}, {}) is None

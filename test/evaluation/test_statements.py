@@ -39,9 +39,9 @@ def test_the_variable_of_a_curve_is_what_the_torque_follows(kept):
 def test_a_gate_that_is_right_is_enough(kept, gate):
     over, lengths = kept
     left = 400.0 * (over["yaw rate to the left"] > 0.02)
-    assert is_true(term("gated_curve", "", gate), over, left, lengths)
-    assert is_true(term("gated_curve", "curvature", gate), over, left, lengths)
-    assert not is_true(term("gated_curve", "", "when heavy"), over, left, lengths)
+    assert is_true(term("sided_gain", "", gate), over, left, lengths)
+    assert is_true(term("sided_gain", "curvature", gate), over, left, lengths)
+    assert not is_true(term("sided_gain", "", "when heavy"), over, left, lengths)
 
 
 def test_what_the_base_takes_up_makes_no_statement_true(kept):
@@ -57,8 +57,6 @@ def test_spells_have_two_levels_that_last(kept):
     on = 300.0 * (second // 97 % 3 == 1)
     assert is_true(term("spells"), over, on, lengths)
     assert not is_true(term("spells"), over, 300.0 * np.sin(second / 60.0), lengths)
-    assert is_true(term("level_change"), over, 300.0 * (second > 900), lengths)
-    assert not is_true(term("level_change"), over, on, lengths)
 
 
 def test_recording_levels_are_true_of_offsets_between_recordings(kept):
@@ -78,21 +76,14 @@ def test_a_drift_is_slow_and_follows_nothing(kept):
     assert not is_true(term("drift"), over, 50.0 * np.sin(over["belt temperature"] / 8.0), lengths)
 
 
-def test_a_wave_needs_the_right_length_and_a_build_up_a_stop(kept):
+def test_a_place_needs_its_lap_and_a_fade_a_stop(kept):
     over, lengths = kept
     wave = 200.0 * np.sin(2.0 * np.pi * over["distance"] / 370.0)
-    assert is_true(term("wave", "driven distance", period_m=370.0), over, wave, lengths)
-    assert not is_true(term("wave", "driven distance", period_m=290.0), over, wave, lengths)
+    assert is_true(term("place", "place on the route", period_m=370.0), over, wave, lengths)
+    assert not is_true(term("place", "place on the route", period_m=290.0), over, wave, lengths)
     since, way = np.zeros(len(wave)), 0.0
     for i, v in enumerate(over["speed"]):
         way = 0.0 if v < 0.1 or i in np.cumsum(lengths)[:-1] else way + v
         since[i] = 300.0 * (1.0 - np.exp(-way / 400.0))
-    assert is_true(term("build_up", "distance since a stop"), over, since, lengths)
-    assert not is_true(term("build_up", "braking"), over, wave, lengths)
-
-
-def test_a_torque_that_shakes_at_some_speeds_is_a_spread(kept):
-    over, lengths = kept
-    shakes = np.random.default_rng(2).normal(0.0, 1.0, int(lengths.sum())) * (1.0 + 300.0 * (over["speed"] < 4.0))
-    assert is_true(term("spread", "speed"), over, shakes, lengths)
-    assert not is_true(term("curve", "speed"), over, shakes, lengths)
+    assert is_true(term("clock", "distance since a stop"), over, since, lengths)
+    assert not is_true(term("clock", "braking"), over, wave, lengths)

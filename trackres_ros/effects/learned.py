@@ -3,11 +3,10 @@
 
 """Defines empirical effects, which have no name in the catalogue: each is a torque that depends on a variable of the drive.
 
-A curve depends on one variable, always or only while a gate is open. A corner is a step or a hinge at one value of a variable. A
-latch is on above one value and off below another. A sided gain changes the gain of the driving torque for one of its signs. A
-build-up is reset by a stop or decays with time. They are fitted, run live and written to the
-vehicle file like any other effect. Their names give the variable (`curve_of_speed_when_light`), their parameters are knots and
-heights.
+A curve depends on one variable. A corner is a step or a hinge at one value of a variable. A
+latch is on above one value and off below another. A sided gain changes the gain of the driving torque for one of its signs. They
+are fitted, run live and written to the vehicle file like any other effect. Their names give the variable
+(`curve_of_speed`), their parameters are knots and heights.
 """
 
 from __future__ import annotations
@@ -24,27 +23,21 @@ from trackres_ros.jit.compiled import inlined
 TYPICAL_NM, MOST_NM = 150.0, 20_000.0  # of a vehicle of `REFERENCE_NM`
 MOST_KNOTS = 9
 FURTHEST = 1e7  # of a knot, in any unit
-CODES = 3  # parameters of a curve before its knots: variable, gate, threshold
+CODES = 1  # parameters of a curve before its knots: the variable
 MARGIN = 0.1  # of the range between the knots: so far outside of them it was driven now and then
-MOVING_MPS = 0.3
-BRAKING_MPS2 = -0.3
-RESET_S = 1.0
-SETS_ON_S = 2.0
 LATCHES_S = 1e-3  # shorter than any step: a latch has its state from the last one
 MOST_GAIN = 0.8
 TYPICAL_GAIN = 0.1
 SMOOTH = 1e-3  # of weight times radius: over it driving turns into braking
 
-ALWAYS, SPEED, ACCELERATION, LOAD, AMBIENT, TURN, TURNING, CURVATURE, DRIVING_TORQUE, BELT = range(10)
-OPEN, LEFT, RIGHT, HEAVY, LIGHT, BRAKING, ACCELERATING = range(7)
+SPEED, ACCELERATION, LOAD, AMBIENT, TURN, TURNING, CURVATURE, DRIVING_TORQUE, BELT = range(9)
 STEP, ABOVE, BELOW = range(3)
 DRIVES, BRAKES, NEGATIVE = 1, -1, 0
-BY_DISTANCE, BY_TIME, BY_BRAKING = range(3)
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """A variable, a gate or a build-up: its part of an effect's name and of a sentence, its unit and its required inputs."""
+    """A variable or a sign of one: its part of an effect's name and of a sentence, its unit and its required inputs."""
 
     name: str
     text: str
@@ -53,7 +46,6 @@ class Followed:
 
 
 VARIABLES = {
-    ALWAYS: Followed("constant", "", "1"),
     SPEED: Followed("speed", "speed", "m/s"),
     ACCELERATION: Followed("acceleration", "acceleration", "m/s^2", ("speed", "accel")),
     LOAD: Followed("load", "load", "N", ("speed", "weight")),
@@ -68,20 +60,6 @@ CORNERS = {STEP: "step_of", ABOVE: "hinge_above", BELOW: "hinge_below"}
 SIDES = {DRIVES: Followed("driving", "while it drives", "Nm"), BRAKES: Followed("braking", "while it brakes", "Nm")}
 SIDES |= {NEGATIVE: Followed("negative", "where it is negative", "Nm")}  # to a sensor: in reverse it then drives
 LATCHED = (SPEED, LOAD, BELT)
-GATES = {
-    OPEN: Followed("", "", "1"),
-    LEFT: Followed("left", "in left turns", "rad/s", ("yaw_rate",)),
-    RIGHT: Followed("right", "in right turns", "rad/s", ("yaw_rate",)),
-    HEAVY: Followed("heavy", "when heavy", "N", ("weight",)),
-    LIGHT: Followed("light", "when light", "N", ("weight",)),
-    BRAKING: Followed("braking", "while it slows down", "m/s^2", ("accel",)),
-    ACCELERATING: Followed("accelerating", "while it speeds up", "m/s^2", ("accel",)),
-}
-BUILD_UPS = {
-    BY_DISTANCE: Followed("build_up_over_distance", "with distance since a stop", "m"),
-    BY_TIME: Followed("build_up_over_time", "with time since a stop", "s"),
-    BY_BRAKING: Followed("drag_after_braking", "after it has slowed down", "s", ("speed", "accel")),
-}
 
 
 @inlined
@@ -123,32 +101,14 @@ def latched(x: float, was: float, off: float, on: float) -> float:
     return 1.0 if x >= off and was > 0.5 else 0.0
 
 
-@inlined
-def is_open(at: Conditions, code: float, threshold: float) -> bool:
-    """Whether the gate of a code is open."""
-    if code == LEFT:
-        return at.yaw_rate > threshold
-    if code == RIGHT:
-        return at.yaw_rate < -threshold
-    if code == HEAVY:
-        return at.weight > threshold
-    if code == LIGHT:
-        return at.weight < threshold
-    if code == BRAKING:
-        return at.accel * at.direction < -threshold
-    if code == ACCELERATING:
-        return at.accel * at.direction > threshold
-    return True
-
-
 class EmpiricalEffect(Effect):
     """An effect found by a diagnosis in recordings, without a name in the catalogue."""
 
     acts_on = "torque"
     belongs_to = "vehicle"
-    variable = ALWAYS
-    over: tuple[int, int] | None = None
-    """Codes of the variable and the gate of a function of one variable; None for another form."""
+    variable: int
+    is_function = True
+    """Whether its torque is a function of its variable."""
     rising: Sequence[str] = ()
     """The parameters that rise from one to the next."""
 
@@ -159,43 +119,29 @@ class EmpiricalEffect(Effect):
 
 
 class Curve(EmpiricalEffect):
-    """A torque against travel, piecewise linear between knots, constant outside of them, and zero
-    while the gate is closed. A fit fixes one knot of a curve without a constant at zero.
+    """A torque against travel, piecewise linear between knots and constant outside of them. A fit fixes one knot at zero.
 
     Parameters
     ----------
-    variable, gate
-        Of `VARIABLES` and `GATES`.
+    variable
+        Of `VARIABLES`.
     at
         The variable's value at each knot, rising.
-    threshold
-        Of the gate, in its unit.
-    constant
-        Whether a constant common to all knots is included; never without a gate.
     """
 
-    def __init__(self, variable: int, gate: int, at: Sequence[float], threshold: float = 0.0, constant: bool = True) -> None:
-        follows, opens = VARIABLES[variable], GATES[gate]
-        self.variable, self.gate, self.over = variable, gate, (variable, gate)
-        self.name = curve_name(variable, gate)
-        self.text = " ".join(filter(None, ("a torque", follows.text and f"that follows the {follows.text},", opens.text)))
-        self.needs = tuple(dict.fromkeys((*follows.needs, *opens.needs)))
+    def __init__(self, variable: int, at: Sequence[float]) -> None:
+        follows = VARIABLES[variable]
+        self.variable, self.needs, self.name = variable, follows.needs, curve_name(variable)
+        self.text = f"a torque that follows the {follows.text}"
         zero = 1 + int(min(range(len(at)), key=lambda i: abs(at[i])))
         self.parameters = (
             _fixed("variable", variable, "code of the variable that it follows"),
-            _fixed("gate", gate, "code of the gate"),
-            Parameter("threshold", opens.unit, -FURTHEST, FURTHEST, threshold, "threshold of the gate", fitted=False),
-            *(
-                Parameter(f"x{i}", follows.unit, -FURTHEST, FURTHEST, x, f"{follows.text or 'nothing'} at knot {i}", fitted=False)
-                for i, x in enumerate(at, 1)
-            ),
-            *(height(f"y{i}", f"torque at knot {i}", (constant and gate != OPEN) or i != zero) for i in range(1, len(at) + 1)),
+            *(_place(f"x{i}", follows, x, f"value at knot {i}") for i, x in enumerate(at, 1)),
+            *(height(f"y{i}", f"torque at knot {i}", i != zero) for i in range(1, len(at) + 1)),
         )
         self.rising = [f"x{i}" for i in range(1, len(at) + 1)]
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        if not is_open(at, p[1], p[2]):
-            return Terms(torque=0.0)
         count = (len(p) - CODES) // 2
         x, knot, last = variable(at, p[0]), CODES, CODES + count - 1
         extrapolated = beyond(x, p[knot], p[last]) if count > 1 else 0.0
@@ -226,7 +172,6 @@ class Corner(EmpiricalEffect):
     def __init__(self, variable: int, kind: int, low: float = 0.0, threshold: float = 0.5, high: float = 1.0) -> None:
         follows = VARIABLES[variable]
         self.variable, self.kind, self.needs = variable, kind, follows.needs
-        self.over = variable, OPEN
         self.name = corner_name(variable, kind)
         side = "below" if kind == BELOW else "above"
         self.text = f"a torque that {'is there' if kind == STEP else 'grows'} {side} a value of the {follows.text}"
@@ -267,7 +212,6 @@ class Latch(EmpiricalEffect):
     def __init__(self, variable: int, low: float = 0.0, off: float = 0.3, on: float = 0.7, high: float = 1.0) -> None:
         follows = VARIABLES[variable]
         self.variable, self.needs, self.name = variable, follows.needs, f"latch_of_{follows.name}"
-        self.over = variable, OPEN
         self.text = f"a torque that comes above one value of the {follows.text} and goes below another"
         self.parameters = (
             _fixed("variable", variable, "code of the variable that it follows"),
@@ -291,6 +235,7 @@ class SidedGain(EmpiricalEffect):
     """Another gain on the driving torque for one sign of it, of `SIDES`; `most` is the largest that was driven [Nm]."""
 
     variable = DRIVING_TORQUE
+    is_function = False
     rising = ("x1",)
 
     def __init__(self, side: int, most: float = 1.0) -> None:
@@ -311,43 +256,9 @@ class SidedGain(EmpiricalEffect):
         )
 
 
-class BuildUp(EmpiricalEffect):
-    """A torque against travel that builds up with distance or time since a stop, which resets it; or that
-    builds up with braking and decays with time.
-
-    `scale` is the distance [m] or time [s] for two thirds of the build-up, or of the decay.
-    """
-
-    def __init__(self, by: int, scale: float) -> None:
-        of = BUILD_UPS[by]
-        self.by, self.name, self.needs = by, of.name, of.needs
-        self.text = f"a torque that {'goes with time' if by == BY_BRAKING else 'builds up'} {of.text}"
-        low, high = (20.0, 20_000.0) if by == BY_DISTANCE else (5.0, 3000.0)
-        self.parameters = (
-            _fixed("by", by, "code of what builds it up"),
-            height("y1", "torque when built up"),
-            Parameter("scale", of.unit, low, high, scale, "time or distance constant of build-up or decay",
-                      more_starts=(0.25 * scale, 4.0 * scale)),
-        )  # fmt: skip
-
-    def lag(self, at: Conditions, p: Values) -> Lag:
-        moving = abs(at.speed) > MOVING_MPS
-        if p[0] == BY_BRAKING:
-            if moving and at.accel * at.direction < BRAKING_MPS2:
-                return Lag(1.0, SETS_ON_S, 0.0)
-            return Lag(0.0, p[2], 0.0)
-        if not moving:
-            return Lag(0.0, RESET_S, 0.0)
-        return Lag(1.0, p[2] / abs(at.speed) if p[0] == BY_DISTANCE else p[2], 0.0)
-
-    def terms(self, at: Conditions, p: Values) -> Terms:
-        return Terms(torque=p[1] * at.own * at.direction)
-
-
-def curve_name(variable: int, gate: int) -> str:
+def curve_name(variable: int) -> str:
     """The name of a curve."""
-    follows = "constant" if variable == ALWAYS else f"curve_of_{VARIABLES[variable].name}"
-    return follows if gate == OPEN else f"{follows}_when_{GATES[gate].name}"
+    return f"curve_of_{VARIABLES[variable].name}"
 
 
 def corner_name(variable: int, kind: int) -> str:
@@ -355,12 +266,11 @@ def corner_name(variable: int, kind: int) -> str:
     return f"{CORNERS[kind]}_{VARIABLES[variable].name}"
 
 
-CURVES = {curve_name(v, g): (v, g) for v in VARIABLES for g in GATES if v != ALWAYS or g != OPEN}
+CURVES = {curve_name(v): v for v in VARIABLES}
 OTHERS: dict[str, Callable[[], EmpiricalEffect]] = {
-    **{corner_name(v, kind): partial(Corner, v, kind) for v in VARIABLES if v != ALWAYS for kind in CORNERS},
+    **{corner_name(v, kind): partial(Corner, v, kind) for v in VARIABLES for kind in CORNERS},
     **{f"latch_of_{VARIABLES[v].name}": partial(Latch, v) for v in LATCHED},
     **{f"gain_while_{SIDES[side].name}": partial(SidedGain, side) for side in SIDES},
-    **{of.name: partial(BuildUp, by, 300.0) for by, of in BUILD_UPS.items()},
 }
 NAMES = (*CURVES, *OTHERS)
 
@@ -368,10 +278,9 @@ NAMES = (*CURVES, *OTHERS)
 def learned(name: str, parameters: object, size: float) -> EmpiricalEffect:
     """The effect of a name with as many knots as parameters ask for, for a vehicle with a weight times wheel radius [Nm]."""
     if name in CURVES:
-        variable, gate = CURVES[name]
         heights = [key for key in parameters if str(key).startswith("y")] if isinstance(parameters, Mapping) else []
         count = min(max(1, len(heights)), MOST_KNOTS)
-        found: EmpiricalEffect = Curve(variable, gate, [0.0] * count)
+        found: EmpiricalEffect = Curve(CURVES[name], [0.0] * count)
     else:
         found = OTHERS[name]()
     return sized(found, size)

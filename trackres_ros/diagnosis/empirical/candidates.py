@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Unnamed candidate forms of a mismatch: curves, gated curves, steps, hinges, latches, gains for one sign and
-build-ups, with knots within the driven range.
+"""Unnamed candidate forms of a mismatch: curves, steps, hinges, latches and gains for one sign,
+with knots within the driven range.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects import learned
 from trackres_ros.effects.effect import Conditions
-from trackres_ros.effects.learned import BuildUp, Curve, EmpiricalEffect, SidedGain
+from trackres_ros.effects.learned import Curve, EmpiricalEffect, SidedGain
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.units import STANDSTILL_MPS
 
@@ -29,25 +29,8 @@ SIGNED = (learned.ACCELERATION, learned.TURN, learned.DRIVING_TORQUE)
 BOTH_SIDES = 0.05  # least share of a signed variable on its rarer side to use both
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
 RESOLVED = 6.0  # times its noise: nearer zero a smoothed acceleration reflects the smoothing more than the drive
-GATED_KNOTS = 3
-GATED = {
-    learned.LEFT: (learned.ALWAYS, learned.SPEED, learned.CURVATURE, learned.LOAD),
-    learned.RIGHT: (learned.ALWAYS, learned.SPEED, learned.CURVATURE, learned.LOAD),
-    learned.HEAVY: (learned.ALWAYS, learned.SPEED, learned.DRIVING_TORQUE),
-    learned.LIGHT: (learned.ALWAYS, learned.SPEED, learned.DRIVING_TORQUE),
-    learned.BRAKING: (learned.ALWAYS, learned.SPEED, learned.LOAD),
-    learned.ACCELERATING: (learned.ALWAYS, learned.SPEED, learned.LOAD),
-}
-GATE_AT = dict.fromkeys((learned.LEFT, learned.RIGHT), learned.TURN)
-GATE_AT |= dict.fromkeys((learned.BRAKING, learned.ACCELERATING), learned.ACCELERATION)
-OPENS_AT = 0.1  # of the 95th percentile of a gate's variable
 LEAST_RANGE = 0.02  # of its size: a smaller variation is constant
-APART = 0.04  # of the range of the load: least difference of two levels
-FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any cause
-LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, it differs only between them
-FEWEST_OPEN = 60  # samples on either side of a gate
-BUILD_UP_SCALE = {learned.BY_DISTANCE: 600.0}
-BUILD_UP_SCALE_S = 120.0
+FEWEST_REVERSE = 60  # samples in reverse
 
 
 def series(code: int, fit: Fit) -> list[Array]:
@@ -77,16 +60,6 @@ def _resolved(fit: Fit) -> bool:
     return RESOLVED * noise <= NEAR_ZERO * largest
 
 
-def shows(code: int, fit: Fit) -> bool:
-    """Whether a variable varies within recordings, or over enough of them to separate it from other differences."""
-    within = [x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True) if m.any()]
-    every = driven(code, fit)
-    if len(within) >= FEWEST_SESSIONS or not varies(every):
-        return varies(every)
-    of_recordings = np.sqrt(sum(len(x) * float(np.var(x)) for x in within) / len(every))
-    return any(map(varies, within)) and bool(of_recordings > LEAST_WITHIN * np.std(every))
-
-
 def varies(x: Array) -> bool:
     """Whether a variable varies enough for a curve."""
     if len(x) == 0:
@@ -114,26 +87,6 @@ def knots(code: int, x: Array, count: int) -> list[float]:
     return found
 
 
-def thresholds(gate: int, fit: Fit) -> list[float]:
-    """Possible thresholds of a gate; none if it would be always or never open."""
-    if gate in (learned.HEAVY, learned.LIGHT):
-        x = driven(learned.LOAD, fit)
-        if not shows(learned.LOAD, fit):  # whatever differs at one load, may be any other difference between recordings
-            return []
-        levels = np.unique(x)
-        steps = np.diff(levels)
-        cuts = (levels[:-1] + 0.5 * steps)[steps > APART * np.ptp(x)]
-        if not 0 < len(cuts) <= 4:
-            cuts = np.quantile(x, (1.0 / 3.0, 2.0 / 3.0))
-        return [float(c) for c in cuts if min((x < c).sum(), (x > c).sum()) >= FEWEST_OPEN]
-    x = driven(GATE_AT[gate], fit)
-    if len(x) == 0:
-        return []
-    at = OPENS_AT * float(np.quantile(np.abs(x), 0.95))
-    is_open = x > at if gate in (learned.LEFT, learned.ACCELERATING) else x < -at
-    return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
-
-
 def followed(fit: Fit) -> list[int]:
     """Codes of the variables that a form may follow here.
 
@@ -148,26 +101,17 @@ def followed(fit: Fit) -> list[int]:
 
 
 def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
-    """All forms with knots of their own here, by a unique key; one name may have several."""
+    """All forms with knots of their own here, by their names."""
     facts = fit.problem.base.facts
     found: list[EmpiricalEffect] = []
     x = {code: driven(code, fit) for code in learned.VARIABLES}
     shown = followed(fit)
-    found += [Curve(code, learned.OPEN, knots(code, x[code], KNOTS[code])) for code in shown]
+    found += [Curve(code, knots(code, x[code], KNOTS[code])) for code in shown]
     if learned.DRIVING_TORQUE in shown:
         most = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in (learned.DRIVES, learned.BRAKES)}
         reverse = np.concatenate([s.speed[m] < 0.0 for s, m in zip(fit.problem.sessions, fit.problem.masks, strict=True)])
-        if reverse.sum() >= FEWEST_OPEN:  # forwards, a negative torque brakes
+        if reverse.sum() >= FEWEST_REVERSE:  # forwards, a negative torque brakes
             most[learned.NEGATIVE] = most_on_side(np.where(reverse, 1.0, -1.0) * x[learned.DRIVING_TORQUE], 1)
         found += [SidedGain(side, one) for side, one in most.items() if min(most.values()) > 0.0]
-    for gate, codes in GATED.items():
-        for threshold in thresholds(gate, fit):
-            for code in codes:
-                if code == learned.ALWAYS:
-                    found.append(Curve(learned.ALWAYS, gate, [0.0], threshold))
-                elif varies(x[code]):
-                    count = KNOTS[learned.SPEED] if code == learned.SPEED else GATED_KNOTS
-                    found.append(Curve(code, gate, knots(code, x[code], count), threshold))
-    found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in learned.BUILD_UPS]
     size = facts.weight * facts.radius
-    return {f"{effect.name} {i}": learned.sized(effect, size) for i, effect in enumerate(found)}
+    return {effect.name: learned.sized(effect, size) for effect in found}

@@ -18,12 +18,12 @@ from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals
 from trackres_ros.diagnosis.empirical.spells import Chain, spell_probability
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
-from trackres_ros.diagnosis.empirical.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
-from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, EmpiricalEffect
+from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S
 
+MOVING_MPS = 0.3
 BEGINNINGS_S = 15.0  # largest time from a stop to a spell that begins with it
 MOST_BEGIN = 0.7  # of the spells
 MOST_OF_IT = (0.025, 0.975)  # quantiles
@@ -46,10 +46,6 @@ def _described(term: Term, final: Fit, noun: str) -> Described:
     level = active.numbers[0]
     if isinstance(active.effect, ClockTerm):
         return terms.of_clock(active.effect, level, noun)
-    if term.wave is not None:
-        return terms.of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
-    if term.change is not None:
-        return terms.of_level_change(name, level, final.problem.sessions, term.change, noun)
     if term.place is not None:
         return terms.of_place(name, level, term.place, noun)
     if term.payload is not None:
@@ -75,19 +71,15 @@ def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]
 
 
 def variable_of(term: Term, final: Fit) -> list[Array]:
-    """Variable or build-up state of a term in each session; empty for the clock alone."""
+    """Variable of a term in each session; empty for the clock alone."""
     effect = term.candidate.effect
-    if isinstance(effect, EmpiricalEffect) and effect.variable != ALWAYS:
+    if isinstance(effect, EmpiricalEffect):
         return series(effect.variable, final)
     if term.place is not None:
         return list(term.place.course)
     if term.route is not None:
         return list(term.route.course)
-    if not isinstance(effect, EmpiricalEffect):
-        return []
-    adds = final.contribution(effect.name)
-    level = max(float(np.abs(x).max(initial=0.0)) for x in adds)
-    return [x / max(level, 1e-9) for x in against_travel(final.problem.sessions, adds)]
+    return []
 
 
 def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:

@@ -5,25 +5,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import FADE, ClockTerm
-from trackres_ros.diagnosis.empirical.level_changes import LevelChange
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.places import Place
 from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
-from trackres_ros.diagnosis.empirical.waves import Wave
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, shown_names
+from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.effects import learned
-from trackres_ros.effects.learned import BuildUp, Corner, Curve, EmpiricalEffect, Latch, SidedGain
+from trackres_ros.effects.learned import Corner, Curve, EmpiricalEffect, Latch, SidedGain
 from trackres_ros.text.numbers import figures, on_scale
 
 
@@ -61,39 +57,10 @@ OF_GAINS: Mapping[int, tuple[str, ...]] = {
     learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
     learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
 }
-OF_GATES: Mapping[int, tuple[str, ...]] = {
-    learned.LEFT: (
-        OfVehicle("a part that touches in left turns only: a guide, a mudguard, a hose"),
-        OfVehicle("the guides of the right belt"),
-    ),
-    learned.RIGHT: (
-        OfVehicle("a part that touches in right turns only: a guide, a mudguard, a hose"),
-        OfVehicle("the guides of the left belt"),
-    ),
-    learned.HEAVY: (OfVehicle("a part that touches when the springs are compressed"), "a bearing that binds under load"),
-    learned.LIGHT: ("a part that swings when the load does not hold it down", OfVehicle("belt tension without load")),
-    learned.BRAKING: ("a brake that also acts", OfVehicle("a machine driven by the wheels")),
-    learned.ACCELERATING: ("a coupling that slips", "a machine on the same drive"),
-}
-OF_BUILD_UPS: Mapping[int, tuple[str, ...]] = {
-    learned.BY_DISTANCE: (
-        OfVehicle("mud or snow that builds up and drops off"),
-        OfVehicle("a belt that runs out of line until it is released"),
-    ),
-    learned.BY_TIME: ("a pressure or temperature that rises while it runs", "a brake that releases incompletely and heats up"),
-    learned.BY_BRAKING: ("a brake that drags after use",),
-}
 OF_SPELLS = (
     "a pump, fan or compressor that switches on and off",
     "a brake that stays applied for a while",
     "another consumer on the same drive",
-)
-OF_WAVES = (OfVehicle("a stiff or damaged place in a belt"), OfVehicle("an out-of-round wheel or a worn bearing"))
-OF_LEVEL_CHANGES = (
-    "a part that was changed",
-    "a brake left applied",
-    "a bearing that failed",
-    "a torque sensor whose zero was reset",
 )
 OF_CLOCKS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
 OF_PLACES = tuple(map(OfVehicle, ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")))
@@ -102,13 +69,13 @@ OF_RECORDINGS = (OfVehicle("a load, ground or wind that differs from the recorde
 OF_DRIFT = ("a torque sensor with a drifting zero", OfVehicle("an unrecorded slope, wind or ground"))
 
 Form = Literal[
-    "curve", "gated_curve", "step", "hinge", "latch", "sided_gain", "build_up", "spells", "wave", "place", "payload",
-    "level_change", "recordings", "drift", "spread", "clock",
+    "curve", "step", "hinge", "latch", "sided_gain", "spells", "place", "payload",
+    "recordings", "drift", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
 FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate that tracks it") | {
-    "wave": "the torque measured before", "payload": "the torque measured before", "place": "the driven distance alone",
-    "level_change": "its time alone", "clock": "the clock or the driven distance alone",
+    "payload": "the torque measured before", "place": "the driven distance alone",
+    "clock": "the clock or the driven distance alone",
 }  # fmt: skip
 """Source of an unpredictable term on hold-out laps, thus in their error."""
 
@@ -126,8 +93,8 @@ class Described:
     unit: str = ""  # of the variable
     gate: str = ""  # in words; empty without
     predictable: bool = False  # whether it can be fed forward, because its inputs are known at the time
-    period_m: float | None = None  # length of a wave, or of the lap of a place
-    memory: float | None = None  # scale of a build-up in its own unit, or the mean duration of a spell [s]
+    period_m: float | None = None  # length of the lap of a place
+    memory: float | None = None  # mean duration of a spell, or time constant of a drift [s]
     stretches: tuple[Stretch, ...] = ()  # of a payload: the mass of each stretch between stops
 
     @property
@@ -143,33 +110,23 @@ class Described:
 
 def of_learned(effect: EmpiricalEffect, values: Mapping[str, float], noun: str) -> Described:
     """Describe an unnamed effect with the values of a fit."""
-    if isinstance(effect, BuildUp):
-        return _of_build_up(effect, values, noun)
     if isinstance(effect, SidedGain):
         return _of_gain(effect, values)
     if isinstance(effect, Corner | Latch):
         return _of_threshold(effect, values, noun)
     assert isinstance(effect, Curve)
     x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(of)] for of in ("x", "y"))
-    follows, opens = learned.VARIABLES[effect.variable], learned.GATES[effect.gate]
+    follows = learned.VARIABLES[effect.variable]
     unit = "" if follows.unit == "1" else follows.unit
-    if len(y) == 1:
-        at_any = "" if effect.variable == learned.ALWAYS else f", at any {follows.text}"
-        text = f"the {noun} needs {_more(y[0])} than the model{at_any}"
-    else:
-        begin, *others = turning_points(y)
-        at = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
-        ways = ["rises" if y[i] > y[before] else "falls" for before, i in zip((begin, *others), others, strict=False)]
-        to = [f"to {_signed(y[i])} at {at[i]}" for i in others]
-        text = f"the extra torque {ways[0]} from {_signed(y[begin])} at {at[begin]} of {follows.text} {to[0]}"
-        further = " and ".join(f"{way} {end}" for way, end in zip(ways[1:], to[1:], strict=True))
-        text = f"{text}. It then {further}" if further else text
-    text = f"{opens.text}, {text}" if opens.text else text
-    looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == learned.ALWAYS else MECHANISMS[effect.variable][:1])
-    return Described(
-        "gated_curve" if opens.text else "curve", effect.name, f"{text[0].upper()}{text[1:]}",
-        looked or MECHANISMS[effect.variable], max(map(abs, y)), follows.text, unit, opens.text, True,
-    )  # fmt: skip
+    begin, *others = turning_points(y)
+    at = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
+    ways = ["rises" if y[i] > y[before] else "falls" for before, i in zip((begin, *others), others, strict=False)]
+    to = [f"to {_signed(y[i])} at {at[i]}" for i in others]
+    text = f"The extra torque {ways[0]} from {_signed(y[begin])} at {at[begin]} of {follows.text} {to[0]}"
+    further = " and ".join(f"{way} {end}" for way, end in zip(ways[1:], to[1:], strict=True))
+    text = f"{text}. It then {further}" if further else text
+    mechanisms = MECHANISMS[effect.variable]
+    return Described("curve", effect.name, text, mechanisms, max(map(abs, y)), follows.text, unit, predictable=True)
 
 
 def turning_points(heights: Sequence[float]) -> list[int]:
@@ -186,19 +143,6 @@ def turning_points(heights: Sequence[float]) -> list[int]:
             break
         del found[smallest]
     return found
-
-
-def _of_build_up(effect: BuildUp, values: Mapping[str, float], noun: str) -> Described:
-    level, scale = values["y1"], values["scale"]
-    if effect.by == learned.BY_BRAKING:
-        variable = "braking"
-        text = f"After braking, the {noun} needs {_more(level)} than the model. That fades within about {figures(scale)} s"
-    else:
-        unit, since = ("m", "distance") if effect.by == learned.BY_DISTANCE else ("s", "time")
-        variable = f"{since} since a stop"
-        text = f"An extra torque of {_signed(level)} builds up over about {figures(scale)} {unit}. It is gone after a stop"
-    mechanisms = OF_BUILD_UPS[effect.by]
-    return Described("build_up", effect.name, text, mechanisms, abs(level), variable, predictable=True, memory=scale)
 
 
 def _of_threshold(effect: Corner | Latch, values: Mapping[str, float], noun: str) -> Described:
@@ -242,13 +186,6 @@ def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Arra
         f"recordings{begins}"
     )
     return Described("spells", name, text, OF_SPELLS, abs(level), memory=chain.mean_s)
-
-
-def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
-    """Describe a wave of this size [Nm], named after the part with its length per turn, if there is one."""
-    of = f", which is {part}" if part else ""
-    text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{of}"
-    return Described("wave", name, text, OF_WAVES, abs(level), "driven distance", period_m=wave.length_m)
 
 
 def of_clock(effect: ClockTerm, level: float, noun: str) -> Described:
@@ -309,28 +246,6 @@ def of_route(name: str, size: float, least: float, most: float, route: Route, no
         text += ". To identify a slope, drive them in the other direction too, or with another load"
     mechanisms = OF_PLACES if tied else OF_PLACES[1:]
     return Described("place", name, text, mechanisms, size, "place on the route", "m", predictable=True)
-
-
-def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange, noun: str) -> Described:
-    """Describe a lasting level change of this size [Nm]."""
-    text = (
-        f"Since {_when(sessions, change)} the {noun} needs {_more(level)} than before, until the end of the recordings. "
-        "Diagnose the recordings since then alone to write that into a file"
-    )
-    return Described("level_change", name, text, OF_LEVEL_CHANGES, abs(level))
-
-
-def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
-    """Time of a level change: the time of day and date if known, and the time in its recording."""
-    session, first = sessions[change.session], sessions[0]
-    seconds = float(session.time[change.row])
-    recording = shown_names(sessions)[change.session]
-    where = f"{figures(seconds / 60.0)} min into {recording}" if change.row else f"the beginning of {recording}"
-    if math.isnan(session.start_s):
-        return where
-    at = datetime.fromtimestamp(session.start_s + seconds, UTC)
-    day = "" if math.isnan(first.start_s) else f", day {(at.date() - datetime.fromtimestamp(first.start_s, UTC).date()).days + 1}"
-    return f"{at:%H:%M} UTC on {at:%Y-%m-%d} ({where}{day})"
 
 
 def of_recordings(levels: Array, noun: str) -> Described:

@@ -13,7 +13,6 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
 from trackres_ros.diagnosis.findings.locate import SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
@@ -86,7 +85,6 @@ class Findings:
     drift: UnnamedTerm | None = None  # the slow residual as a level of each recording, or as a drift
     changed: Sequence[Changed] = ()  # values of the vehicle file that the re-fit changes significantly
     shares: Mapping[str, float] = field(default_factory=dict)  # probability of each name over all explanations, if known
-    spread: Described | None = None  # the regime with larger oscillations
     sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
     unusable: str = ""  # why no command would accept a file with the re-fit; empty if one would
     sensors: Sequence[SensorFinding] = ()  # that other inputs contradict, as the warnings say
@@ -123,11 +121,6 @@ class Findings:
         """Unconfirmed possibilities, without those that the hold-out laps reject."""
         rejects = {g.name for g in self.unconfirmed if g.grade == REFUTED}
         return possible(self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejects})
-
-    @property
-    def shakes(self) -> list[str]:
-        """Sentences about larger oscillations."""
-        return [] if self.spread is None else [self.spread.sentence, look_for(self.spread.mechanisms)]
 
     @property
     def after(self) -> list[str]:
@@ -179,17 +172,13 @@ def _by_terms(f: Findings) -> Verdict:
             mean_error(improvement.before, improvement.after),
             taken_from(drift),
         ]
-        return Verdict("described", CONFIRMED, joined([*lines, *f.shakes, may_be(f.listed, also=True), *f.after]), f.listed)
-    otherwise_nm = max([*(abs(b.mean_residual) for b in f.left), f.left_over.size if f.has_slow_residual else 0.0])
-    if f.spread is not None and otherwise_nm <= LEFT_SHARE * f.spread.size_nm:
-        lines = [*f.shakes, may_be(f.listed, also=True), *f.after, *f.rest, f.worth_of_refit]
-        return Verdict("described", CONFIRMED, joined(lines), f.listed)
+        return Verdict("described", CONFIRMED, joined([*lines, may_be(f.listed, also=True), *f.after]), f.listed)
     return _unexplained(f) or _nothing_missing(f)
 
 
 def _confirmed(f: Findings) -> Verdict:
     """The verdict with confirmed terms, unless the remaining residual is large compared with them."""
-    after = [*f.shakes, may_be(f.listed, also=True), *f.after]
+    after = [may_be(f.listed, also=True), *f.after]
     added = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
     explained = float(np.percentile(np.abs(added), 95.0))  # where they act, which may be minutes of an hour
     if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained:
@@ -210,7 +199,7 @@ def _far_from_file(f: Findings) -> Verdict:
     worth = f"{mean_error(refit.before, refit.after)} with that re-fit"
     if f.unusable:
         worth = f"No command would accept a file with them: {f.unusable}"
-    lines = [seen, *more, worth, *f.shakes, may_be(f.listed), *f.after]
+    lines = [seen, *more, worth, may_be(f.listed), *f.after]
     return Verdict("unexplained", SUSPECTED, joined(lines), f.listed, seen)
 
 
@@ -231,7 +220,7 @@ def _unexplained(f: Findings) -> Verdict | None:
     nothing = NO_NAME if f.left and not f.listed and not hint else hint
     grades = {g.grade for g in (*f.unconfirmed, *(t.graded for t in f.unsure))}
     grade = REFUTED if grades == {REFUTED} else SUSPECTED
-    lines = [seen, *more, nothing, *f.shakes, may_be(f.listed), *f.after, f.worth_of_refit]
+    lines = [seen, *more, nothing, may_be(f.listed), *f.after, f.worth_of_refit]
     return Verdict("unexplained", grade, joined(lines), f.listed, seen)
 
 

@@ -32,15 +32,11 @@ NONE_OF_THESE = "none of these"
 NO_NAME = "No effect of the catalogue explains this"
 
 FORMS = {
-    "gated_curve": "a curve",
     "spells": "an intermittent torque",
     "clock": "a torque that follows the clock",
-    "wave": "a periodic torque over distance",
     "place": "a torque at a place",
     "payload": "a payload",
-    "level_change": "a change of level",
     "recordings": "a different level in each recording",
-    "spread": "an oscillating torque",
 }
 
 Possible = tuple[tuple[str, float | None], ...]

@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, joine
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.candidate import Candidate
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
+from trackres_ros.diagnosis.selection.held_out import REFUTED, SUSPECTED, Improvement
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE
@@ -241,7 +241,7 @@ def _sources(final: Fit) -> dict[str, Any]:
 
 
 def _described(d: Diagnosis) -> list[dict[str, Any]]:
-    """The unnamed terms, a drift, and the conditions with larger oscillations."""
+    """The unnamed terms, and a drift."""
     found = []
     for t in d.described:
         intervals = {name: _pair(interval) for name, interval in t.intervals.items()}
@@ -249,13 +249,10 @@ def _described(d: Diagnosis) -> list[dict[str, Any]]:
         found[-1]["instead"] = t.instead or None
     if d.drift and d.tracked:
         found.append({**_term(d.drift, d.tracked, d.tracked.grade), "parameters": {}})
-    if d.spread:
-        tested = {"ratio": d.spread.ratio, "p": d.spread.p, "laps": d.spread.laps}
-        found.append({**_term(d.spread.described, None, CONFIRMED), "parameters": {}, **tested})
     return found
 
 
-def _term(of: Described, improvement: Improvement | None, grade: str) -> dict[str, Any]:
+def _term(of: Described, improvement: Improvement, grade: str) -> dict[str, Any]:
     """An unnamed term, with its improvement of laps left out."""
     return {
         "form": of.form,
@@ -270,9 +267,9 @@ def _term(of: Described, improvement: Improvement | None, grade: str) -> dict[st
         "predictable": of.predictable,
         "held_out_from": of.held_out_from,
         **({"stretches": of.stretches} if of.stretches else {}),
-        "gain_nm": None if improvement is None else improvement.before - improvement.after,
+        "gain_nm": improvement.before - improvement.after,
         "grade": grade,
-        "heldout": None if improvement is None else _improvement(improvement),
+        "heldout": _improvement(improvement),
     }
 
 

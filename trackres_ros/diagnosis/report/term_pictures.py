@@ -21,11 +21,10 @@ from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, shown_names
-from trackres_ros.diagnosis.report.picture import MOST_POINTS, TITLE_LETTERS, WIDTH, Picture
-from trackres_ros.diagnosis.report.series import axis_label, clock, lasting, stages
-from trackres_ros.diagnosis.report.timeline import begins, minutes
+from trackres_ros.diagnosis.report.picture import TITLE_LETTERS, WIDTH, Picture
+from trackres_ros.diagnosis.report.series import axis_label, lasting, stages
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
-from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened, thinned
+from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.text.numbers import alike, figures
@@ -56,8 +55,6 @@ def draw_term(d: Diagnosis, term: UnnamedTerm, path: Path) -> Picture:
         return _over(d, course if of.gate else term.course, adds, left_over, label, of.name, of.sentence, path)
     if of.stretches:
         return _by_stretch(d, of, path)
-    if of.form == "level_change":
-        return _over_recordings(d, adds, left_over, of, path)
     return _over_time(d, adds, left_over, of, path)
 
 
@@ -66,23 +63,6 @@ def _label(axis: Any, along: str, across: str, title: str) -> None:
     axis.set_xlabel(along)
     axis.set_ylabel(across)
     axis.set_title(textwrap.fill(title, TITLE_LETTERS))
-
-
-def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Described, path: Path) -> Picture:
-    without = f"residual without the term, means over {lasting(d, SMOOTHED_S)}"
-    with picture_with_legend(path, WIDTH, 3.0) as body:
-        axis = body.subplots()
-        for i, (session, left, term) in enumerate(zip(d.sessions, left_over, adds, strict=True)):
-            axis.plot(*thinned(minutes(d, i), smoothed(session, left + term), MOST_POINTS), color=BLUE, label=without)
-            axis.plot(minutes(d, i), np.where(session.used, term, np.nan), color=VERMILION, label=f"{of.name} as found")
-            axis.axvline(begins(d)[i], color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
-        axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time over consecutive recordings [{clock(d)[1]}]", AGAINST, of.sentence)
-    text = (
-        "Residual without the term, and the term, over all recordings in sequence. On hold-out laps the term follows from time "
-        "alone."
-    )
-    return Picture(path, f"The term: {of.name}", text)
 
 
 def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:

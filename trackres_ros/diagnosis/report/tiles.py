@@ -24,7 +24,6 @@ FEW = 3  # most names in a sentence
 AVERAGED = "Averaged"  # first word of a slow residual's description
 LEAST_SHARE = 0.01  # of the mean error: least gain for a new file
 SURE = "laps left out of the fit confirm it"
-SURE_OF_SPREAD = "a test over laps confirms it"
 SURE_OF_NONE = {
     CONFIRMED: "the hold-out laps confirm it",
     SUSPECTED: "the hold-out laps neither confirm nor reject the re-fit",
@@ -128,14 +127,9 @@ def _where(r: dict[str, Any]) -> Tile:
             "place": "By place on the route",
             "recordings": "From recording to recording",
             "drift": "Over time, slowly",
-            "level_change": "Since a point in time",
-            "spread": upper(lead["gate"] or ""),
         }
         answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"
-        size = lead["size_nm"]
-        if lead["form"] == "spread":
-            return Tile(name, answer, f"The torque oscillates by {figures(size)} Nm there (standard deviation)")
-        return Tile(name, answer, f"About {figures(size)} Nm where it acts")
+        return Tile(name, answer, f"About {figures(lead['size_nm'])} Nm where it acts")
     by = f"By {lead['acts']['by']}" if lead["acts"]["by"] else "Everywhere"
     return Tile(name, upper(_of_curves(lead["acts"]["text"])) or by, upper(lead["acts"]["size"]))
 
@@ -159,7 +153,7 @@ def _what(r: dict[str, Any]) -> Tile:
         hint = verdict["hint"]
         nothing = f"{_plain(hint)} may be a part of it" if hint else "no effect of the catalogue explains it"
         return Tile(name, "Unexplained", f"it may be: {possible}" if possible else nothing)
-    answers, detail = [], [SURE if any(t.get("form") != "spread" for t in sure) else SURE_OF_SPREAD]
+    answers, detail = [], [SURE]
     for term in sure:
         if "form" in term:
             answers.append(f"{form_words(term['form'])} (no name)")

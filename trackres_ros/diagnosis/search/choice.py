@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS, LEAST_WITHIN, varies
+from trackres_ros.diagnosis.empirical.candidates import varies
 from trackres_ros.diagnosis.empirical.finders import SURE, Term
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.torque import against_travel
@@ -32,7 +32,7 @@ from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, 
 from trackres_ros.diagnosis.selection.grade import ON_BOUND, ONLY_BETWEEN, Graded, displaced, on_bounds
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.steps import Step
-from trackres_ros.effects.learned import ALWAYS, VARIABLES, EmpiricalEffect
+from trackres_ros.effects.learned import VARIABLES, EmpiricalEffect
 from trackres_ros.text.numbers import figures
 
 MOST_JUDGED = 5  # explanations, those with the highest worth
@@ -41,6 +41,8 @@ ALIKE_WITHIN = 3.0  # in log-likelihood: a smaller difference decides nothing
 MOVES = 0.2  # of the most: with a smaller spread in a recording, a term does not act there
 SLOW = 0.1  # of the largest speed
 LEAST_OF_SIZE = 0.05  # of the mean square that a term adds: with a smaller fall of the error, it cancels another term
+FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any cause
+LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, a term differs only between them
 NEAR = 100.0  # in level score: no rival further behind is as good
 CLASS_SHARE = 0.8
 
@@ -82,7 +84,7 @@ class Chosen:
         """The variables of other forms that laps left out do not separate from a form over another one."""
         own, step = self.explanation.candidates[name].effect, self.steps[name]
         effects = [c.effect for c in step.candidates if c.name in step.members] if isinstance(own, EmpiricalEffect) else []
-        codes = dict.fromkeys(e.variable for e in effects if isinstance(e, EmpiricalEffect) and e.variable != ALWAYS)
+        codes = dict.fromkeys(e.variable for e in effects if isinstance(e, EmpiricalEffect))
         return tuple(VARIABLES[code].text for code in codes if code != getattr(own, "variable", code))
 
     @property
@@ -107,9 +109,7 @@ class Choice:
         at = explanation.key, name
         if at not in self._graded:
             without = self._search.without(explanation, name)
-            term = explanation.terms.get(name)
-            change = term is not None and term.change is not None
-            improvement = self._validation.improvement(without.score, explanation.score, for_good=change)
+            improvement = self._validation.improvement(without.score, explanation.score)
             active = next(a for a in explanation.fit.effects if a.effect.name == name)
             faults = self._faults(explanation, name, improvement, without) if improvement.confirmed else ()
             instead = displaced(improvement, explanation.fit, without.fit)
@@ -215,8 +215,7 @@ class Choice:
         return {name: graded for (of, name), graded in self._graded.items() if of - {name} == key}
 
     def _is_confirmed(self, explanation: Explanation) -> bool:
-        once = any(term.change is not None for term in explanation.terms.values())
-        whole = self._validation.improvement(self._search.nothing.score, explanation.score, for_good=once)
+        whole = self._validation.improvement(self._search.nothing.score, explanation.score)
         kept = self._kept(explanation)
         # Terms that pass only together were chosen from many more sets, and cancel each other as they please.
         if explanation.worth <= SURE * (len(explanation.key) - 1):
@@ -292,8 +291,7 @@ class Choice:
         mean square error must fall by more than the square of a tenth of the others' torque.
         """
         more_forms = one.without_a_name > other.without_a_name
-        once = any(term.change is not None for name, term in one.terms.items() if name not in other.key)
-        if self._validation.least_gain(other.score, one.score, once) <= (SURE if more_forms else ALIKE_WITHIN):
+        if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
         torques = [self._beyond_base(other.fit.contribution(name)) for name in other.key]
         by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2

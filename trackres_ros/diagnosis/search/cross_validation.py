@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -145,13 +145,9 @@ class CrossValidation:
         """Level score of one over another."""
         return float((after.density - before.density).sum())
 
-    def least_gain(self, before: Score, after: Score, for_good: bool = False) -> float:
-        """Lower bound of the level score; a lasting change (`for_good`) is one occasion."""
-        return self._least(self._by_piece(before) if for_good else before, after.density - before.density)
-
-    def _by_piece(self, score: Score) -> Score:
-        """The same score with each piece an occasion of its own: a change that lasts has no more than one."""
-        return replace(score, occasion=np.arange(len(self._count)))
+    def least_gain(self, before: Score, after: Score) -> float:
+        """Lower bound of the level score."""
+        return self._least(before, after.density - before.density)
 
     def by_recording(self, of_pieces: Array) -> Array:
         """Sums of each recording, of values of the pieces."""
@@ -162,10 +158,8 @@ class CrossValidation:
         old, new = (float((np.abs(s.level) * self._count).sum()) for s in (before, after))
         return new <= (1.0 - LEAST_LEVEL) * old
 
-    def improvement(self, before: Score, after: Score, for_good: bool = False) -> Improvement:
-        """Change of the mean error, with the lower bound of the level score; a lasting change (`for_good`) is one occasion."""
-        if for_good:
-            before = self._by_piece(before)
+    def improvement(self, before: Score, after: Score) -> Improvement:
+        """Change of the mean error, with the lower bound of the level score."""
         count, fallen = self._count.sum(), before.error - after.error
         return Improvement(
             float(before.error.sum() / count), float(after.error.sum() / count),

@@ -176,7 +176,7 @@ def choose_written(
 
     `believed` are the names of the effects that may be written, `confirmed` those confirmed on hold-out laps. Confirmed sensor
     effects correct the torque for judging vehicle.yaml. `final` has all found effects, with the intervals `bounds`, and
-    `refitted` none. A re-fit without `passing` terms, confirmed spells or a change of level, would average what is with and
+    `refitted` none. A re-fit without `passing` terms, confirmed spells, would average what is with and
     without them. So values are fitted together with them. No file has these terms, so they are not in any error.
     """
     written = tuple(a for a in final.effects if a.effect.name in believed and a.effect.acts_on != WATCHED)

@@ -67,8 +67,9 @@ class Candidate:
 
 def same_variable(one: Effect, other: Effect) -> bool:
     """Whether both are forms over the same variable: then one of them describes it, and not a sum of both."""
-    mine, its = (e.over if isinstance(e, EmpiricalEffect) else None for e in (one, other))
-    return mine is not None and mine == its
+    if not (isinstance(one, EmpiricalEffect) and isinstance(other, EmpiricalEffect) and one.is_function and other.is_function):
+        return False
+    return one.variable == other.variable
 
 
 def compared(current: Fit, found: Fit, name: str, cost: float = 0.0, kept: float = 1.0, d_prime: float = math.nan) -> Candidate:

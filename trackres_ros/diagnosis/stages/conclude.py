@@ -37,7 +37,7 @@ def conclude(
     kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
     believed = believed_in(judged.found, judged.described, judged.verdict, kinds, keep_suspected)
     confirmed = [g.name for g in chosen.graded.values() if g.confirmed]
-    passing = [name for name in confirmed if chosen.term(name).chain is not None or chosen.term(name).change is not None]
+    passing = [name for name in confirmed if chosen.term(name).chain is not None]
     kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, passing)
     names = {name for kind in BELONGS_TO for name in kept.names_of(kind)}
     # Those by place too, and those that have faded since: a disturbance is what the file lacks.

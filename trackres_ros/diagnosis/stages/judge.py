@@ -26,11 +26,9 @@ from trackres_ros.diagnosis.findings.locate import (
     spans,
 )
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
-from trackres_ros.diagnosis.findings.spread import Spread, find_spread
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.findings.wording import assumed_sensor
-from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.prepare.session import Array
@@ -56,7 +54,6 @@ class Judgement:
     described: tuple[UnnamedTerm, ...]  # unnamed terms, the largest first
     drift: Described | None  # the slow residual, where it is larger than expected
     tracked: Improvement | None  # hold-out result of following the drift live
-    spread: Spread | None  # conditions with a larger scatter of the torque
     held_out: HeldOut  # errors on hold-out laps
     tested_end: Fit  # the final fit with the noise that best whitens its residual
     at_end: RegimeMap  # its residual by regime
@@ -82,10 +79,8 @@ def judge(
         left_over = replace(left_over, closest=closest_to_slow(final, left_over.seconds))
     later = only_later(base.refitted, worth.mae["refitted"])
     drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
-    is_vehicle = prepared.vehicle.known.is_vehicle
     tracked = drift_on_held_out(final, base.laps) if drift is not None else None
     as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, Graded(drift.form, tracked))
-    spread = attempt("an oscillation", lambda: find_spread(final)) if is_vehicle else None  # its regimes are a vehicle's
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
         Findings(
@@ -100,7 +95,6 @@ def judge(
             drift=as_term,
             changed=changed,
             shares=chosen.shares,
-            spread=None if spread is None else spread.described,
             sensors=prepared.gated.sensors,
             by_load=_by_load(chosen.unconfirmed),
             later=later,
@@ -108,7 +102,7 @@ def judge(
             unusable=unusable,
         )
     )
-    return Judgement(tuple(found), tuple(terms), drift, tracked, spread, worth, tested_end, at_end, bounds, verdict)
+    return Judgement(tuple(found), tuple(terms), drift, tracked, worth, tested_end, at_end, bounds, verdict)
 
 
 def _by_load(unconfirmed: Sequence[Graded]) -> str:

@@ -50,20 +50,16 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
         return _two_levels(np.split(added, np.cumsum(lengths)[:-1]))
     if form == "recordings":
         return partial([np.repeat(np.arange(len(lengths)), lengths.astype(int))], over, added) >= BOUND
-    if form == "level_change":
-        edges = range(BLOCK_S, len(added) - BLOCK_S, 10)
-        return max((abs(_correlation((np.arange(len(added)) >= k).astype(float), added)) for k in edges), default=0.0) >= ALL
     if form == "drift":  # slow, and no single variable explains it
         rivals = [x for name, x in over.items() if name not in CLOCKS]
         return _correlation(_smooth(added, 60), added) >= ALL > max(partial([_bins(x, BINS)], over, added) for x in rivals)
-    if form in ("wave", "place"):
+    if form == "place":
         period = term.get("period_m")
         return period is not None and partial([_bins(series["distance"] % float(period), 2 * BINS)], over, added) >= BOUND
-    target = np.abs(added - _smooth(added, 20)) if form == "spread" else added
     named = [*_named(words(term.get("variable")), series)[:1], *_named(words(term.get("gate")), series)[:1]]
     meant = [[series[x] for x in (name, ALSO.get(name)) if x in series] for name in named]
     return any(
-        partial([_bins(x, count) for x, count in zip(xs, (BINS, SIDES), strict=False)], over, target) >= BOUND
+        partial([_bins(x, count) for x, count in zip(xs, (BINS, SIDES), strict=False)], over, added) >= BOUND
         for xs in product(*meant) if xs
     )  # fmt: skip
 
