@@ -65,21 +65,21 @@ def test_a_finder_that_fails_is_a_note_and_ends_nothing(tmp_path, monkeypatch):
     def singular(*_):
         return np.linalg.solve(np.zeros((2, 2)), np.zeros(2))
 
-    for finder in ("find_place", "find_chain", "find_payload", "by_recording"):
+    for finder in ("find_place", "find_wave", "find_chain", "find_payload", "by_recording"):
         monkeypatch.setattr(finders, finder, singular)
     found = tr.diagnose(*pump_runs(tmp_path), quick=True)
     assert len(found.effects) == 1
-    assert sum("LinAlgError" in warning for warning in found.warnings) >= 3
+    assert sum("LinAlgError" in warning for warning in found.warnings) >= 4
 
 
 def test_an_error_is_raised_where_nobody_reads_notes():
     with failures() as found:
-        assert attempt("spells", lambda: 1 // 0) is None
+        assert attempt("a wave", lambda: 1 // 0) is None
         assert attempt("a place", lambda: 3) == 3
     (note,) = found
-    assert "spells" in note
+    assert "a wave" in note
     with pytest.raises(ZeroDivisionError):
-        attempt("spells", lambda: 1 // 0)
+        attempt("a wave", lambda: 1 // 0)
 
 
 def test_equations_that_determine_nothing_have_a_solution():

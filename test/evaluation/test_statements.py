@@ -76,11 +76,11 @@ def test_a_drift_is_slow_and_follows_nothing(kept):
     assert not is_true(term("drift"), over, 50.0 * np.sin(over["belt temperature"] / 8.0), lengths)
 
 
-def test_a_place_needs_its_lap_and_a_fade_a_stop(kept):
+def test_a_wave_needs_the_right_length_and_a_fade_a_stop(kept):
     over, lengths = kept
     wave = 200.0 * np.sin(2.0 * np.pi * over["distance"] / 370.0)
-    assert is_true(term("place", "place on the route", period_m=370.0), over, wave, lengths)
-    assert not is_true(term("place", "place on the route", period_m=290.0), over, wave, lengths)
+    assert is_true(term("wave", "driven distance", period_m=370.0), over, wave, lengths)
+    assert not is_true(term("wave", "driven distance", period_m=290.0), over, wave, lengths)
     since, way = np.zeros(len(wave)), 0.0
     for i, v in enumerate(over["speed"]):
         way = 0.0 if v < 0.1 or i in np.cumsum(lengths)[:-1] else way + v

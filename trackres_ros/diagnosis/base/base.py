@@ -84,6 +84,7 @@ class Base(ABC):
     rotating_mass_factor = 1.0  # effective over true mass in acceleration
 
     def __init__(self) -> None:
+        self.parts: Mapping[str, float] = {}  # rotating ones, with their distance per turn [m]
         self._by_default: Values = {}  # of parameters that a call does not give
         self._last = dict[tuple[object, ...], list[Array]]()
 

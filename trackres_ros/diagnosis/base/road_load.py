@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -55,6 +56,7 @@ class RoadBase(FileBase):
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = vehicle.constants
         self._constants = make_constants(vehicle, Settings())
+        self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
         self.rolls = vehicle.rolls
         known = {name: vehicle.parameters[f"{SECTION}.{name}"] for name in (*FITTED, *OF_SLIDES, TORQUE_OFFSET) if name in v}
         free = [name for name, q in known.items() if q.standard_deviation > 0.0]

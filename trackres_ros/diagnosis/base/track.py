@@ -69,6 +69,11 @@ class TrackBase(FileBase):
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
         first = vehicle.track_of(vehicle.assemblies[0])
+        self.parts = {
+            "belt": first.belt.loop_length,
+            "sprocket": 2.0 * math.pi * first.sprocket_radius,
+            "road wheels": 2.0 * math.pi * first.road_wheels.radius,
+        }
         self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
         limits = {**RUBBER, **CHASSIS, **BELT}
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Finds terms that follow the clock or the place in the residual of a fit: spells, a place, a mass by
-stretch, a route. A term of the clock must gain more than noise and the model's own error would.
+stretch, a wave, a route. A term of the clock must gain more than noise and the model's own error would.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from trackres_ros.diagnosis.empirical.spells import (
 )
 from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recordings
 from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
+from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
@@ -48,7 +49,8 @@ FEWEST_SPELLS = 2  # with one, it is a step
 LEAST_DRIFT_S = 60.0  # a faster drift is noise that the autoregression includes
 LEAST_DRIFT = 0.01  # of the torque
 BETWEEN = 0.7  # of the slow variance: share between recordings
-SPELLS, PLACE = "spells", "place"
+PHASE_COST = 1.0  # in log-likelihood: gain by noise of the phase and size fitted to each stretch
+SPELLS, WAVE, PLACE = "spells", "wave", "place"
 LIKELY = 0.5  # probability of an active spell
 FEWEST_TURNS = 2.0  # of a session, least for a circuit
 
@@ -59,6 +61,7 @@ class Term:
 
     candidate: Candidate
     chain: Chain | None = None
+    wave: Wave | None = None
     place: Place | None = None
     payload: Payload | None = None
     route: Route | None = None
@@ -170,6 +173,19 @@ def beginnings(b: Blocks, there: Array, backwards: bool = False) -> Mask:
     return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
 
 
+def _wave(current: Fit, last: Fit) -> Term | None:
+    """A wave in driven distance; on hold-out laps from earlier measurements."""
+    residuals = residuals_without(last, WAVE)
+    wave = find_wave(current)
+    if wave is None:
+        return None
+    ahead = followed(wave, residuals, current.problem.sessions)
+    shape = [np.where(m, x, a) for x, m, a in zip(wave.shape, current.problem.masks, ahead, strict=True)]
+    cost = PHASE_COST * wave.phases
+    candidate = _fitted(current, WAVE, "a torque that comes again with distance", shape, wave.size, cost, ahead)
+    return Term(candidate, wave=wave) if candidate.evidence > SURE and candidate.matters else None
+
+
 def _place(current: Fit, last: Fit) -> Term | None:
     """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
     residuals = residuals_without(last, PLACE)
@@ -208,11 +224,11 @@ def _payload(current: Fit, last: Fit, route: Route | None) -> Term | None:
     return Term(candidate, payload=payload) if _counts(candidate, current) else None
 
 
-def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route]) -> list[Term]:
+def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route], waves: bool) -> list[Term]:
     """All terms of clock or place in addition to a fit, one of each name. Quick machines have none, because spells, a payload
     and a road belong to vehicles.
 
-    `kinds` are those of terms by place to learn, `routes` the fit's own terms by place.
+    `kinds` are those of terms by place to learn, `routes` the fit's own terms by place. A search for `waves` takes long.
     """
     if any(s.pace < 1.0 for s in current.problem.sessions):
         return []
@@ -220,6 +236,7 @@ def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes
     searches: dict[str, Search] = {
         SPELLS: _spells,
         **({PLACE: _place} if roads is None else {}),
+        **({WAVE: _wave} if waves else {}),
         PAYLOAD: partial(_payload, route=route),
     }
     each = counted(searches.items(), "terms that follow the clock", len(searches))

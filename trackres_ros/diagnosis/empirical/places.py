@@ -17,12 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.empirical.waves import LONGEST_M
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, Mask, whole_past
 
 Indices = NDArray[np.int64]
 
-SHORTEST_LAP_M = 400.0
+SHORTEST_LAP_M = LONGEST_M  # a shorter period is a wave
 BIN_M = 25.0
 WIDTHS = (1, 2, 4)  # bins of a place
 FEWEST_PASSES = 3

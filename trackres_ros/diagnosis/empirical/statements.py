@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals
 from trackres_ros.diagnosis.empirical.spells import Chain, spell_probability
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.empirical.torque import against_travel
+from trackres_ros.diagnosis.empirical.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects.learned import EmpiricalEffect
@@ -46,6 +47,8 @@ def _described(term: Term, final: Fit, noun: str) -> Described:
     level = active.numbers[0]
     if isinstance(active.effect, ClockTerm):
         return terms.of_clock(active.effect, level, noun)
+    if term.wave is not None:
+        return terms.of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     if term.place is not None:
         return terms.of_place(name, level, term.place, noun)
     if term.payload is not None:

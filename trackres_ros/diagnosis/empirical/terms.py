@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.places import Place
 from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
+from trackres_ros.diagnosis.empirical.waves import Wave
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.effects import learned
@@ -62,6 +63,7 @@ OF_SPELLS = (
     "a brake that stays applied for a while",
     "another consumer on the same drive",
 )
+OF_WAVES = ("a stiff or damaged place in a belt", "an out-of-round wheel or a worn bearing")
 OF_CLOCKS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
 OF_PLACES = tuple(map(OfVehicle, ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")))
 OF_PAYLOAD = (OfVehicle("boarding passengers or loaded goods"), "a tank or a hopper that fills and empties")
@@ -69,12 +71,12 @@ OF_RECORDINGS = (OfVehicle("a load, ground or wind that differs from the recorde
 OF_DRIFT = ("a torque sensor with a drifting zero", OfVehicle("an unrecorded slope, wind or ground"))
 
 Form = Literal[
-    "curve", "step", "hinge", "latch", "sided_gain", "spells", "place", "payload",
+    "curve", "step", "hinge", "latch", "sided_gain", "spells", "wave", "place", "payload",
     "recordings", "drift", "clock",
 ]  # fmt: skip
 FOLLOWED: tuple[Form, ...] = ("recordings", "drift")  # no fit has them: a live estimate follows them
 FROM: Mapping[Form, str] = dict.fromkeys((*FOLLOWED, "spells"), "a live estimate that tracks it") | {
-    "payload": "the torque measured before", "place": "the driven distance alone",
+    "wave": "the torque measured before", "payload": "the torque measured before", "place": "the driven distance alone",
     "clock": "the clock or the driven distance alone",
 }  # fmt: skip
 """Source of an unpredictable term on hold-out laps, thus in their error."""
@@ -93,7 +95,7 @@ class Described:
     unit: str = ""  # of the variable
     gate: str = ""  # in words; empty without
     predictable: bool = False  # whether it can be fed forward, because its inputs are known at the time
-    period_m: float | None = None  # length of the lap of a place
+    period_m: float | None = None  # length of a wave, or of the lap of a place
     memory: float | None = None  # mean duration of a spell, or time constant of a drift [s]
     stretches: tuple[Stretch, ...] = ()  # of a payload: the mass of each stretch between stops
 
@@ -186,6 +188,13 @@ def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Arra
         f"recordings{begins}"
     )
     return Described("spells", name, text, OF_SPELLS, abs(level), memory=chain.mean_s)
+
+
+def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
+    """Describe a wave of this size [Nm], named after the part with its length per turn, if there is one."""
+    of = f", which is {part}" if part else ""
+    text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{of}"
+    return Described("wave", name, text, OF_WAVES, abs(level), "driven distance", period_m=wave.length_m)
 
 
 def of_clock(effect: ClockTerm, level: float, noun: str) -> Described:

@@ -34,6 +34,7 @@ NO_NAME = "No effect of the catalogue explains this"
 FORMS = {
     "spells": "an intermittent torque",
     "clock": "a torque that follows the clock",
+    "wave": "a periodic torque over distance",
     "place": "a torque at a place",
     "payload": "a payload",
     "recordings": "a different level in each recording",

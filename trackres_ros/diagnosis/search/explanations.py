@@ -190,7 +190,7 @@ class Search:
         effects = [a.effect for a in current.effects]
         tested = fit(current.problem, effects, current.at)  # with the noise that best whitens: a drift is no spell
         routes = {name: term.route for name, term in explanation.terms.items() if term.route is not None}
-        for term in find_terms(tested, self._roads, self._kinds, routes):
+        for term in find_terms(tested, self._roads, self._kinds, routes, waves=not explanation.key):
             effect = term.candidate.effect
             fitted = self._fitted(current, [*effects, effect], term.candidate.fit.at)
             self._add(explanation, replace(term.candidate, fit=fitted), term)

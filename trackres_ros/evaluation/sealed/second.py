@@ -31,7 +31,7 @@ from trackres_ros.evaluation.sealed.scored import OURS, Scored
 CLEAR = 12.0  # d' from which physics outside the catalogue is detectable
 TRUE = {
     "pump": (("spells",), ()), "brake": (("spells",), ("stop", "stand")), "resonance": ((), ("speed",)),
-    "backlash": ((), ("driving torque",)), "cyclic_joint": ((), ("distance",)), "zero_drift": (("drift",), ()),
+    "backlash": ((), ("driving torque",)), "cyclic_joint": (("wave",), ()), "zero_drift": (("drift",), ()),
     "gear_state": (("spells", "latch"), ("speed",)), "overload_rub": ((), ("load", "heavy")),
     "regen_misread": ((), ("driving torque", "slow", "brak")),
     "cold": ((), ("ambient",)), "cool": ((), ("ambient",)), "load": ((), ("load", "heavy", "light")),

@@ -53,7 +53,7 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
     if form == "drift":  # slow, and no single variable explains it
         rivals = [x for name, x in over.items() if name not in CLOCKS]
         return _correlation(_smooth(added, 60), added) >= ALL > max(partial([_bins(x, BINS)], over, added) for x in rivals)
-    if form == "place":
+    if form in ("wave", "place"):
         period = term.get("period_m")
         return period is not None and partial([_bins(series["distance"] % float(period), 2 * BINS)], over, added) >= BOUND
     named = [*_named(words(term.get("variable")), series)[:1], *_named(words(term.get("gate")), series)[:1]]
