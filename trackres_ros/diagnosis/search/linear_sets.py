@@ -28,10 +28,11 @@ FEWEST_RECORDINGS = 3  # to leave whole ones out
 
 
 class Columns(NamedTuple):
-    """Derivatives of a term's amplitudes in units of their typical sizes, shape (n, amplitudes), and bounds in these units."""
+    """Derivatives by a term's amplitudes, shape (n, amplitudes), their typical sizes, and bounds in units of these."""
 
     effect: Effect
     derivatives: Array
+    sizes: Array
     low: Array
     high: Array
 
@@ -61,10 +62,15 @@ class LinearSets:
         for name, term in terms.items():
             self._at[name] = np.arange(count, count + len(term.low))
             count += len(term.low)
-        derivatives = np.concatenate([own * scale, *(t.derivatives for t in terms.values())], axis=1)
-        root = np.sqrt(fit.weights[np.isfinite(fit.weights)])
-        x = valid_rows(fit.problem.white(fit.problem.split(derivatives), fit.noises)) * root[:, np.newaxis]
-        y = valid_rows(fit.white) * root
+        used = np.isfinite(weights := fit.weights)
+        root = np.sqrt(weights[used])
+        x, y = np.empty((len(root), count)), valid_rows(fit.white) * root
+        # Term by term: together they would be the largest arrays of a diagnosis.
+        for at, derivatives, sizes in [
+            (np.arange(self._own), own, scale), *((self._at[name], t.derivatives, t.sizes) for name, t in terms.items()),
+        ]:  # fmt: skip
+            white = fit.problem.white(fit.problem.split(derivatives * sizes), fit.noises)
+            x[:, at] = valid_rows(white) * root[:, np.newaxis]
         prior = np.full(count, PRIOR)
         prior[: self._own] = scale / std
         self._prior = np.diag(prior**2 + RIDGE * len(y))
@@ -72,7 +78,6 @@ class LinearSets:
         self._pull[: self._own] = scale / std * np.nan_to_num((nominal - fit.point) / std)
         self._low = np.concatenate([(low - fit.point) / scale, *(t.low for t in terms.values())])
         self._high = np.concatenate([(high - fit.point) / scale, *(t.high for t in terms.values())])
-        used = np.isfinite(fit.weights)
         pairs, group = np.unique(np.stack([lap[used], recording[used]]), axis=1, return_inverse=True)
         order = np.argsort(group.ravel(), kind="stable")
         parts = np.split(order, np.cumsum(np.bincount(group.ravel()))[:-1])
@@ -124,15 +129,12 @@ class LinearSets:
     def best(self, among: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
         """The `count` sets of each size of some terms with the highest gain less a `cost` for each term, best first."""
         beam: list[Names] = [()]
-        found: dict[frozenset[str], float] = {}
+        gains: dict[Names, float] = {}
         chosen: list[Names] = []
         for size in range(1, most_terms + 1):
-            sets = {
-                frozenset((*names, name)) for names in beam for name in among if name not in names and self._fits(name, names)
-            }
-            gains = {key: self.gain(key) - cost * size for key in sets}
-            found |= gains
-            ordered = sorted(gains, key=lambda key: -gains[key])
-            beam = [tuple(sorted(key)) for key in ordered[:EXPANDED]]
+            pairs = ((names, name) for names in beam for name in among if self._fits(name, names))
+            sets = dict.fromkeys(tuple(sorted((*names, name))) for names, name in pairs)  # in an order of its own
+            gains |= {names: self.gain(names) - cost * size for names in sets}
+            beam = sorted(sets, key=lambda names: -gains[names])[:EXPANDED]
             chosen += beam[:count]
-        return sorted(chosen, key=lambda names: -found[frozenset(names)])
+        return sorted(chosen, key=lambda names: -gains[names])
