@@ -85,7 +85,10 @@ def test_a_scan_finds_the_thresholds_of_what_is_there(fitted):
     states = [latched_states(x, np.array([3.0]), np.array([7.0]))[:, 0] for x in speed]
     (latch, *_) = scanned(fitted, SPEED, speed, states)
     assert isinstance(latch, Latch)
-    assert (latch.values()["off"], latch.values()["on"]) == pytest.approx((3.0, 7.0), abs=0.3)
+    off, on = (np.array([latch.values()[name]]) for name in ("off", "on"))
+    # Thresholds between the same two samples of every passage are the same latch.
+    agree = np.concatenate([latched_states(x, off, on)[:, 0] == state for x, state in zip(speed, states, strict=True)])
+    assert agree.mean() > 0.99
 
 
 @pytest.mark.parametrize(
