@@ -7,7 +7,9 @@ Pictures of a page hang on the fonts of the machine that draws it. So its layout
 view, that nothing overlaps or scrolls sideways, how many sheets it prints on and how far down each is filled.
 """
 
+import base64
 import copy
+import gzip
 import importlib.util
 import json
 import re
@@ -30,7 +32,7 @@ from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.wording import range_of, upper
 from trackres_ros.diagnosis.report.content import _term, inputs
-from trackres_ros.diagnosis.report.interactive import _nm, _places
+from trackres_ros.diagnosis.report.interactive import DOCUMENT, _nm, _places, interactive
 from trackres_ros.diagnosis.report.page import interval, provenance, sha256, write_page
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
 from trackres_ros.diagnosis.report.series import (
@@ -363,6 +365,22 @@ def test_without_bokeh_the_page_says_how_to_install_it(diagnoses, scrubbed, tmp_
     page = (tmp_path / "report.html").read_text()
     assert why in page.replace("&#39;", "'")
     assert "<script" not in page
+
+
+def test_bokeh_knows_each_model_and_attribute_of_the_plots(diagnosed, caplog):
+    """The page's documents are written without Bokeh's classes; these accept only their own attributes."""
+    pytest.importorskip("bokeh")
+    import bokeh.plotting  # noqa: F401 - all models
+    from bokeh.core.serialization import Deserializer
+
+    drawn = interactive(diagnosed)
+    content = json.loads(gzip.decompress(base64.b64decode(drawn.data)))["documents"][DOCUMENT]["roots"]
+    roots = Deserializer().decode(content)
+    plots = [plot for of in drawn.plots.values() for plot in of]
+    assert [(f"plot-{root.id}", root.title.text) for root in roots] == plots
+    assert not caplog.records
+    Deserializer().decode(json.loads(json.dumps(content).replace('"line_width"', '"line_wide"')))
+    assert "line_wide" in caplog.text
 
 
 PROBE = """<script>
