@@ -11,7 +11,7 @@ not used for learning.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +37,7 @@ SURE = 10.0  # in log-likelihood, beyond the cost of the tried lengths
 FURTHEST = 3.0  # standard deviations
 EDGES_M, MOST_MOVED = (12.5, 2.5), 6  # search steps for the edges of the range, and their number
 HALF = 0.5  # of the largest torque: limit of the range
-AT_ONCE = 200
+AT_ONCE = 200_000  # stretches or places of lap lengths, which fit into the cache of a processor
 SOME = 8  # one length in so many shows the gain by chance
 FINER, MOST_OFF = 0.0005, 8  # search steps for the length, and their number
 
@@ -185,17 +185,19 @@ def _best(bins: _Bins, laps: Array, left: _Bins) -> _Folding:
     """The most likely folding; the remainder `left` shows the gain by chance for a noise that is not quite white."""
     found = []
     for width in WIDTHS:
-        square, passes = _squares(bins, laps, width)
-        by_chance, there = _squares(left, laps[::SOME], width)
-        scale = max(1.0, float(np.median(by_chance.sum(axis=1) / (there > 0.0).sum(axis=1))))
-        taken = (passes > 0.0).sum(axis=1, keepdims=True) / len(bins.at)  # share of the degrees of freedom used by places
-        scales = scale / np.maximum(1.0 - taken, 1.0 / FEWEST_PASSES)
-        typical = passes.sum(axis=1) / (passes > 0.0).sum(axis=1)
-        for prior in PRIORS:
-            grown = prior * passes / typical[:, np.newaxis]
-            evidence = 0.5 * (square / scales * grown / (1.0 + grown) - np.log1p(grown)).sum(axis=1)
-            i = int(np.argmax(evidence))
-            found.append(_Folding(float(evidence[i]), float(laps[i]), width, prior / float(typical[i])))
+        by_chance = [square.sum(axis=1) / (passes > 0.0).sum(axis=1) for square, passes in _squares(left, laps[::SOME], width)]
+        scale, first = max(1.0, float(np.median(np.concatenate(by_chance)))), 0
+        for square, passes in _squares(bins, laps, width):
+            places = (passes > 0.0).sum(axis=1, keepdims=True)
+            # Places use up degrees of freedom.
+            square /= scale / np.maximum(1.0 - places / len(bins.at), 1.0 / FEWEST_PASSES)
+            typical = passes.sum(axis=1, keepdims=True) / places
+            for prior in PRIORS:
+                grown = prior * passes / typical
+                evidence = 0.5 * (square * grown / (1.0 + grown) - np.log1p(grown)).sum(axis=1)
+                i = int(np.argmax(evidence))
+                found.append(_Folding(float(evidence[i]), float(laps[first + i]), width, prior / float(typical[i, 0])))
+            first += len(square)
     return max(found, key=lambda one: one.evidence)
 
 
@@ -239,11 +241,12 @@ def _whitened(means: Sequence[Array], known: Sequence[Mask], ways: Sequence[floa
     return _Bins(at[valid], session[valid], np.clip(white[valid], -FURTHEST, FURTHEST))
 
 
-def _squares(bins: _Bins, laps: Array, width: int) -> tuple[Array, Array]:
-    """Squared sum over passes at each place, divided by their number, and that number; shape (lengths, places)."""
-    squares, numbers = [], []
+def _squares(bins: _Bins, laps: Array, width: int) -> Iterator[tuple[Array, Array]]:
+    """Squared sum over passes at each place, divided by their number, and that number; shape (lengths, places), of a part of the
+    lap lengths at once.
+    """
     most = round(float(laps.max()) / (BIN_M * width)) + 1
-    for some in np.array_split(laps, max(1, len(laps) // AT_ONCE)):
+    for some in np.array_split(laps, math.ceil(len(laps) * max(len(bins.at), most) / AT_ONCE)):
         lap = some[:, np.newaxis]
         count = np.maximum(1.0, np.round(lap / (BIN_M * width)))
         turns = bins.at / lap
@@ -252,9 +255,7 @@ def _squares(bins: _Bins, laps: Array, width: int) -> tuple[Array, Array]:
         place = (place + most * np.arange(len(some))[:, np.newaxis]).ravel()
         total = np.bincount(place, weights=np.tile(bins.white, len(some)), minlength=most * len(some))
         passes = np.bincount(place, minlength=most * len(some))
-        squares.append((total**2 / np.maximum(passes, 1)).reshape(len(some), most))
-        numbers.append(passes.reshape(len(some), most).astype(float))
-    return np.concatenate(squares), np.concatenate(numbers)
+        yield (total**2 / np.maximum(passes, 1)).reshape(len(some), most), passes.reshape(len(some), most).astype(float)
 
 
 def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:

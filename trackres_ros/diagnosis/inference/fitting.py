@@ -141,7 +141,7 @@ def log_likelihood(problem: Problem, residuals: Sequence[Array], noises: Mapping
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model."""
+    """A fitted model. A search keeps a hundred of them, so what follows from its numbers is computed when it is asked for."""
 
     problem: Problem
     base_values: dict[str, float]
@@ -155,7 +155,7 @@ class Fit:
     samples: int  # number of used residuals
     predicted: tuple[Predicted, ...]  # of each session
 
-    @cached_property
+    @property
     def residuals(self) -> list[Array]:
         """Measured less expected, of each segment."""
         return self.problem.residuals(self.predicted)
@@ -189,12 +189,12 @@ class Fit:
         without = self.problem.predict(self.base_values, [a for a in self.acting if a.effect.name != name])
         return [p.torque - w.torque for p, w in zip(self.predicted, without, strict=True)]
 
-    @cached_property
+    @property
     def white(self) -> list[Array]:
         """Whitened residuals of each segment, over their standard deviation."""
         return self.problem.white(self.residuals, self.noises)
 
-    @cached_property
+    @property
     def weights(self) -> Array:
         """Weights of the residuals of all segments, concatenated; nan where unused."""
         return np.concatenate([self.noises[g.kind].weights(w) for w, g in zip(self.white, self.problem.segments, strict=True)])

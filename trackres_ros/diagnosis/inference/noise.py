@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.lapack import dposv, dtbtrs
+from scipy.linalg.lapack import dgeev, dposv, dtbtrs
 from scipy.special import gammaln
 
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, Mask, whole_past
@@ -191,6 +191,7 @@ def _stable(phi: Array, largest_root: float) -> Array:
         return phi
     companion = np.eye(len(phi), k=-1)
     companion[0] = phi
-    largest = float(np.abs(np.linalg.eigvals(companion)).max())
+    real, imaginary, *_ = dgeev(companion, compute_vl=False, compute_vr=False)
+    largest = float(np.hypot(real, imaginary).max())
     shrink = min(1.0, largest_root / largest) if largest > 0 else 1.0
     return phi * shrink ** np.arange(1, len(phi) + 1)

@@ -79,7 +79,6 @@ class Search:
         self.known: dict[Key, Explanation] = {self.nothing.key: self.nothing}
         self.rounds: dict[Key, Proposals] = {}
         self._left_out = set[str]()
-        self._linear: tuple[Fit, Mapping[tuple[str, str], Array]] | None = None
 
     def run(self) -> None:
         """Explore the promising explanations: names and forms first, then the clock for what they leave."""
@@ -220,17 +219,12 @@ class Search:
         key = explanation.key - {name}
         if key not in self.known:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
-            found, columns = first_look(explanation.fit, effects, self._derivatives(explanation), {}, SHORT_ROOT)
+            known = _by_parameter(explanation.fit, base_columns(explanation.fit))
+            found, columns = first_look(explanation.fit, effects, known, {}, SHORT_ROOT)
             kept = {n: c for n, c in explanation.candidates.items() if n != name}
             terms = {n: t for n, t in explanation.terms.items() if n != name}
             self.known[key] = self._explained(found, self.validation.score(found, columns), kept, terms)
         return self.known[key]
-
-    def _derivatives(self, explanation: Explanation) -> Mapping[tuple[str, str], Array]:
-        """Derivatives of the predictions of an explanation by its parameters; kept for the last one."""
-        if self._linear is None or self._linear[0] is not explanation.fit:
-            self._linear = explanation.fit, _by_parameter(explanation.fit, base_columns(explanation.fit))
-        return self._linear[1]
 
     def _best_known(self) -> Explanation:
         return max(self.known.values(), key=lambda e: e.worth)

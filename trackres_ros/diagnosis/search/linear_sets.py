@@ -62,7 +62,8 @@ class LinearSets:
             self._at[name] = np.arange(count, count + len(term.low))
             count += len(term.low)
         derivatives = np.concatenate([own * scale, *(t.derivatives for t in terms.values())], axis=1)
-        root = np.sqrt(fit.weights[np.isfinite(fit.weights)])
+        used = np.isfinite(weights := fit.weights)
+        root = np.sqrt(weights[used])
         x = valid_rows(fit.problem.white(fit.problem.split(derivatives), fit.noises)) * root[:, np.newaxis]
         y = valid_rows(fit.white) * root
         prior = np.full(count, PRIOR)
@@ -72,7 +73,6 @@ class LinearSets:
         self._pull[: self._own] = scale / std * np.nan_to_num((nominal - fit.point) / std)
         self._low = np.concatenate([(low - fit.point) / scale, *(t.low for t in terms.values())])
         self._high = np.concatenate([(high - fit.point) / scale, *(t.high for t in terms.values())])
-        used = np.isfinite(fit.weights)
         pairs, group = np.unique(np.stack([lap[used], recording[used]]), axis=1, return_inverse=True)
         order = np.argsort(group.ravel(), kind="stable")
         parts = np.split(order, np.cumsum(np.bincount(group.ravel()))[:-1])

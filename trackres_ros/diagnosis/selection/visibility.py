@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class EffectSensitivity:
     kept: float  # share of it that no re-fit of the base absorbs
     d_prime: float  # visibility of a typical effect in standard deviations
     by_priors: float  # part of it due to base parameters pushed out of the ranges of the vehicle file
-    direction: Array  # whitened, orthogonal to the base, of unit length: for the cosine between two effects
+    direction: Array  # whitened, orthogonal to the base, of unit length: for the cosine between two effects, empty after that
     fast: float = 0.0  # gain in log-likelihood under the noise that best whitens the residual, to first order
     moved: Array = field(default_factory=lambda: np.empty(0))  # the amplitudes of that gain over the typical ones
 
@@ -103,7 +104,7 @@ def separability(
     not_visible = [NotVisible(effect, why) for effect, why in zip(others, reasons, strict=True) if why]
     possible = [effect for effect, why in zip(others, reasons, strict=True) if not why]
     seen_by, quick = _Visibility(fit, own), _FastGains(for_tests(fit), own)
-    visible = []
+    visible, directions = [], dict[str, Array]()
     for effect in counted(possible, "visibility of each effect", len(possible)):
         columns = [(start, columns_of(effect, start)) for start in starts(effect)]
         found, best = seen_by.strongest(effect, columns)
@@ -118,12 +119,11 @@ def separability(
             if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
                 why = f"the base's parameters absorb {1 - best.kept:.0%} of it"
                 not_visible.append(NotVisible(effect, why))
-            found = found if is_name(effect) else [replace(s, direction=np.empty(0)) for s in found]
-            visible += [quick.added(s) for s in found]
-    names = tuple(dict.fromkeys(s.effect.name for s in visible if is_name(s.effect)))
-    strongest = {name: max((s for s in visible if s.effect.name == name), key=lambda s: s.d_prime) for name in names}
-    directions = np.array([strongest[name].direction for name in names]) if names else np.empty((0, 0))
-    return Separability(tuple(visible), tuple(not_visible), names, directions @ directions.T)
+            if is_name(effect):
+                directions[effect.name] = best.direction
+            visible += [replace(quick.added(s), direction=np.empty(0)) for s in found]
+    of_names = np.array(list(directions.values())) if directions else np.empty((0, 0))
+    return Separability(tuple(visible), tuple(not_visible), tuple(directions), of_names @ of_names.T)
 
 
 def starts(effect: Effect) -> list[dict[str, float]]:
@@ -132,6 +132,7 @@ def starts(effect: Effect) -> list[dict[str, float]]:
     return [first, *({**first, q.name: value} for q in effect.parameters for value in q.more_starts)]
 
 
+@lru_cache(maxsize=2)  # several ask for the last ones
 def base_columns(fit: Fit) -> Array:
     """Change of all predicted segments with each free parameter of the fit, shape (n, parameters)."""
     return jacobian(lambda point: _expected(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
@@ -147,8 +148,9 @@ class EffectColumns:
     def give(self, effect: Effect, torque: Array) -> None:
         """Columns of an effect that only adds a torque, of all sessions concatenated, shape (n, amplitudes): no simulation."""
         rows = sum(len(g.measured) for g in self._fit.problem.segments)
-        columns = np.concatenate((torque, np.zeros((rows - len(torque), torque.shape[1]))))
-        self._given[effect, tuple(effect.values().values())] = columns
+        if len(torque) < rows:
+            torque = np.concatenate((torque, np.zeros((rows - len(torque), torque.shape[1]))))
+        self._given[effect, tuple(effect.values().values())] = torque
 
     def forget(self) -> None:
         """Forget the columns that were given."""
@@ -216,7 +218,8 @@ class _FastGains:
     def __init__(self, fit: Fit, own: Array) -> None:
         self._fit = fit
         scale, std, nominal = (np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal"))
-        self._root = np.sqrt(fit.weights[np.isfinite(fit.weights)])
+        weights = fit.weights
+        self._root = np.sqrt(weights[np.isfinite(weights)])
         self._own = _white(own, fit) * scale * self._root[:, np.newaxis]
         self._white = valid_rows(fit.white) * self._root
         information = self._own.T @ self._own + np.diag((scale / std) ** 2) + 1e-9 * np.eye(len(scale))
