@@ -125,7 +125,7 @@ class TrackBase(FileBase):
     def _loads(self, sessions: Sequence[DriveSession]) -> slice:
         """Columns of the loss table between which the belts are loaded, with one more on either side."""
         of = self._constants.assembly[self._firsts].T
-        driven = [weight for session in sessions for weight in (session.weight.min(), session.weight.max())]
+        driven = [weight for session in sessions for weight in session.weights]
         loads = np.array([*(weight * of[at.Assembly.share_of_all] for weight in driven), of[at.Assembly.nominal_load]])
         nodes = (np.log(loads) - of[at.Assembly.first_log_load]) / of[at.Assembly.step_log_load]
         first, last = np.clip([nodes.min(), nodes.max()], 0, self._constants.loss.shape[2] - 2).astype(int).tolist()

@@ -119,7 +119,7 @@ def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_ro
         lagged.append([series[at - lag] for lag in range(MOST_LAGS + 1)])
     y, *past = np.concatenate(lagged, axis=1)
     x = np.array(past).T  # each lag contiguous
-    begun = [_begun(x[:, :order], y, largest_root) for order in range(MOST_LAGS + 1)]
+    begun = _begun(x, y, largest_root)
 
     def most_likely(order: int, degrees: float) -> Noise:
         return improved(x[:, :order], y, replace(begun[order], degrees=degrees), TURNS, largest_root)
@@ -152,12 +152,16 @@ def _log_likelihood(x: Array, y: Array, noise: Noise) -> float:
     return float(noise.log_density((y - x @ noise.phi) / noise.std).sum())
 
 
-def _begun(x: Array, y: Array, largest_root: float) -> Noise:
-    """Noise with one lag per column of x, robust against outliers, to improve."""
+def _begun(x: Array, y: Array, largest_root: float) -> list[Noise]:
+    """Noise of each order up to the number of columns of x, robust against outliers, to improve."""
     scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
     tame = OUTLIER * scale  # limits the influence of outliers on the first coefficients
-    phi = _coefficients(np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y)), largest_root)
-    return Noise(phi, MAD_TO_STD * float(np.median(np.abs(y - x @ phi))) or scale, DEGREES[-1])
+    tame_x, tame_y, even = np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y))
+    found = []
+    for order in range(x.shape[1] + 1):
+        phi = _coefficients(tame_x[:, :order], tame_y, even, largest_root)
+        found.append(Noise(phi, MAD_TO_STD * float(np.median(np.abs(y - x[:, :order] @ phi))) or scale, DEGREES[-1]))
+    return found
 
 
 def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Array:

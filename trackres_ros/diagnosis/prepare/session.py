@@ -135,6 +135,11 @@ class DriveSession:
             yield float(self.time[begin]), float(self.time[end - 1] + self.step)
 
     @cached_property
+    def weights(self) -> tuple[float, float]:
+        """The least and the most weight [N]."""
+        return float(self.weight.min()), float(self.weight.max())
+
+    @cached_property
     def ahead(self) -> Array:
         """1 driving forward and -1 in reverse, at rest as at the next start; shape (n,). Times it, a torque below zero brakes."""
         moves = np.flatnonzero(np.abs(self.speed) > STANDSTILL_MPS)

@@ -117,7 +117,7 @@ class Search:
             if name in sensed or name in self._left_out:
                 continue
             low, high = amplitude_bounds(p.effect)
-            terms[name] = Columns(p.effect, p.sensitivity.columns * amplitude_spans(p.effect), low, high)
+            terms[name] = Columns(p.effect, p.sensitivity.columns, amplitude_spans(p.effect), low, high)
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
         own = _by_parameter(base, proposals.own)
         catalogue = [name for name in terms if is_name(proposals.every[name].effect)]

@@ -28,10 +28,11 @@ FEWEST_RECORDINGS = 3  # to leave whole ones out
 
 
 class Columns(NamedTuple):
-    """Derivatives of a term's amplitudes in units of their typical sizes, shape (n, amplitudes), and bounds in these units."""
+    """Derivatives by a term's amplitudes, shape (n, amplitudes), their typical sizes, and bounds in units of these."""
 
     effect: Effect
     derivatives: Array
+    sizes: Array
     low: Array
     high: Array
 
@@ -61,11 +62,15 @@ class LinearSets:
         for name, term in terms.items():
             self._at[name] = np.arange(count, count + len(term.low))
             count += len(term.low)
-        derivatives = np.concatenate([own * scale, *(t.derivatives for t in terms.values())], axis=1)
         used = np.isfinite(weights := fit.weights)
         root = np.sqrt(weights[used])
-        x = valid_rows(fit.problem.white(fit.problem.split(derivatives), fit.noises)) * root[:, np.newaxis]
-        y = valid_rows(fit.white) * root
+        x, y = np.empty((len(root), count)), valid_rows(fit.white) * root
+        # Term by term: together they would be the largest arrays of a diagnosis.
+        for at, derivatives, sizes in [
+            (np.arange(self._own), own, scale), *((self._at[name], t.derivatives, t.sizes) for name, t in terms.items()),
+        ]:  # fmt: skip
+            white = fit.problem.white(fit.problem.split(derivatives * sizes), fit.noises)
+            x[:, at] = valid_rows(white) * root[:, np.newaxis]
         prior = np.full(count, PRIOR)
         prior[: self._own] = scale / std
         self._prior = np.diag(prior**2 + RIDGE * len(y))
