@@ -147,8 +147,8 @@ class Choice:
             self._unstable.add(name)
             return found
         named = explanation
-        for form in explanation.key - set(names_of(explanation)):
-            named = self._search.without(named, form)
+        for form, candidate in explanation.candidates.items():
+            named = named if candidate.kind == NAME else self._search.without(named, form)
         if named.key == explanation.key:
             return []
         improvement = self._validation.improvement(self._search.without(named, name).score, named.score)
@@ -261,7 +261,7 @@ class Choice:
             explanation = queue.pop(0)
             if explanation.key and explanation.key not in judged:
                 judged[explanation.key] = self._search.polished(explanation)
-                queue += [self._search.without(explanation, name) for name in explanation.key]
+                queue += [self._search.without(explanation, name) for name in explanation.candidates]
         return sorted(judged.values(), key=lambda e: -e.worth)
 
     def _pick(self, confirmed: Sequence[Explanation]) -> Explanation:

@@ -136,7 +136,7 @@ class Search:
     def _swap(self, explanation: Explanation) -> None:
         """Expand an explanation, and look at what it is without each of its terms."""
         self.expand(explanation)
-        for name in explanation.key if len(explanation.key) > 1 else ():
+        for name in explanation.candidates if len(explanation.key) > 1 else ():
             self.without(explanation, name)
 
     def polished(self, explanation: Explanation) -> Explanation:

@@ -129,15 +129,12 @@ class LinearSets:
     def best(self, among: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
         """The `count` sets of each size of some terms with the highest gain less a `cost` for each term, best first."""
         beam: list[Names] = [()]
-        found: dict[frozenset[str], float] = {}
+        gains: dict[Names, float] = {}
         chosen: list[Names] = []
         for size in range(1, most_terms + 1):
-            sets = {
-                frozenset((*names, name)) for names in beam for name in among if name not in names and self._fits(name, names)
-            }
-            gains = {key: self.gain(key) - cost * size for key in sets}
-            found |= gains
-            ordered = sorted(gains, key=lambda key: -gains[key])
-            beam = [tuple(sorted(key)) for key in ordered[:EXPANDED]]
+            pairs = ((names, name) for names in beam for name in among if self._fits(name, names))
+            sets = dict.fromkeys(tuple(sorted((*names, name))) for names, name in pairs)  # in an order of its own
+            gains |= {names: self.gain(names) - cost * size for names in sets}
+            beam = sorted(sets, key=lambda names: -gains[names])[:EXPANDED]
             chosen += beam[:count]
-        return sorted(chosen, key=lambda names: -found[frozenset(names)])
+        return sorted(chosen, key=lambda names: -gains[names])
