@@ -127,7 +127,7 @@ class Spec(NamedTuple):
 def encoded(value: Any, names: dict[Model, str]) -> Any:
     """A value as Bokeh's documents have it, ready for JSON. The first use of a model defines it, and adds its name to `names`.
 
-    The plots are simple and many: with Bokeh's own classes they took half of the time of a report.
+    The plots are simple and many: with Bokeh's own classes they took much of the time of a report.
     """
     if isinstance(value, Model):
         if value in names:
