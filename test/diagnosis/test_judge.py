@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from worlds import driven, explained, form, graded, judging, machine, named, series
 
 from trackres_ros.diagnosis.base.patterns import ClockTerm
+from trackres_ros.diagnosis.empirical.finders import Term
 from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of, _competes
 from trackres_ros.diagnosis.search.explanations import Explanation
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
@@ -81,6 +82,8 @@ def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
     by_form = judged({"form": 1}, 1e6 - fallen * samples * (0.1 * adds) ** 2)
     assert Choice._beats(choice, by_form, name) == beaten
     assert Choice._beats(choice, judged({"other": 0}, 1e6), name)  # a name needs no more than to be surely better
+    by_place = replace(name, terms={"scrub": Term(None, route="a map")})
+    assert Choice._beats(choice, by_form, by_place)  # what was learned for each place has no form to err in
 
 
 @pytest.mark.parametrize(("gain", "by_name", "by_form"), [(2.9, False, False), (3.1, True, False), (10.1, True, True)])

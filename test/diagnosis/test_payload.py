@@ -12,7 +12,15 @@ from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.empirical.finders import PAYLOAD, find_terms, residuals_without
-from trackres_ros.diagnosis.empirical.payload import STOP_S, JointValues, find_payload, mass_of, stretch_numbers
+from trackres_ros.diagnosis.empirical.payload import (
+    STOP_S,
+    JointValues,
+    find_payload,
+    halves,
+    mass_of,
+    stretch_numbers,
+    torque_of_a_kilogram,
+)
 from trackres_ros.diagnosis.empirical.statements import describe
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
@@ -25,6 +33,7 @@ STRETCH_S, STILL_S = 90, 15
 MINUTES, FITTED_S = 20.0, 940.0
 NOISE_NM, NOISE_PHI = 40.0, 0.5
 SLOPE = 0.01
+LOADED_KG = 300.0
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +132,21 @@ def test_earlier_payload_measurements_improve_unfitted_laps(carried):
         for of in (without, [r - x for r, x in zip(without, adds, strict=True)])
     )
     assert after < 0.95 * before
+
+
+def test_the_other_half_of_a_stretch_forecasts_its_mass(carried):
+    found = carried[0]
+    session, mask = found.problem.sessions[0], found.problem.masks[0]
+    number = stretch_numbers(session)
+    early = mask & (number == 3) & (halves(number, mask) == 0)
+    residuals = torque_residuals(found)
+    heavier = [residuals[0] + early * torque_of_a_kilogram(found, mass_of(found))[0] * LOADED_KG, *residuals[1:]]
+    before, after = (find_payload(found, r) for r in (residuals, heavier))
+    fitted, forecast = (np.abs(after.level * y[0] - before.level * x[0]) for x, y in
+                        ((before.shape, after.shape), (before.ahead, after.ahead)))  # fmt: skip
+    later = mask & (number == 3) & ~early
+    assert forecast[early].mean() < 0.2 * fitted[early].mean()
+    assert forecast[later].mean() > fitted[later].mean()
 
 
 def test_a_vehicle_that_stands_is_not_pushed(carried):

@@ -221,7 +221,7 @@ def _payload(current: Fit, last: Fit, route: Route | None) -> Term | None:
         return None
     text = "another mass on each stretch between stops"
     candidate = _fitted(current, PAYLOAD, text, payload.shape, payload.level, payload.cost, payload.ahead)
-    return Term(candidate, payload=payload) if _counts(candidate, current) else None
+    return Term(candidate, payload=payload) if candidate.matters else None
 
 
 def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route], waves: bool) -> list[Term]:

@@ -29,6 +29,7 @@ from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 Indices = NDArray[np.int64]
+_Others = Callable[[Array], Array]
 
 PAYLOAD = "payload"
 STOP_S = 5.0  # a shorter stop changes no load
@@ -64,7 +65,7 @@ class Payload:
     stretches: tuple[Stretch, ...]  # with fitted samples
     level: float  # root mean square of its torque on the fitted laps [Nm]
     shape: tuple[Array, ...]  # torque over `level` at each sample of each session; off the fitted laps as `ahead`
-    ahead: tuple[Array, ...]  # the same from earlier samples alone
+    ahead: tuple[Array, ...]  # on the fitted laps from the other half of each stretch alone; elsewhere from earlier samples
     cost: float  # of the masses, in log-likelihood
 
 
@@ -167,9 +168,13 @@ def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | 
     per_kg = torque_of_a_kilogram(current, mass)
     typical = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
     against, joint_values = [typical * np.sign(s.speed) for s in sessions], JointValues.values_of(current).together_with(joint)
-    (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, joint_values, current, mass) for by in (per_kg, against))
+    samples = _Samples(per_kg, numbers, residuals, joint_values, mass)
+    best, noise, left = samples.most_likely(masks, current.noise)
+    of_level = _Samples(against, numbers, residuals, joint_values, mass).most_likely(masks, current.noise)[0]
     if best.evidence < of_level.evidence + SURE:
         return None  # the difference does not have the signature of a mass
+    later = [halves(number, mask) for number, mask in zip(numbers, masks, strict=True)]
+    of_half = [samples.masses([m & (x == half) for m, x in zip(masks, later, strict=True)], best, noise, left) for half in (0, 1)]
     torques, known, stretches = [], [], list[Stretch]()
     for i, (session, number, by_mass, residual, masses, stds) in enumerate(
         zip(sessions, numbers, per_kg, residuals, best.masses, best.stds, strict=True)
@@ -177,7 +182,8 @@ def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | 
         smoothed = by_mass * masses[number]
         live = np.where(session.used, by_mass * _followed(by_mass, residual, number, session.used, noise, best), 0.0)
         torques.append(np.where(masks[i], smoothed, live))
-        known.append(live)
+        of_other_half = np.where(later[i] == 0, of_half[1][i][number], of_half[0][i][number])
+        known.append(np.where(masks[i], by_mass * of_other_half, live))
         for k in np.unique(number[masks[i]]).tolist():
             rows = np.flatnonzero(number == k)
             begin, end = float(session.time[rows[0]]), float(session.time[rows[-1]] + session.step)
@@ -192,34 +198,56 @@ def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | 
     return Payload(tuple(stretches), level, shape, ahead, cost)
 
 
-def _most_likely(
-    by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], joint: JointValues, current: Fit, mass: float
-) -> tuple[_Solution, Noise]:
-    """Most likely sizes of a series by stretch, and the remaining noise."""
-    masks, columns = current.problem.masks, by_stretch(by, numbers)
-    session = np.repeat(np.arange(len(numbers)), [int(n.max()) + 1 for n in numbers])
-    both = [sparse.hstack([x, z]).tocsr() for x, z in zip(columns, joint.columns, strict=True)]
-    whole = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
-    left, noise = list(residuals), current.noise
-    for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
-        rows = WhitenedRows.of(both, whole, masks, noise)
-        weights = noise.weights(WhitenedRows.of(both, left, masks, noise).white)
-        normal, others, settled = _normal(rows, weights, session, joint)
-        tried = (normal.solved(size * mass, alike, MEAN * mass) for size in SIZES for alike in ALIKE)
-        best = max(tried, key=lambda one: one.evidence)
-        values = np.concatenate(best.masses)
-        values = np.concatenate([values, others(values)])
-        left = [r - x @ values for r, x in zip(whole, both, strict=True)]
-        noise = estimate_noise(left, masks)
-        # Fitting so many values makes the residual smaller than the noise.
-        shrinks = math.sqrt(max(1.0 - (best.settled + settled) / len(rows.white), LEAST_LEFT))
-        noise = replace(noise, scale=noise.scale / shrinks)
-    return best, noise
+class _Samples:
+    """The samples of all sessions as equations for the masses of their stretches and the other values.
+
+    `by` has the torque of each sample per kilogram, `numbers` the stretch of each sample, `residuals` the torque [Nm].
+    """
+
+    def __init__(
+        self, by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], joint: JointValues, mass: float
+    ) -> None:
+        self.residuals, self._joint, self._mass = residuals, joint, mass
+        self._session = np.repeat(np.arange(len(numbers)), [int(n.max()) + 1 for n in numbers])
+        self._columns = [sparse.hstack([x, z]).tocsr() for x, z in zip(by_stretch(by, numbers), joint.columns, strict=True)]
+        self._whole = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
+
+    def _equations(self, masks: Sequence[Mask], left: Sequence[Array], noise: Noise) -> tuple[_Normal, _Others, float, int]:
+        rows = WhitenedRows.of(self._columns, self._whole, masks, noise)
+        weights = noise.weights(WhitenedRows.of(self._columns, left, masks, noise).white)
+        return *_normal(rows, weights, self._session, self._joint), len(rows.white)
+
+    def most_likely(self, masks: Sequence[Mask], noise: Noise) -> tuple[_Solution, Noise, list[Array]]:
+        """Most likely sizes by stretch from some samples, the remaining noise, and the residual of all samples [Nm]."""
+        left = list(self.residuals)
+        for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
+            normal, others, settled, count = self._equations(masks, left, noise)
+            tried = (normal.solved(size * self._mass, alike, MEAN * self._mass) for size in SIZES for alike in ALIKE)
+            best = max(tried, key=lambda one: one.evidence)
+            values = np.concatenate(best.masses)
+            values = np.concatenate([values, others(values)])
+            left = [r - x @ values for r, x in zip(self._whole, self._columns, strict=True)]
+            noise = estimate_noise(left, masks)
+            # Fitting so many values makes the residual smaller than the noise.
+            shrinks = math.sqrt(max(1.0 - (best.settled + settled) / count, LEAST_LEFT))
+            noise = replace(noise, scale=noise.scale / shrinks)
+        return best, noise, left
+
+    def masses(self, masks: Sequence[Mask], like: _Solution, noise: Noise, left: Sequence[Array]) -> list[Array]:
+        """Masses of the stretches of each session from fewer samples, their scatter and the noise known [kg]."""
+        return self._equations(masks, left, noise)[0].solved(like.std, like.alike, MEAN * self._mass).masses
 
 
-def _normal(
-    rows: WhitenedRows, weights: Array, session: Indices, joint: JointValues
-) -> tuple[_Normal, Callable[[Array], Array], float]:
+def halves(number: Indices, mask: Mask) -> Indices:
+    """Half of its stretch in which each sample lies, by the fitted samples: 0 or 1."""
+    later = np.zeros(len(number), dtype=np.int64)
+    for k in np.unique(number[mask]).tolist():
+        rows = np.flatnonzero((number == k) & mask)
+        later[rows[len(rows) // 2 :]] = 1
+    return later
+
+
+def _normal(rows: WhitenedRows, weights: Array, session: Indices, joint: JointValues) -> tuple[_Normal, _Others, float]:
     """Normal equations of the masses, a function for the other values, and the number of those that the samples determine."""
     count = len(session)
     weighted = rows.columns.multiply(weights[:, np.newaxis]).tocsr()

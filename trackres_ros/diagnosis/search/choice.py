@@ -288,12 +288,12 @@ class Choice:
         """Whether one explanation predicts significantly better than another.
 
         A further form, or one in place of a name, needs a larger margin, because a function is accurate to about 10 %: the
-        mean square error must fall by more than the square of a tenth of the others' torque.
+        mean square error must fall by more than the square of a tenth of the others' torque. A map learned by place has no form.
         """
         more_forms = one.without_a_name > other.without_a_name
         if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
-        torques = [self._beyond_base(other.fit.contribution(name)) for name in other.key]
+        torques = [self._beyond_base(other.fit.contribution(name)) for name in other.key if not other.goes_by_place(name)]
         by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2
         return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
 
