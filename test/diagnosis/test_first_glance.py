@@ -12,6 +12,7 @@ import copy
 import gzip
 import importlib.util
 import json
+import logging
 import re
 import shutil
 import subprocess
@@ -374,12 +375,13 @@ def test_without_bokeh_the_page_says_how_to_install_it(diagnoses, scrubbed, tmp_
     assert "<script" not in page
 
 
-def test_bokeh_knows_each_model_and_attribute_of_the_plots(diagnosed, caplog):
+def test_bokeh_knows_each_model_and_attribute_of_the_plots(diagnosed, caplog, monkeypatch):
     """The page's documents are written without Bokeh's classes; these accept only their own attributes."""
     pytest.importorskip("bokeh")
     import bokeh.plotting  # noqa: F401 - all models
     from bokeh.core.serialization import Deserializer
 
+    monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # Bokeh's own set-up of its logger stops it
     drawn = interactive(diagnosed)
     content = json.loads(gzip.decompress(base64.b64decode(drawn.data)))["documents"][DOCUMENT]["roots"]
     roots = Deserializer().decode(content)
