@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # These start nodes and mostly wait for them. Two files at a time: more would keep the nodes from their clock.
 LIVE_TESTS := test/dds test/processes
 
-.PHONY: demo test check test-live test-rest test-effects compiled mutants coverage site lint clean
+.PHONY: demo test check test-live test-rest test-effects mutants coverage site lint clean
 
 demo: $(VENV)/.ready
 	$(RUN)/python tools/demo $(OUT)
@@ -26,7 +26,7 @@ test: $(VENV)/.ready
 FAST_LAWS := test/model test/estimator test/vehicle test/route test/text test/effects/test_laws.py \
 	test/learning/test_filter.py
 check: export OPENBLAS_NUM_THREADS := 1
-check: lint compiled
+check: lint
 	$(RUN)/python -m pytest -q -n auto --dist worksteal -m "not long" $(FAST_LAWS)
 
 test-live: $(VENV)/.ready
@@ -36,13 +36,8 @@ test-live: $(VENV)/.ready
 test-rest: $(VENV)/.ready
 	nice -n 19 $(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS) test/effects)
 
-# They compile every effect, before several tests would do so at a time.
-test-effects: compiled
+test-effects: $(VENV)/.ready
 	$(RUN)/python -m pytest -q test/effects
-
-# Once, before several tests would do so at a time.
-compiled: $(VENV)/.ready
-	@$(RUN)/python -m trackres_ros.estimator.warm_up
 
 # Small faults put into a module one at a time: how many of them its tests find. By hand: it takes half an hour.
 mutants: $(VENV)/.ready

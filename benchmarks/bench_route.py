@@ -15,7 +15,7 @@ from measuring import START_NS, at_most
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.entry_points import COMPILED, Entries, interpreted_entries
+from trackres_ros.estimator.entry_points import COMPILED, INTERPRETED, Entries
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import CELL_M, SPACING_M
@@ -79,7 +79,7 @@ def times(steps: int, entries: Entries) -> dict[str, list[float]]:
 def run(steps: int = STEPS) -> dict[str, float]:
     """Measure so many speeds; a twentieth as many in plain Python."""
     result = {}
-    for kind, entries, count in (("compiled", COMPILED, steps), ("interpreted", interpreted_entries(), max(steps // 20, 20))):
+    for kind, entries, count in (("compiled", COMPILED, steps), ("interpreted", INTERPRETED, max(steps // 20, 20))):
         found = times(count, entries)
         for name, of in found.items():
             result[f"{kind}: a speed, {name}, median [us]"] = 1e6 * statistics.median(of)

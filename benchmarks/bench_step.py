@@ -17,8 +17,8 @@ import numpy as np
 from measuring import START_NS, at_most, child, uneven_loads
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.jit.compiled import HAVE_NUMBA
 from trackres_ros.vehicle import load
 
 STEPS = 5_000
@@ -129,7 +129,7 @@ def run(steps: int = STEPS, messages: int = LONG_RUN) -> dict[str, float]:
     Without `cyclonedds` there are no rows that compare.
     """
     result: dict[str, float] = {}
-    kinds = {"compiled": {}, "interpreted": {"TRACKRES_INTERPRETED": "1"}} if HAVE_NUMBA else {"interpreted": {}}
+    kinds = {"compiled": {}, "interpreted": {"TRACKRES_INTERPRETED": "1"}} if COMPILED.compiled else {"interpreted": {}}
     for kind, environment in kinds.items():
         measured = child([__file__, "measure", str(steps)], environment).json()
         if not measured:

@@ -13,7 +13,6 @@ import os
 import shutil
 import statistics
 import tempfile
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -27,13 +26,12 @@ from measuring import ROOT, alternated, child, median_ratio, seconds
 from rivals import limit, plain
 from rosbags.rosbag2 import Reader, StoragePlugin
 
-from trackres_ros.estimator import warm_up
+from trackres_ros.building.kernel_source import built_in
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.jit.compiled import compiled
 from trackres_ros.vehicle import load
 
 PACKAGE = "trackres_ros"
-STEP, READING, COMPILING = "step", "reading", "compiling"
+STEP, READING = "step", "reading"
 DURATION_S, REPEATS, MESSAGES, CALLS = 600.0, 40, 100_000, 20_000
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -50,17 +48,6 @@ class Way:
 
 
 WAYS = (
-    Way(
-        "a belt's step as a part of the vehicle's", True, STEP,
-        (("estimator/belt_step.py", "@inlined\ndef roll(", "@compiled\ndef roll("),),
-    ),
-    Way(
-        "a message and its step as one function", True, STEP,
-        (("estimator/entry_points.py", "import HAVE_NUMBA, entry", "import HAVE_NUMBA, compiled, entry"),
-         ("estimator/entry_points.py", "@inlined\ndef feed(", "@compiled\ndef feed("),
-         ("estimator/kernel.py", "compiled import inlined", "compiled import compiled, inlined"),
-         ("estimator/kernel.py", "@inlined\ndef advance(", "@compiled\ndef advance(")),
-    ),
     Way(
         "the direction of travel reckoned once a step", False, STEP,
         (("estimator/road.py", "    number = k.number\n", "    number, sign = k.number, direction(speed)\n"),
@@ -88,10 +75,22 @@ WAYS = (
           "    for bit in range(memory.reasons.shape[0] if found else 0):\n"),),
     ),
     Way(
-        "sums in any order and reciprocals, for the limit too (fastmath, but for what is not a number)", False, STEP,
-        (("jit/compiled.py",
-          '"error_model": "numpy"}',
-          '"error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}}'),),
+        "functions of a step made parts of their callers", True, STEP,
+        (("kernels/compiler.py", '*INLINING, ', ""),),
+    ),
+    Way(
+        "the compiler optimising more (-O3)", True, STEP,
+        (("kernels/compiler.py", '"-O3", ', '"-O2", '),),
+    ),
+    Way(
+        "code for this processor alone (-march=native)", False, STEP,
+        (("kernels/compiler.py", '"-O3", ', '"-O3", "-march=native", '),),
+    ),
+    Way(
+        "sums in any order, reciprocals, and products joined with sums (-ffast-math, but for what is not a number)", False, STEP,
+        (("kernels/compiler.py",
+          '"-ffp-contract=off", ',
+          '"-fassociative-math", "-freciprocal-math", "-fno-signed-zeros", "-fno-trapping-math", "-ffp-contract=fast", '),),
     ),
     Way(
         "a batch of messages decoded column by column", True, READING,
@@ -111,28 +110,6 @@ WAYS = (
         "batches of 8192 messages", False, READING,
         (("recording/rosbag.py", "BATCH_ROWS, BATCH_BYTES = 2048,", "BATCH_ROWS, BATCH_BYTES = 8192,"),),
     ),
-    Way(
-        "no entry from Python for what compiled code alone calls", True, COMPILING,
-        (("jit/compiled.py", ', "no_cpython_wrapper": True, "no_cfunc_wrapper": True}', "}"),),
-    ),
-    Way(
-        "no machine code of parts", True, COMPILING,
-        (("jit/compiled.py", "if _library.__version__.startswith(TRIED)", "if False"),),
-    ),
-    Way(
-        "LLVM optimising less (level 1)", False, COMPILING,
-        (("jit/compiled.py", "    _library = numba\n", "    _library = numba\n    numba.config.OPT = 1\n"),),
-    ),
-    Way(
-        "loops not vectorised", False, COMPILING,
-        (("jit/compiled.py", "    _library = numba\n", "    _library = numba\n    numba.config.LOOP_VECTORIZE = 0\n"),),
-    ),
-    Way(
-        "only whole entries kept, not what they are made of", False, COMPILING,
-        (("jit/compiled.py",
-          "    dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n",
-          "    if not into_callers:\n        dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n"),),
-    ),
 )  # fmt: skip
 
 
@@ -147,13 +124,13 @@ class Constants(NamedTuple):
     sixth: Array
 
 
-@compiled
-def _of_record(given: Constants, value: float) -> float:
+def of_record(given: Constants, value: float) -> float:
+    """A kernel that takes a record."""
     return given.first[0] + given.sixth[0] + value
 
 
-@compiled
-def _of_arrays(first: Array, second: Array, third: Array, fourth: Array, fifth: Array, sixth: Array, value: float) -> float:
+def of_arrays(first: Array, second: Array, third: Array, fourth: Array, fifth: Array, sixth: Array, value: float) -> float:
+    """A kernel that takes its arrays."""
     given = Constants(first, second, third, fourth, fifth, sixth)
     return given.first[0] + given.sixth[0] + value
 
@@ -172,13 +149,6 @@ def of_steps(duration_s: float, repeats: int) -> dict[str, float]:
         rival()
     times = alternated(rivals, repeats)
     return {f"{name} over the limit": median_ratio(times[name], times["limit"]) for name in ("run", "session")}
-
-
-def of_compiling(work: str) -> dict[str, float]:
-    """Compiling for one kind of work with an empty cache, the package that is imported."""
-    began = time.process_time()
-    warm_up.WORK[work][0](Estimator(load("xgd24d")))
-    return {f"compiling for {work}, computing [s]": time.process_time() - began}
 
 
 def of_reading(messages: int, repeats: int) -> dict[str, float]:
@@ -215,7 +185,16 @@ def changed(folder: Path, way: Way | None) -> Path:
     return folder
 
 
-MEASURES: dict[str, Callable[..., dict[str, float]]] = {STEP: of_steps, READING: of_reading, COMPILING: of_compiling}
+BUILDING = """
+import sysconfig
+from pathlib import Path
+from trackres_ros.building import kernel_source
+from trackres_ros.kernels.compiler import compiled
+text = kernel_source.source("built", kernel_source.all_entries())
+built = compiled(text, "-I" + sysconfig.get_paths()["include"])
+(Path(kernel_source.__file__).parents[1] / "kernels" / "built.abi3.so").write_bytes(built)
+"""
+MEASURES: dict[str, Callable[..., dict[str, float]]] = {STEP: of_steps, READING: of_reading}
 
 
 def measured(of: str, way: Way | None, sizes: Mapping[str, Any]) -> dict[str, float]:
@@ -223,6 +202,8 @@ def measured(of: str, way: Way | None, sizes: Mapping[str, Any]) -> dict[str, fl
     with tempfile.TemporaryDirectory() as folder:
         path = os.pathsep.join([str(changed(Path(folder), way)), str(Path(__file__).parent)])
         environment = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(Path(folder, "cache")), "PYTHONDONTWRITEBYTECODE": "1"}
+        if of == STEP:
+            child(["-P", "-c", BUILDING], {**environment, "TRACKRES_INTERPRETED": "1"})
         found: dict[str, float] = child([__file__, of, json.dumps(sizes)], environment).json()
     return found
 
@@ -231,14 +212,18 @@ def in_one_process(messages: int, calls: int, repeats: int) -> dict[str, float]:
     """What needs no other sources."""
     arrays = [np.ones(3) for _ in Constants._fields]
     record = Constants(*arrays)
+    with tempfile.TemporaryDirectory() as folder:
+        module = built_in(Path(folder), {"of_record": of_record, "of_arrays": of_arrays})
+    bound = module.bind_constants(record)
 
     def often(call: Callable[[], object]) -> float:
         call()
         return 1e6 / calls * statistics.median(seconds(lambda: [call() for _ in range(calls)]) for _ in range(repeats))
 
     found = {
-        "a call that hands over six arrays [us]": often(lambda: _of_arrays(*arrays, 1.0)),
-        "a call that hands over a named record of them [us]": often(lambda: _of_record(record, 1.0)),
+        "a call that hands over six arrays [us]": often(lambda: module.of_arrays(*arrays, 1.0)),
+        "a call that hands over a named record of them [us]": often(lambda: module.of_record(record, 1.0)),
+        "a call that hands over a bound record of them [us]": often(lambda: module.of_record(bound, 1.0)),
     }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "bag")
@@ -286,7 +271,6 @@ def run(
     sizes: dict[str, dict[str, Any]] = {
         STEP: {"duration_s": duration_s, "repeats": repeats},
         READING: {"messages": messages, "repeats": max(1, repeats // 2)},
-        COMPILING: {"work": warm_up.MESSAGES},
     }
     found: dict[str, float] = {}
     for of, size in sizes.items():

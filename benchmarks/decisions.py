@@ -3,29 +3,36 @@
 
 """What was weighed in docs/decisions: ours and a library's, each at the same task. `python benchmarks/decisions.py [NAME ...]`.
 
-statsmodels and casadi serve this comparison alone and are in none of the extras: `pip install statsmodels casadi`.
+statsmodels, casadi, cython and pythran serve this comparison alone and are in none of the extras: `pip install` them.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import inspect
+import re
 import statistics
+import subprocess
 import sys
 import tempfile
+import time
 from collections import namedtuple
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import attrs
-import numba
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from measuring import START_NS, alternated, median_ratio
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from trackres_ros.arrays import Array
+from trackres_ros.building.kernel_source import all_entries, built_in
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
+from trackres_ros.diagnosis.prepare import speed_smoothing
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Motion
 from trackres_ros.files.file_sets import file_set
@@ -278,17 +285,9 @@ def page() -> dict[str, float]:
     return sizes
 
 
-CONTROLLERS = {
-    "aarch64": "aarch64-linux-gnu", "ARM Cortex-M": "thumbv7em-none-eabihf", "RISC-V": "riscv32-none-elf",
-    "PowerPC": "powerpc-none-eabi", "TriCore": "tricore-none-elf", "RH850": "rh850-none-elf", "C2000": "c2000-none-elf",
-}  # fmt: skip
-"""Processors that drive controllers have, by the names that LLVM would have for them."""
-
-
 def export(steps: int = 200_000, rounds: int = 5) -> dict[str, float]:
-    """The step in a controller: C translated from its functions, objects of llvmlite, and CasADi run on the same functions."""
+    """The step in a controller: C translated from its functions, and CasADi run on the same functions."""
     import bench_export
-    from llvmlite import binding
 
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.export.parts import Parts
@@ -298,39 +297,23 @@ def export(steps: int = 200_000, rounds: int = 5) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         measured = bench_export.measured(vehicle, Path(folder), False, steps, rounds)
     instances = list(Parts(Estimator(vehicle)).translator.instances.values())
-    binding.initialize_all_targets()
-    known = sum(_has_target(triple) for triple in CONTROLLERS.values())
     result = {
         "translated: functions": float(len({one.function for one in instances})),
         "translated: a step [us]": measured["a step [us]"],
         "translated: code [kB]": measured["code [kB]"],
         "translated: time to translate [s]": measured["translated in [s]"],
-        "llvmlite: processors of a controller that it knows": float(known),
-        "llvmlite: of so many": float(len(CONTROLLERS)),
     }
     if importlib.util.find_spec("casadi"):
         result["CasADi: functions that run on its symbols as they are"] = float(_run_on_symbols(instances))
     return result
 
 
-def _has_target(triple: str) -> bool:
-    from llvmlite import binding
-
-    try:
-        binding.Target.from_triple(triple)
-    except RuntimeError:
-        return False
-    return True
-
-
 def _run_on_symbols(instances: list[Any]) -> int:
     """How many functions of the step run with symbols of CasADi in the place of numbers."""
-    from trackres_ros.jit.compiled import interpreted
-
     found = set()
     for one in instances:
         try:
-            interpreted(one.function)(*map(_symbol, one.arguments.values()))
+            one.function(*map(_symbol, one.arguments.values()))
         except Exception:  # whatever a library makes of a branch on a symbol
             continue
         found.add(one.function)
@@ -341,7 +324,7 @@ def _symbol(kind: Any) -> Any:
     """An argument of a kind, of symbols."""
     import casadi
 
-    from trackres_ros.export import kinds
+    from trackres_ros.kernels import kinds
 
     if isinstance(kind, kinds.Const):
         return kind.value
@@ -350,7 +333,7 @@ def _symbol(kind: Any) -> Any:
         return namedtuple("given", names)(*(_symbol(part) for _, part in kind.fields))
     if isinstance(kind, kinds.Scalar):
         return casadi.SX.sym("x") if kind == kinds.REAL else 0
-    shape = [length or 64 for length in kind.shape]
+    shape = [length if isinstance(length, int) else 64 for length in kind.shape]
     if kind.of != kinds.REAL:
         return np.zeros(shape, dtype=np.int64)
     array = np.empty(int(np.prod(shape)), dtype=object)
@@ -362,23 +345,23 @@ def rows(steps: int = 200_000, repeats: int = 15) -> dict[str, float]:
     """A low-pass filter on two numbers of an array: called by name and by index, compiled and in plain Python."""
     speed, last = Motion.filtered_speed, Motion.last_speed
 
-    def by_name(numbers: np.ndarray, count: int) -> None:
+    def by_name(numbers: Annotated[Array, (Motion.columns,)], count: int) -> None:
         motion = Motion(numbers)
         for _ in range(count):
             motion.filtered_speed += 0.1 * (motion.last_speed - motion.filtered_speed)
             motion.last_speed += 1e-3
 
-    def by_index(numbers: np.ndarray, count: int) -> None:
+    def by_index(numbers: Annotated[Array, (Motion.columns,)], count: int) -> None:
         for _ in range(count):
             numbers[speed] += 0.1 * (numbers[last] - numbers[speed])
             numbers[last] += 1e-3
 
-    found, ways = {}, {"compiled": numba.njit(nogil=True, error_model="numpy"), "plain Python": lambda function: function}
-    for way, made in ways.items():
-        count, functions = (
-            steps if way == "compiled" else max(1, steps // 100),
-            {f.__name__: made(f) for f in (by_name, by_index)},
-        )
+    found, plain = {}, {f.__name__: f for f in (by_name, by_index)}
+    with tempfile.TemporaryDirectory() as folder:
+        module = built_in(Path(folder), plain)
+    ways = {"plain Python": plain} | ({} if module is None else {"compiled": {name: getattr(module, name) for name in plain}})
+    for way, functions in ways.items():
+        count = steps if way == "compiled" else max(1, steps // 100)
         results = [np.zeros(Motion.columns) for _ in functions]
         for function, numbers in zip(functions.values(), results, strict=True):
             function(numbers, count)
@@ -407,9 +390,130 @@ def file_sets(files: int = 20, size: int = 100_000, repeats: int = 20) -> dict[s
     return {**found, "together over one by one": median_ratio(times["together"], times["one by one"])}
 
 
+OF_CYTHON = {
+    "Array": "cython.double[::1]", "States": "cython.double[:, ::1]", "Mask": "cython.uchar[::1]", "float": "cython.double"
+}  # fmt: skip
+OF_PYTHRAN = {"Array": "float64[]", "States": "float64[:,:]", "Mask": "bool[]", "float": "float64"}
+OF_MYPYC = {**dict.fromkeys(("Array", "States", "Mask"), "np.ndarray"), "float": "float"}
+LONGEST_BUILD_S = 120.0
+BY_MYPYC = """
+from setuptools import setup
+from mypyc.build import mypycify
+setup(name="by_mypyc", ext_modules=mypycify(["--ignore-missing-imports", "--disable-error-code=type-arg", "by_mypyc.py"]))
+"""
+
+
+def kernel(samples: int = 20_000, rounds: int = 7) -> dict[str, float]:
+    """Three kernels, each by our translator, Cython's pure mode, Pythran and mypyc: time over ours, and time to build them."""
+    functions = {name: all_entries()[name] for name in ("filter_forward", "mark_corners", "pass")}
+    builders = {"Cython": _by_cython, "Pythran": _by_pythran, "mypyc": _by_mypyc}
+    found: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        ways: dict[str, Any] = {"ours": lambda path: built_in(path, functions)}
+        ways |= {
+            way: partial(build, functions) for way, build in builders.items() if importlib.util.find_spec(way.replace("P", "p"))
+        }
+        modules = {}
+        for way, build in ways.items():
+            (path := Path(folder, way)).mkdir()
+            began = time.perf_counter()
+            try:
+                modules[way] = build(path)
+            except subprocess.TimeoutExpired:  # Pythran's C++ took 9 minutes and 5.7 GB
+                continue
+            found[f"{way}: building [s]"] = time.perf_counter() - began
+        for name in functions:
+            runs = {way: partial(_function(module, name), *_arguments(name, samples, way)) for way, module in modules.items()}
+            runs = {way: run for way, run in runs.items() if _takes(run)}
+            times = alternated(runs, rounds)
+            found |= {f"{way} over ours: {name}": median_ratio(of, times["ours"]) for way, of in times.items() if way != "ours"}
+    return found
+
+
+def _takes(run: Callable[[], object]) -> bool:
+    """Whether a kernel runs as it stands."""
+    try:
+        run()
+    except TypeError:
+        return False
+    return True
+
+
+def _function(module: Any, name: str) -> Any:
+    return getattr(module, name if hasattr(module, name) else f"{name}_")  # one name is a word of Python
+
+
+def _arguments(name: str, n: int, way: str) -> list[Any]:
+    random = np.random.default_rng(5)
+    flags, reals = (random.random(n) < 0.01) | (np.arange(n) == 0), [random.uniform(0.1, 1.0, n) for _ in range(3)]
+    kind = np.uint8 if way == "Cython" else np.bool_
+    flags, others, marked, rising = flags.view(kind), (~flags).view(kind), np.zeros(n, kind), np.cumsum(reals[0])
+    return {
+        "filter_forward": [rising, reals[1], others, flags, reals[2], 0.1, np.zeros((n, 5)), marked],
+        "mark_corners": [rising, reals[1], 0.2, marked],
+        "pass": [*reals[:2], flags, 0.1, 0.3, 0.25, np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)],
+    }[name]
+
+
+def _texts(functions: dict[str, Any], types: dict[str, str], annotated: bool = True) -> list[tuple[str, str, str]]:
+    """Name, types of the parameters, and source of each function with these types."""
+    found = []
+    for name, function in functions.items():
+        tree = ast.parse(inspect.getsource(function)).body[0]
+        tree.decorator_list, tree.name, known = [], f"{name}_" if name == "pass" else name, []
+        for argument in tree.args.args:
+            hint = "States" if "2" in ast.unparse(argument.annotation) else ast.unparse(argument.annotation)
+            known.append(types[hint])
+            argument.annotation = ast.parse(types[hint]).body[0].value if annotated else None
+        tree.returns = None
+        found.append((tree.name, ", ".join(known), ast.unparse(tree)))
+    return found
+
+
+def _constants() -> str:
+    names = ("UNKNOWN", "FASTEST", "OUTLIER", "LASTS_S", "BREAKS_S", "MISSED")
+    return "import math\nimport numpy as np\n" + "".join(f"{name} = {getattr(speed_smoothing, name)!r}\n" for name in names)
+
+
+def _built(path: Path, name: str, text: str, *words: str) -> Any:
+    (path / f"{name}.py").write_text(text)
+    subprocess.run([sys.executable, *words], cwd=path, check=True, capture_output=True, timeout=LONGEST_BUILD_S)
+    library = next(one for one in path.rglob("*.so") if one.name.startswith(f"{name}."))
+    sys.path.insert(0, str(library.parent))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.pop(0)
+
+
+def _by_cython(functions: dict[str, Any], path: Path) -> Any:
+    head = "# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, infer_types=True\nimport cython\n"
+    body = "\n".join(text for *_, text in _texts(functions, OF_CYTHON))
+    constants = re.sub(r"^([A-Z_]+) = (.*)$", r"\1 = cython.declare(cython.double, \2)", _constants(), flags=re.MULTILINE)
+    constants = constants.replace(
+        "import math", "from cython.cimports.libc import math\nINF = cython.declare(cython.double, np.inf)"
+    )
+    constants, body = constants.replace("np.inf)", "float('inf'))"), body.replace("np.inf", "INF")
+    return _built(path, "by_cython", head + constants + body, "-m", "Cython.Build.Cythonize", "-i", "-q", "by_cython.py")
+
+
+def _by_pythran(functions: dict[str, Any], path: Path) -> Any:
+    texts = _texts(functions, OF_PYTHRAN, annotated=False)
+    exports = "".join(f"#pythran export {name}({types})\n" for name, types, _ in texts)
+    return _built(
+        path, "by_pythran", exports + _constants() + "\n".join(text for *_, text in texts), "-m", "pythran.run", "by_pythran.py"
+    )
+
+
+def _by_mypyc(functions: dict[str, Any], path: Path) -> Any:
+    (path / "setup.py").write_text(BY_MYPYC)
+    body = "\n".join(text for *_, text in _texts(functions, OF_MYPYC))
+    return _built(path, "by_mypyc", _constants() + body, "setup.py", "build_ext", "--inplace")
+
+
 DECISIONS: dict[str, Callable[..., dict[str, float]]] = {
     "cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page, "export": export,
-    "rows": rows, "file_sets": file_sets,
+    "rows": rows, "kernel": kernel, "file_sets": file_sets,
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ RELAY = """
 import os, sys, time
 begin = time.perf_counter()
 _, status, usage = os.wait4(os.posix_spawn(sys.argv[2], sys.argv[2:], os.environ), 0)
-os.write(int(sys.argv[1]), f"{time.perf_counter() - begin} {usage.ru_maxrss}".encode())
+os.write(int(sys.argv[1]), f"{time.perf_counter() - begin} {usage.ru_maxrss} {usage.ru_utime + usage.ru_stime}".encode())
 sys.exit(os.waitstatus_to_exitcode(status))
 """
 """Starts a program and waits for it. A program takes over the peak of memory of the process it was started from, so that one has
@@ -92,11 +92,12 @@ to be a small one."""
 
 @dataclass(frozen=True)
 class Ended:
-    """What a child process left: its output, its wall time and its peak resident memory."""
+    """What a child process left: its output, its wall time, its peak resident memory and its processor time."""
 
     output: str
     wall_s: float
     peak_bytes: int
+    processor_s: float
 
     def json(self) -> Any:
         """Return the last line of the output, read as JSON."""
@@ -120,7 +121,7 @@ def child(arguments: Sequence[str], environment: Mapping[str, str] | None = None
             command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, pass_fds=[sent], check=False
         )
         os.close(sent)
-        wall_s, peak = map(float, usage.read().split())
+        wall_s, peak, processor_s = map(float, usage.read().split())
     if done.returncode:
         raise RuntimeError(f"{' '.join(arguments)}: exit code {done.returncode}\n{done.stdout}")
-    return Ended(done.stdout, wall_s, int(peak) * (1 if sys.platform == "darwin" else 1024))
+    return Ended(done.stdout, wall_s, int(peak) * (1 if sys.platform == "darwin" else 1024), processor_s)

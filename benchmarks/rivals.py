@@ -9,18 +9,21 @@ every sample.
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Any, NamedTuple
+import tempfile
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
+from trackres_ros.building.kernel_source import built_in
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.jit.compiled import compiled
 from trackres_ros.model.hysteresis import METHODS, LossMethod
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel, log_shift_factor
@@ -51,12 +54,12 @@ class Plain(NamedTuple):
     """The constants of the model as bare arrays and numbers."""
 
     table: NDArray[np.int64]  # (assemblies,)
-    thermal: Array  # (assemblies, 4): capacity, area, film offset, film slope
+    thermal: Annotated[Array, (None, 4)]  # capacity, area, film offset, film slope
     first_log_load: Array
     step_log_load: Array
     radius: Array
-    loss: Array
-    drive: Array
+    loss: Annotated[Array, (None, None, None)]
+    drive: Annotated[Array, (None, None, 2)]
     numbers: tuple[float, float, float, float, float, float, float, float]
 
 
@@ -80,10 +83,26 @@ def plain(estimator: Estimator) -> Plain:
     )  # fmt: skip
 
 
-@compiled
+@functools.cache
+def in_c() -> ModuleType:
+    """The kernels of this file, compiled as ours are.
+
+    Raises
+    ------
+    RuntimeError
+        There is no C compiler.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        found = built_in(Path(folder), {"plain_loop": plain_loop, "rates": rates})
+    if found is None:
+        raise RuntimeError("no C compiler: install gcc")
+    return found
+
+
 def plain_loop(
-    p: Any, time: Array, speeds: Array, accelerations: Array, loads: Array, ambient: float, temps: Array, out: Array
-) -> None:
+    p: Plain, time: Array, speeds: Array, accelerations: Array, loads: Array, ambient: float,
+    temps: Annotated[Array, (None, None)], out: Annotated[Array, (None, 4)],
+) -> None:  # fmt: skip
     """The limit: one loop over the samples that does the arithmetic and nothing else.
 
     Fills `temps` (times, assemblies) [degC] and `out` (times, 4) [Nm]. No guards, no uncertainty, no status, no other column; the
@@ -139,7 +158,7 @@ def plain_loop(
 def limit(p: Plain, road: Road) -> tuple[Array, Array]:
     """Temperatures (times, assemblies) [degC] and torques (times, 4) [Nm] by `plain_loop`."""
     temps, out = np.empty((len(road.time), len(road.loads))), np.empty((len(road.time), len(TORQUES)))
-    plain_loop(p, road.time, road.speed, road.acceleration, road.loads, road.ambient, temps, out)
+    in_c().plain_loop(p, road.time, road.speed, road.acceleration, road.loads, road.ambient, temps, out)
     return temps, out
 
 
@@ -177,10 +196,17 @@ def torques(p: Plain, road: Road, temps: Array) -> Array:
     return np.stack([hysteresis, bearing, wind, accelerating], axis=1)
 
 
-@numba.njit(nogil=True, error_model="numpy")
 def rates(
-    time: float, temps: Array, p: Any, step: float, speeds: Array, accelerations: Array, loads: Array, ambient: float
-) -> Array:
+    time: float,
+    temps: Array,
+    p: Plain,
+    step: float,
+    speeds: Array,
+    accelerations: Array,
+    loads: Array,
+    ambient: float,
+    rate: Array,
+) -> None:
     """dT/dt [K/s] of all belts; the recorded speed is a straight line between samples."""
     first_x, step_x, tg, c1, c2, friction, drag, inertia = p.numbers
     place = min(max(time / step, 0.0), speeds.shape[0] - 1.000001)
@@ -188,7 +214,6 @@ def rates(
     speed = speeds[n] + (place - n) * (speeds[n + 1] - speeds[n])
     log_speed, sign = math.log10(max(abs(speed), SLOWEST)), math.tanh(speed / STANDSTILL_MPS)
     weight, arm, own = 0.0, 0.0, 0.0
-    rate = np.empty(loads.shape[0])
     for i in range(loads.shape[0]):
         weight += loads[i]
         arm += p.radius[i] * loads[i]
@@ -206,17 +231,23 @@ def rates(
         force = rate[i] + drive * signed + abs(drive) * unsigned
         cooling = (p.thermal[i, 2] + p.thermal[i, 3] * abs(speed)) * p.thermal[i, 1]
         rate[i] = (force * abs(speed) - cooling * (temps[i] - ambient)) / p.thermal[i, 0]
+
+
+def _rates(time: float, temps: Array, *more: Any) -> Array:
+    """`rates` as the solvers call it."""
+    rate = np.empty(len(temps))
+    in_c().rates(time, temps, *more, rate)
     return rate
 
 
 def _extra(p: Plain, road: Road) -> tuple[Any, ...]:
-    return p, road.time[1] - road.time[0], road.speed, road.acceleration, road.loads, road.ambient
+    return in_c().bind_plain(p), road.time[1] - road.time[0], road.speed, road.acceleration, road.loads, road.ambient
 
 
 def by_solve_ivp(p: Plain, road: Road) -> tuple[Array, Array]:
     """LSODA by `solve_ivp` with a compiled right-hand side: temperatures and torques as `limit` gives them."""
     solved = solve_ivp(
-        rates, (road.time[0], road.time[-1]), np.full(len(road.loads), road.ambient), "LSODA", road.time, args=_extra(p, road),
+        _rates, (road.time[0], road.time[-1]), np.full(len(road.loads), road.ambient), "LSODA", road.time, args=_extra(p, road),
         rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE_K, max_step=LONGEST_STEP_S,
     )  # fmt: skip
     if not solved.success:
@@ -228,7 +259,7 @@ def by_solve_ivp(p: Plain, road: Road) -> tuple[Array, Array]:
 def by_odeint(p: Plain, road: Road) -> tuple[Array, Array]:
     """LSODA by `odeint`, the same right-hand side."""
     temps = odeint(
-        rates, np.full(len(road.loads), road.ambient), road.time, args=_extra(p, road), tfirst=True,
+        _rates, np.full(len(road.loads), road.ambient), road.time, args=_extra(p, road), tfirst=True,
         rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE_K, hmax=LONGEST_STEP_S,
     )  # fmt: skip
     return temps, torques(p, road, temps)
@@ -241,7 +272,7 @@ def by_odeint_each_sample(p: Plain, road: Road) -> tuple[Array, Array]:
     extra = _extra(p, road)
     for n in range(1, len(road.time)):
         temps[n] = odeint(
-            rates, temps[n - 1], road.time[n - 1 : n + 1], args=extra, tfirst=True, rtol=RELATIVE_TOLERANCE,
+            _rates, temps[n - 1], road.time[n - 1 : n + 1], args=extra, tfirst=True, rtol=RELATIVE_TOLERANCE,
             atol=ABSOLUTE_TOLERANCE_K,
         )[1]  # fmt: skip
     return temps, torques(p, road, temps)

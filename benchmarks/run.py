@@ -30,7 +30,7 @@ sys.path.append(str(ROOT / "tools"))
 from marks import write_page
 
 PAGE = "docs/performance.md"
-PACKAGES = ("numpy", "scipy", "numba", "rosbags", "cyclonedds")
+PACKAGES = ("numpy", "scipy", "rosbags", "cyclonedds")
 BENCHMARKS = {
     "One step": bench_step,
     "On a route": bench_route,

@@ -9,6 +9,8 @@ import pickle
 import re
 import shutil
 import signal
+import subprocess
+import sys
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from itertools import combinations
 from pathlib import Path
@@ -17,8 +19,10 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import settings
 
+if not {"PYTEST_XDIST_WORKER", "TRACKRES_INTERPRETED"} & os.environ.keys():  # before the kernels are imported
+    subprocess.run([sys.executable, Path(__file__).parents[1] / "tools" / "kernels"], check=True)
+
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.warm_up import WORK
 from trackres_ros.files.resources import config_dir
 from trackres_ros.vehicle import load
 
@@ -143,30 +147,6 @@ def imported(repository):
         return module
 
     return made
-
-
-@pytest.fixture(scope="session")
-def compiled(reference):
-    """The kernels are compiled, so that nodes started in tests do not compile them again."""
-    for run, _ in WORK.values():
-        run(reference)
-
-
-@pytest.fixture
-def warm_code(tmp_path, compiled):
-    """A cache in `tmp_path` that holds all compiled code; gives its files by the function of a simulation or node."""
-    from trackres_ros.jit.compiled import code_folder
-
-    kept = tmp_path / "trackres"
-    kept.mkdir(mode=0o700)
-    shutil.copytree(code_folder(), kept / code_folder().name, ignore=shutil.ignore_patterns("*.lock"))
-
-    def files(*functions):
-        found = [path for name in functions for path in kept.rglob(f"*.{name}-*.code")]
-        assert len(found) >= len(functions)
-        return found
-
-    return files
 
 
 @pytest.fixture(scope="session")

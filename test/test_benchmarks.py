@@ -13,7 +13,6 @@ from unittest.mock import create_autospec
 import pytest
 
 pytest.importorskip("rosbags")
-pytest.importorskip("numba")
 
 SIZES = {
     "bench_step": {"steps": 60, "messages": 200},
@@ -55,8 +54,6 @@ def lightened(monkeypatch, in_this_process, good):
     """Takes from a benchmark what costs time and tells a test nothing: processes, optimisation, a diagnosis."""
 
     def change(name, module):
-        if name in ("bench_table", "bench_ways"):  # what they start with an empty cache need not compile all
-            monkeypatch.setenv("TRACKRES_INTERPRETED", "1")
         if name == "bench_ways":  # one kind by a process on a copy of the sources, the others here
             apart, here = module.measured, lambda of, _way, sizes: module.MEASURES[of](**sizes)
             monkeypatch.setattr(module, "measured", lambda of, *more: (apart if of == module.STEP else here)(of, *more))

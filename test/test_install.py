@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import xml.etree.ElementTree as ET
 
 import pytest
@@ -24,7 +25,9 @@ def installed(tmp_path_factory, request):
     root = request.config.rootpath
     folder = tmp_path_factory.mktemp("install")
     source = folder / "source"
-    ignore = shutil.ignore_patterns(".git", ".venv", "out", "build", "*.egg-info", "__pycache__", ".*_cache", ".hypothesis")
+    ignore = shutil.ignore_patterns(
+        ".git", ".venv", "out", "build", "*.egg-info", "__pycache__", ".*_cache", ".hypothesis", "*.so"
+    )
     shutil.copytree(root, source, ignore=ignore)
     target = folder / "site"
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
@@ -56,11 +59,57 @@ def test_the_ament_files_are_in_place(installed, repository):
     assert trackres_ros.__version__ in (repository / "CHANGELOG.rst").read_text()
 
 
+COMPILED = "from trackres_ros.kernels.marks import COMPILED; print(COMPILED)"
+
+
+def runs_compiled(path, folder):
+    """Whether the package at a path runs compiled kernels, and what it says."""
+    command = [sys.executable, "-P", "-c", COMPILED]
+    done = subprocess.run(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(path)}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip() == "True", done.stderr
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler is installed")
+def test_the_kernels_are_compiled_where_it_is_installed(installed, tmp_path):
+    assert runs_compiled(installed, tmp_path) == (True, "")
+    assert [path.suffixes for path in (installed / "trackres_ros" / "kernels").glob("built.*")] == [[".abi3", ".so"]]
+    assert "Tag: cp311-abi3-linux_" in next(installed.glob("trackres_ros-*.dist-info/WHEEL")).read_text()
+
+
+@pytest.fixture
+def source(tmp_path, repository):
+    """The sources without anything built."""
+    ignored = shutil.ignore_patterns("[.]*", "build", "out", "docs", "test", "*.egg-info", "__pycache__", "*.so")
+    return shutil.copytree(repository, tmp_path / "source", ignore=ignored)
+
+
+def test_without_a_compiler_it_is_built_and_runs_in_python(tmp_path, source):
+    command = [sys.executable, "-P", "setup.py", "--quiet", "build", "--build-lib", str(tmp_path / "built")]
+    without = {**os.environ, "CC": str(tmp_path / "no_compiler")}
+    done = subprocess.run(command, cwd=source, env=without, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "about 100 times" in done.stderr
+    assert "apt install gcc python3-dev" in done.stderr
+    compiled, said = runs_compiled(tmp_path / "built", tmp_path)
+    assert not compiled
+    assert said.count("plain Python, a step about 100 times slower") == 1
+
+
+def test_the_source_archive_has_what_the_kernels_are_built_of(tmp_path, source):
+    command = [sys.executable, "-P", "setup.py", "--quiet", "sdist", "--dist-dir", str(tmp_path)]
+    subprocess.run(command, cwd=source, check=True, capture_output=True)
+    with tarfile.open(next(tmp_path.glob("*.tar.gz"))) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert {f"trackres_ros/kernels/templates/{name}.c" for name in ("binding", "helpers")} < names
+    assert not [name for name in names if name.endswith(".so")]
+
+
 @pytest.mark.parametrize("links", [(), ("--symlink-install",)], ids=["copied", "linked"])
 def test_colcon_builds_it_and_its_commands_run(tmp_path, repository, links):
     if not importlib.util.find_spec("colcon_ros"):
         pytest.skip("colcon is not installed for this Python: pip install colcon-common-extensions")
-    ignored = shutil.ignore_patterns("[.]*", "build", "install", "log", "out", "docs", "*.egg-info", "__pycache__")
+    ignored = shutil.ignore_patterns("[.]*", "build", "install", "log", "out", "docs", "*.egg-info", "__pycache__", "*.so")
     shutil.copytree(repository, tmp_path / "src" / "trackres_ros", ignore=ignored)
     program = "import sys; from colcon_core.command import main; sys.exit(main())"
     build = [sys.executable, "-W", "ignore", "-c", program, "build", "--packages-select", "trackres_ros", *links]
@@ -74,6 +123,9 @@ def test_colcon_builds_it_and_its_commands_run(tmp_path, repository, links):
     listed = subprocess.run(["bash", "-c", run], cwd=tmp_path, capture_output=True, text=True)
     assert listed.returncode == 0, listed.stderr
     assert "xgd24d" in listed.stdout
+    where = f"source install/setup.bash && cd / && {sys.executable} -P -c '{COMPILED}'"
+    said = subprocess.run(["bash", "-c", where], cwd=tmp_path, capture_output=True, text=True)
+    assert said.stdout.strip() == str(shutil.which("cc") is not None), said.stderr
 
 
 def test_colcon_finds_each_package_as_the_pages_build_it(tmp_path, repository):

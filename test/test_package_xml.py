@@ -18,8 +18,8 @@ from packaging.utils import canonicalize_name
 
 from trackres_ros.errors import MissingExtraError
 
-KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
-"""Keys that are neither the module nor ``python3-`` before it; llvmlite comes with numba."""
+KEYS = {"yaml": "python3-yaml"}
+"""Keys that are neither the module nor ``python3-`` before it."""
 FOR_DEVELOPERS = {"test", "mutation", "docs", "release", "coverage"}
 MESSAGE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv)/[A-Z]")
 
@@ -78,7 +78,7 @@ def installed_with(keys):
 def test_tests_load_where_only_the_keys_of_package_xml_are(repository, package, depended):
     """As `colcon test` runs them after `rosdep install`: a test that needs more is skipped, none is an error."""
     there = installed_with(depended | {one.text for one in package.findall("test_depend")})
-    assert {"numpy", "numba", "matplotlib", "pytest", "hypothesis", "jsonschema"} <= there
+    assert {"numpy", "matplotlib", "pytest", "hypothesis", "jsonschema"} <= there
     assert not there & {"rosbags", "pyarrow", "cyclonedds", "pandas", "distributed", "threadpoolctl"}
     given = {**os.environ, "ONLY_PACKAGE_XML": " ".join(there), "PYTHONPATH": str(repository / "test")}
     given["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # of other plugins, whose libraries are hidden

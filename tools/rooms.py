@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "trackres_ros"
 DIVIDED = ("diagnosis", "node", "vehicle")  # rooms with rooms of their own
 HEAD = (Path(__file__).parent / "architecture.in.md").read_text(encoding="utf-8")
-COMMON = ("arrays", "errors", "units", "checks", "files", "text", "jit")  # used from everywhere: left out of the picture
+COMMON = ("arrays", "errors", "units", "checks", "files", "text", "kernels")  # used from everywhere: left out of the picture
 
 
 @cache
@@ -140,9 +140,10 @@ def page() -> str:
     arrows = (f"    {a.replace('.', '_')}[{a}] --> {b.replace('.', '_')}[{b}]" for a, b in shown)
     picture = ["```mermaid", "flowchart LR", *arrows, "```"]
     lines = lines_of_rooms()
-    rows = ["| room | what comes in, what goes out | needs | lines |", "|---|---|---|---|"]
+    rows = ["| room | what comes in, what goes out | needs, beside these | lines |", "|---|---|---|---|"]
+    beside = {room: ", ".join(sorted(set(others) - set(COMMON))) for room, others in needed.items()}
     rows += [
-        f"| `{room}` | {sentence(room)} | {', '.join(sorted(needed[room])) or 'nothing'} | {round(lines[room], -2) or '< 100'} |"
+        f"| `{room}` | {sentence(room)} | {beside[room] or 'nothing'} | {round(lines[room], -2) or '< 100'} |"
         for room in order(needed)
     ]
     rows += [f"| all of them | | | {round(sum(lines.values()), -2)} |"]

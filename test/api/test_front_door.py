@@ -23,7 +23,7 @@ import yaml
 import trackres_ros as tr
 from trackres_ros.api.arguments import LIMITS, as_paths, as_recordings
 from trackres_ros.cli.main import cli
-from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
+from trackres_ros.estimator.entry_points import COMPILED, INTERPRETED
 from trackres_ros.files.resources import config_dir, shipped_road_vehicles
 from trackres_ros.learning.columns import columns_of
 from trackres_ros.learning.parameters import learnables
@@ -146,7 +146,7 @@ def test_it_is_imported_at_once_and_loads_nothing():
     program = (
         "import sys, time; before = set(sys.modules); began = time.perf_counter(); import trackres_ros as tr; "
         "took = time.perf_counter() - began; new = set(sys.modules) - before; tr.InputError; "
-        "late = {'numpy', 'numba', 'scipy', 'yaml'} & set(sys.modules); "
+        "late = {'numpy', 'scipy', 'yaml'} & set(sys.modules); "
         "print(took, *(name for name in new if name.startswith('trackres_ros.')), *late)"
     )
     said = [subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout.split() for _ in range(5)]
@@ -251,7 +251,7 @@ def test_results_are_copied_and_pickled_whole(drive, sample, replayed, xgd24d):
     road = tr.load_vehicle(next(iter(shipped_road_vehicles())))
     point = tr.explain(xgd24d, speed_kmh=20, belt_degc=15)
     results = sample, recording, replayed, simulated, point, tr.check_vehicle(xgd24d)
-    for one in (xgd24d, road, *results, *(tr.Estimator(xgd24d, entries=e) for e in (COMPILED, interpreted_entries()))):
+    for one in (xgd24d, road, *results, *(tr.Estimator(xgd24d, entries=e) for e in (COMPILED, INTERPRETED))):
         for again in (copy.copy(one), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
             assert type(again) is type(one)
             assert repr(again) == repr(one)

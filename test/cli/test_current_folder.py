@@ -9,16 +9,14 @@ import subprocess
 import sys
 from contextlib import suppress
 from importlib.metadata import packages_distributions
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from waiting import wait_for
 
-from trackres_ros.estimator.warm_up import LOCK
 from trackres_ros.files.resources import find_topics, find_vehicle
 
-COLD = "NUMBA_CACHE_DIR", "PYTHONSAFEPATH", "TRACKRES_INTERPRETED"  # variables that would keep a trap from being reached
+COLD = "PYTHONSAFEPATH", "TRACKRES_INTERPRETED"  # variables that would keep a trap from being reached
 DRIVE = "time_s,speed_mps\n" + "".join(f"{0.1 * i:.1f},{8.0 if i > 20 else 0.4 * i:.1f}\n" for i in range(100))
 COMMAND = "from trackres_ros.cli.entry import main\n\nif __name__ == '__main__':\n    main()\n"
 OWN = "import trackres_ros as tr\n\ntr.replay('drive.csv', vehicle='xgd24d')\n"
@@ -46,7 +44,6 @@ def folder(tmp_path):
     (made / "trap-1.0.dist-info").mkdir()
     (made / "trap-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: trap\nVersion: 1.0\n")
     (made / "trap-1.0.dist-info" / "entry_points.txt").write_text("[trackres_ros.readers]\ntrap = trap:KINDS\n")
-    (made / ".numba_config.yaml").write_text("cache_dir: code\n")
     (made / "matplotlibrc").write_text("trap: 1\n")
     (made / "xgd24d").write_text(find_vehicle("xgd24d").read_text() + "\neffect_files: [trap.py]\n")
     (made / "sample").write_text(find_topics("sample").read_text() + "\ntrap: 1\n")
@@ -99,7 +96,6 @@ def test_a_trap_springs_where_python_looks_for_modules_here(folder):
     assert not nothing_sprang(folder)
 
 
-@pytest.mark.skipif(not find_spec("numba"), reason="without numba nothing is compiled")
 @pytest.mark.parametrize("first", FIRST)
 def test_a_first_start_among_traps_springs_none(first, start, folder, tmp_path):
     kept, live, variables = tmp_path / "cache", first == "live", {}
@@ -109,7 +105,7 @@ def test_a_first_start_among_traps_springs_none(first, start, folder, tmp_path):
 
         variables = {"CYCLONEDDS_URI": peer.LOOPBACK, "ROS_DOMAIN_ID": str(peer.domain_of_worker(73))}
     process = start(*FIRST[first], XDG_CACHE_HOME=str(kept), **variables)
-    assert wait_for(lambda: not nothing_sprang(folder) or [*kept.rglob(LOCK)] or process.poll(), patience_s=600.0)
+    assert wait_for(lambda: not nothing_sprang(folder) or [*kept.rglob("*.arrays")] or process.poll(), patience_s=600.0)
     if live:
         process.send_signal(signal.SIGINT)
     ended_well(process)

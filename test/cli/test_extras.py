@@ -31,7 +31,7 @@ for number, (modules, words) in enumerate(commands):
         main(words)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
-OPTIONAL = "numba rosbags pyarrow pandas xarray matplotlib jinja2 sklearn pysindy cyclonedds distributed SALib fsspec"
+OPTIONAL = "rosbags pyarrow pandas xarray matplotlib jinja2 sklearn pysindy cyclonedds distributed SALib fsspec"
 
 
 def without(blocked, commands, folder):
@@ -40,7 +40,7 @@ def without(blocked, commands, folder):
         (folder / str(number) / "here").mkdir(parents=True)
         rows = "".join(f"{i * 0.1:.1f},2.0\n" for i in range(30))
         (folder / str(number) / "drive.csv").write_text("time_s,speed_mps\n" + rows)
-    environment = {**os.environ, "TRACKRES_INTERPRETED": "1"}  # nothing here is worth compiling
+    environment = {**os.environ, "TRACKRES_INTERPRETED": "1"}
     command = [sys.executable, "-c", FORKS, json.dumps([blocked, commands])]
     done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     for number, code in enumerate(map(int, done.stdout.split())):
@@ -49,13 +49,12 @@ def without(blocked, commands, folder):
 
 
 NEEDED = [
-    (("prove", "--quick", "-o", "out"), ("sklearn", "pysindy", "matplotlib", "jinja2", "numba")),
+    (("prove", "--quick", "-o", "out"), ("sklearn", "pysindy", "matplotlib", "jinja2")),
     (("prove", "--quick", "--json", "-o", "out"), ("sklearn",)),
     (("prove", "paper", "-o", "out"), ("matplotlib", "jinja2")),
     (("prove", "loop", "-o", "out"), ("matplotlib",)),
     (("prove", "real", "--data", "here", "-o", "out"), ("matplotlib",)),
     (("fleet", "drive.csv", "--vehicle", "agri3t", "-o", "out"), ("distributed", "fsspec", "pyarrow", "jinja2")),
-    (("fleet", "sample", "-o", "out"), ("numba",)),
     (("trend", "here"), ("pyarrow",)),
     (("prove", "fleet", "-o", "out"), ("distributed",)),
     (("reproduce", "-o", "out"), ("matplotlib",)),

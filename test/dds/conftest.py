@@ -38,8 +38,3 @@ def wire(monkeypatch):
     made = peer.Wire(DOMAIN)
     yield made
     made.close()
-
-
-@pytest.fixture(scope="session", autouse=True)
-def compiled_before(compiled):
-    """Before the first node is started."""

@@ -26,7 +26,7 @@ from trackres_ros.diagnosis.selection import as_used
 from trackres_ros.diagnosis.selection.as_used import AsUsed, _kept, _Option, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.stages.prepare import LEAST_S, prepared, seconds_without_torque, without_an_offset
-from trackres_ros.effects import Active, Effect, Terms, catalogue, native
+from trackres_ros.effects import Active, Effect, Terms, catalogue
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives, write_recordings
@@ -51,8 +51,7 @@ class Looking(Effect):
 
 
 @pytest.mark.parametrize("name", ["ztbus_hess19", "xgd24d"])
-def test_effects_in_a_fit_look_at_the_vehicle_of_the_file(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(native, "HAVE_NUMBA", False)  # so that its Python runs
+def test_effects_in_a_fit_look_at_the_vehicle_of_the_file(name, tmp_path):
     base, looking = load_base(name).base, Looking()
     values = {q.name: min(1.1 * q.nominal, q.high) for q in base.parameters}
     base.predict(drives(base, 5.0, 1, 0.05, np.random.default_rng(1)), values, [Active(looking, {})])

@@ -5,6 +5,7 @@
 
 import pytest
 
+from trackres_ros.building.kernel_source import built_in
 from trackres_ros.effects.stepping import (
     ALL_WELL,
     EXTRAPOLATED,
@@ -19,15 +20,18 @@ from trackres_ros.model.vehicle_constants import vehicle_constants
 
 
 @pytest.fixture(scope="session")
-def stepped(xgd24d):
-    """The terms of effects, or of their table, by the step; it changes their memory."""
+def stepped(xgd24d, tmp_path_factory):
+    """The terms of effects, or of their table, by the step in C or in plain Python; it changes their memory."""
     facts = vehicle_constants(xgd24d)
+    module = built_in(tmp_path_factory.mktemp("step"), {"step_effects": step_effects}, "-O0")
+    in_c = step_effects if module is None else module.step_effects
 
     def step(effects, at, memory=None, machine=True, dt=0.0):
-        table = effects if isinstance(effects, EffectTable) else effect_table(effects, machine=machine)
+        table = effects if isinstance(effects, EffectTable) else effect_table(effects)
         work, memory = new_work(facts), new_memory(len(table.rows)) if memory is None else memory
         look(work, *at[1:9], at.belt)
-        assert step_effects(table.rows, table.values, memory, work, dt) in (ALL_WELL, EXTRAPOLATED)
+        run = in_c if machine else step_effects
+        assert run(table.rows, table.values, memory, work, dt) in (ALL_WELL, EXTRAPOLATED)
         return work
 
     return step

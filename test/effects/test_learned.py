@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
 from trackres_ros.effects import Active, catalogue, check_effects
+from trackres_ros.effects.calls import is_compiled
 from trackres_ros.effects.effect import conditions
 from trackres_ros.effects.learned import (
     ABOVE,
@@ -42,7 +43,6 @@ from trackres_ros.effects.learned import (
     SidedGain,
     sized,
 )
-from trackres_ros.effects.native import is_compiled
 from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
 from trackres_ros.model.vehicle_constants import vehicle_constants

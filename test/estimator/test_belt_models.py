@@ -14,7 +14,6 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import Heat
 from trackres_ros.estimator.belt_lumped import advance_lumped
 from trackres_ros.estimator.belt_two_nodes import advance_two_nodes
-from trackres_ros.jit.compiled import interpreted
 
 CAPACITY, SHARE, CONDUCTANCE, NOISE, AMBIENT_STD = 7e4, 0.3, 650.0, 0.05, 2.5  # J/K, of the capacity, W/K, K/s^0.5, K
 HEAT = Heat(power=9e3, power_slope=-90.0, cooling=210.0, surroundings=12.0)
@@ -82,7 +81,7 @@ def test_temperatures_and_heat_are_those_of_the_linear_model(name, dt, constants
     matrix, gained, lost, flow = model(belt)
     moved, integral = solved(matrix, gained - lost + flow, np.zeros(nodes), dt)
     before = belt.copy()
-    heat_in, heat_out = interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
+    heat_in, heat_out = advance(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
     assert belt[:nodes, 0] - before[:nodes, 0] == pytest.approx(moved, rel=1e-8)
     assert heat_in == pytest.approx(HEAT.power * dt + HEAT.power_slope * integral[0], rel=1e-10)
     outer = before[nodes - 1, 0]
@@ -96,7 +95,7 @@ def test_departures_follow_their_causes_through_the_same_model(name, dt, constan
     advance, model, nodes = MODELS[name]
     matrix, gained, lost, flow = model(belt)
     before, moves, none = belt.copy(), gained - lost + flow, np.zeros((nodes, nodes))
-    interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
+    advance(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
     gains, loses = none.copy(), none.copy()  # derivatives of gained and lost
     air = HEAT.cooling / CAPACITY / np.array([1.0, SHARE][:nodes])
     gains[:, 0], loses[:, -1] = HEAT.power_slope / CAPACITY, air
@@ -119,7 +118,7 @@ def test_noise_goes_through_the_model_like_all_departures(name, dt, constants, b
     advance, model, nodes = MODELS[name]
     columns = (at.Belt.noise_1, at.Belt.noise_2)[:nodes]  # one node has one source of noise
     carried = np.array([solved(model(belt)[0], np.zeros(nodes), belt[:nodes, column], dt)[0] for column in columns]).T
-    interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
+    advance(constants, constants.own, belt, HEAT, AMBIENT_STD, dt)
     after = belt[:nodes][:, list(columns)]
     added = NOISE**2 * walked(model(belt)[0], dt)
     assert after @ after.T == pytest.approx(carried @ carried.T + added, rel=1e-8)
@@ -132,7 +131,7 @@ def test_noise_is_the_same_however_a_time_is_cut_and_bounded(name, constants, be
     def covariance(dt, steps):
         after = belt.copy()
         for _ in range(steps):
-            interpreted(advance)(constants, constants.own, after, HEAT, AMBIENT_STD, dt)
+            advance(constants, constants.own, after, HEAT, AMBIENT_STD, dt)
         noise = after[:nodes, [at.Belt.noise_1, at.Belt.noise_2]]
         return noise @ noise.T
 
@@ -144,9 +143,9 @@ def test_noise_is_the_same_however_a_time_is_cut_and_bounded(name, constants, be
 def test_without_uncertainty_only_temperatures_move_and_equally(name, constants, belt):
     advance, _, nodes = MODELS[name]
     wanted, before = belt.copy(), belt.copy()
-    interpreted(advance)(constants, constants.own, wanted, HEAT, AMBIENT_STD, 0.5)
+    advance(constants, constants.own, wanted, HEAT, AMBIENT_STD, 0.5)
     constants.number.with_uncertainty = False
-    heat = interpreted(advance)(constants, constants.own, belt, HEAT, AMBIENT_STD, 0.5)
+    heat = advance(constants, constants.own, belt, HEAT, AMBIENT_STD, 0.5)
     assert all(map(math.isnan, heat))
     assert (belt[:, 0] == wanted[:, 0]).all()
     assert (belt[:, 1:] == before[:, 1:]).all()

@@ -18,7 +18,6 @@ from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, 
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.jit.compiled import interpreted
 from trackres_ros.vehicle import load
 
 START_NS = 1_700_000_000_000_000_000
@@ -97,7 +96,7 @@ def test_feedforward_keeps_its_rate_and_resumes_where_it_faded(rate, steps):
 
 @given(ANY, ANY, ANY)
 def test_no_way_leads_beyond_its_ends(here, there, room):
-    found = interpreted(towards)(here, there, room)
+    found = towards(here, there, room)
     assert found in (here, there) or min(here, there) < found < max(here, there) or math.isnan(here)
 
 
@@ -106,8 +105,8 @@ TORQUES_NM, TIMES_S = st.floats(-LIMIT_NM, LIMIT_NM), st.floats(0.0, 5.0)
 
 @given(st.sampled_from(sorted(RATES)), TORQUES_NM, TORQUES_NM, TIMES_S, TIMES_S)
 def test_its_way_is_one_and_a_wrong_sign_goes_first_and_fast(rate, value, target, first, then):
-    number, way = RATES[rate].constants.number, interpreted(followed)
-    fast = interpreted(rate_towards)(number, 0.0)
+    number, way = RATES[rate].constants.number, followed
+    fast = rate_towards(number, 0.0)
     halfway, found = (way(number, value, target, lasted) for lasted in (first, first + then))
     assert way(number, halfway, target, then) == pytest.approx(found, abs=1e-6)
     assert min(value, target) <= found <= max(value, target)
@@ -140,7 +139,7 @@ def test_feedforward_keeps_its_limit_whatever_is_no_number():
         of_effects, share, dt = some(3)
         inputs = Inputs(8.0, np.abs(some(4)), 15.0, 2.0, np.zeros(4), acceleration=0.1, grade=0.1, fed=share)
         with np.errstate(invalid="ignore", divide="ignore"):
-            moved, _ = interpreted(feedforward)(k, at.Motion(motion), at.Part(total), of_effects, inputs, abs(dt))
+            moved, _ = feedforward(k, at.Motion(motion), at.Part(total), of_effects, inputs, abs(dt))
         assert abs(moved) <= (math.inf if limit == math.inf else LIMIT_NM)
         present = float(inputs.load @ arms / (nominal @ arms))
         assert not abs(motion[at.Motion.feedforward_target]) > limit * (present if present < 1.0 else 1.0) * (1.0 + 1e-12)

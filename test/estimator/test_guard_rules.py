@@ -21,7 +21,6 @@ from trackres_ros.estimator.guards import (
     new_memory,
 )
 from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
-from trackres_ros.jit.compiled import interpreted
 from trackres_ros.route.follower import NOTHING_YET
 
 S, MS = 1_000_000_000, 1_000_000
@@ -34,9 +33,9 @@ WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
 CHANNELS = WHEELS + 1 + AXLES + ASSEMBLIES
 SHARES_OF_ALL = (0.3, 0.3, 0.25, 0.15)
 
-admit, held = interpreted(guards.admit), interpreted(guards.held)
-gather, gather_loads = interpreted(guards.gather), interpreted(guards.gather_loads)
-forget_others = interpreted(guards.forget_others)
+admit, held = guards.admit, guards.held
+gather, gather_loads = guards.gather, guards.gather_loads
+forget_others = guards.forget_others
 
 
 @pytest.fixture

@@ -1,78 +1,187 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""In plain Python the same bits come out: without numba, and of a first run, which changes over to compiled code on the way."""
+"""C and plain Python give the same bits: every kernel, every vehicle, every effect."""
 
+import copy
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
 
-import trackres_ros as tr
-from trackres_ros.effects import Active, Effect, catalogue, native
+import trackres_ros
+from trackres_ros.arrays import Array, IntArray
+from trackres_ros.building.kernel_source import all_entries, built_in
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.effects.stepping import TERMS, fit_table, new_memory, new_work
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator import warm_up
-from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
+from trackres_ros.estimator.entry_points import COMPILED, INTERPRETED
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import DriveSeries
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.jit.compiled import HAVE_NUMBA, compiled
-from trackres_ros.jit.rows import Real, Reals, Row, Whole
-from trackres_ros.offline import replay as offline_replay
+from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
+from trackres_ros.kernels import machine
+from trackres_ros.kernels.rows import Real, Reals, Row, Whole
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import load, load_any
 
+VEHICLES = [*shipped_vehicles(), *shipped_road_vehicles()]
+RANDOM = np.random.default_rng(7)
+
+pytestmark = pytest.mark.skipif(not COMPILED.compiled, reason="the kernels are not compiled: there is nothing to compare")
+
+
+def messages(estimator, n, slowest_ns):
+    """Of all channels, with speeds and loads that no vehicle has, and pauses."""
+    random, channels = np.random.default_rng(3), range(len(estimator.channels))
+    channel = np.where(random.random(n) < 0.4, at.SPEED, random.choice(channels, n)).astype(np.int16)
+    stamp = 10**18 + np.cumsum(random.integers(1, slowest_ns, n))
+    speed = 8.0 + 3.0 * np.sin(np.arange(n) / 300.0) + random.choice([0.0, 7.0, -15.0], n, p=[0.96, 0.02, 0.02])
+    of_others = {
+        at.LOAD: 1.02 * estimator.vehicle.weight, at.ENABLE: 1.0 * (random.random(n) > 0.2), at.DISTANCE: 0.16 * np.arange(n)
+    }  # fmt: skip
+    small = [at.ACCEL, at.GRADE, at.YAW_RATE, at.LATITUDE, at.LONGITUDE]
+    value = np.select([channel == which for which in of_others], list(of_others.values()), speed)
+    value[np.isin(channel, small)] *= 0.01
+    return channel, stamp, stamp, value
+
+
+def rows_of(vehicle, entries, n, slowest_ns):
+    """Results of a session, and of its state after a rest."""
+    estimator = Estimator(vehicle, Settings(enable_hold_s=0.5), entries=entries)
+    session = estimator.session()
+    rows = session.handle_block(*messages(estimator, n, slowest_ns)).rows
+    rested = estimator.rest(session.state, None, 3600.0)
+    return np.concatenate([rows.ravel(), *map(np.ravel, rested), *map(np.ravel, session.memory)])
+
+
+@pytest.mark.parametrize(("n", "slowest_ns"), [(3000, 40_000_000), (150, 3_000_000_000)], ids=["fast", "with gaps"])
+@pytest.mark.parametrize("name", VEHICLES)
+def test_messages_of_all_channels_give_the_same_bits(name, n, slowest_ns):
+    vehicle = load_any(name)
+    plain, compiled = (rows_of(vehicle, entries, n, slowest_ns) for entries in (INTERPRETED, COMPILED))
+    np.testing.assert_array_equal(plain, compiled)
+
+
+def test_two_nodes_of_a_belt_give_the_same_bits(xgd24d):
+    vehicle = replace(xgd24d, thermal="core_surface")
+    np.testing.assert_array_equal(*(rows_of(vehicle, entries, 600, 2_000_000_000) for entries in (INTERPRETED, COMPILED)))
+
+
 PROGRAM = """
-import numpy as np
-from dataclasses import replace
-from trackres_ros.jit.compiled import HAVE_NUMBA
+import sys
+from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.vehicle import load
-out = []
-for thermal in ("lumped", "core_surface"):
-    estimator = Estimator(replace(load("xgd24d"), thermal=thermal))
-    random = np.random.default_rng(4)
-    n = 400
-    channel = random.choice([0, 0, 0, 1, 3, 4, 6], n).astype(np.int16)
-    stamp = 10**18 + np.cumsum(random.integers(1, 3 * 10**9, n))
-    kinds = [random.normal(8, 2, n), random.normal(272e3, 1e4, n), random.normal(0, .05, n)]
-    value = np.select([channel == 0, channel == 1, channel == 6], kinds, 20.0)
-    rows = estimator.session().handle_block(channel, stamp, stamp, value).rows
-    out.append(np.where(np.isfinite(rows), rows, -1e9).tolist())
+session = Estimator("agri3t").session()
+rows = [session.handle(0, 10**18 + i * 10**8, 10**18 + i * 10**8, 2.0 + 0.01 * i).row.tolist() for i in range(20)]
 """
 
 
-@pytest.mark.long
-@pytest.mark.skipif(not HAVE_NUMBA, reason="numba is not installed: there is nothing to compare")
-def test_interpreted_equals_compiled_and_loads_no_scipy():
+def test_on_request_it_runs_in_plain_python_and_says_nothing():
     found = {}
     exec(PROGRAM, found)  # its tables are in the cache from now on
-    program = f"{PROGRAM}\nimport json, sys; print(json.dumps([HAVE_NUMBA, out, 'scipy.interpolate' in sys.modules]))"
+    program = f"{PROGRAM}\nimport json; print(json.dumps([COMPILED.compiled, rows, 'scipy.interpolate' in sys.modules]))"
     environment = {**os.environ, "TRACKRES_INTERPRETED": "1"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-    numba, interpreted, loads_scipy = json.loads(done.stdout)
-    assert (found["HAVE_NUMBA"], numba, loads_scipy) == (True, False, False)
-    np.testing.assert_array_equal(np.array(found["out"]), np.array(interpreted))
+    assert done.stderr == ""
+    assert json.loads(done.stdout)[::2] == [False, False]
+    np.testing.assert_array_equal(np.array(found["rows"]), np.array(json.loads(done.stdout)[1]))
+
+
+def test_sources_changed_since_they_were_compiled_run_in_python(tmp_path):
+    """A checkout whose kernels were edited never runs the old ones."""
+    package = Path(trackres_ros.__file__).parent
+    shutil.copytree(package, tmp_path / "trackres_ros", ignore=shutil.ignore_patterns("__pycache__"))
+    edited, said = tmp_path / "trackres_ros" / "effects" / "vehicle" / "air_drag.py", []
+    for more in ("", "# edited\n", ""):
+        edited.write_text((package / "effects" / "vehicle" / "air_drag.py").read_text() + more)
+        program = "from trackres_ros.kernels.marks import COMPILED; print(COMPILED)"
+        done = subprocess.run([sys.executable, "-P", "-c", program], env={**os.environ, "PYTHONPATH": str(tmp_path)},
+                              capture_output=True, text=True, check=True)  # fmt: skip
+        said.append((done.stdout.strip(), "changed" in done.stderr, "times slower" in done.stderr))
+    assert said == [("True", False, False), ("False", True, True), ("True", False, False)]
+
+
+N, LAYERS = 400, 15
+RISING = np.cumsum(RANDOM.uniform(0.01, 1.0, N))
+SHIFT = np.array([-60.0, 17.0, 51.0, 50.0, 40.0])
+LENGTH, FLAGS, OF_LAYERS = (N,), bool, (LAYERS,)
+OF_SERIES = {
+    "filter_forward": (RISING, LENGTH, FLAGS, FLAGS, LENGTH, 0.1, (N, 5), FLAGS),
+    "smooth_backward": (RISING, FLAGS, FLAGS, LENGTH, FLAGS, (N, 5), LENGTH),
+    "mark_corners": (RISING, LENGTH, 0.2, FLAGS),
+    "pass": (LENGTH, LENGTH, FLAGS, 0.1, 0.3, 0.25, (N, 2), (N, 2), LENGTH),
+    "follow": (LENGTH, LENGTH, FLAGS, 0.9, 0.4, LENGTH, LENGTH),
+    "roll": (
+        0.1, *[LENGTH] * 7, -6.0, 0.5, (4, 30), (30,), OF_LAYERS, SHIFT, 0.1, 2e5, 6.0, 300.0, OF_LAYERS, OF_LAYERS,
+        *[LENGTH] * 3,
+    ),
+}  # fmt: skip
+"""Arguments of kernels: numbers, shapes of random numbers, random flags."""
+
+
+def drawn(kind):
+    if kind is FLAGS:
+        return (RANDOM.random(N) < 0.1) | (np.arange(N) == 0)
+    return RANDOM.uniform(0.1, 1.0, kind) if isinstance(kind, tuple) else kind
+
+
+OF_AN_ESTIMATOR = {"feed", "feed_all", "advance_along", "predict_along", "advance_once", "rest", "start", "follow_along"}
+OF_AN_OWN_MODEL = {"own_along", "rest_effects"}
+
+
+def test_each_kernel_that_python_calls_is_compared():
+    """Those of an estimator and of a user's own model are below and in the tests of fits."""
+    assert {*OF_SERIES, *OF_AN_ESTIMATOR, *OF_AN_OWN_MODEL} == set(all_entries())
+
+
+@pytest.mark.parametrize("name", OF_SERIES)
+def test_kernels_of_series_give_the_same_bits(name):
+    python, given = all_entries()[name], [drawn(kind) for kind in OF_SERIES[name]]
+    other = copy.deepcopy(given)
+    answers = python(*given), getattr(machine.MACHINE, name)(*other)
+    assert answers[0] == answers[1]
+    for one, same in zip(given, other, strict=True):
+        np.testing.assert_array_equal(one, same)
+
+
+@pytest.mark.parametrize("name", ["headwind", "viscous_bearing", "warmup"])
+def test_an_own_model_with_effects_gives_the_same_bits(name, xgd24d):
+    effect, facts = catalogue()[name], vehicle_constants(xgd24d)
+    table, found = fit_table([Active(effect, effect.values())]), []
+    for of in (all_entries(), vars(machine.MACHINE)):
+        work, memory, torque, outcome = new_work(facts), new_memory(1), np.empty(250), np.empty(250, dtype=np.int64)
+        time, speed, load, air, accel, _, yaw_rate, heading, _ = a_drive(250)
+        of["own_along"](table, work, memory, 300.0 * speed, time, speed, accel, load, air, yaw_rate, heading, torque, outcome)
+        of["rest_effects"](*table, memory, work, 5.0, 100.0)
+        found.append(np.concatenate([torque, outcome, memory, work[:TERMS]]))
+    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize("name", ["xgd24d", "ztbus_hess19"])
-def test_messages_of_all_channels_give_the_same_bits(name):
-    vehicle, n, rows = load_any(name), 3000, []
-    for entries in (interpreted_entries(), COMPILED):
-        session = Estimator(vehicle, Settings(enable_hold_s=0.5), entries=entries).session()
-        random, channels = np.random.default_rng(3), range(len(session.estimator.channels))
-        channel = np.where(random.random(n) < 0.4, at.SPEED, random.choice(channels, n)).astype(np.int16)
-        stamp = 10**18 + np.cumsum(random.integers(1, 40_000_000, n))
-        speed = 8.0 + 3.0 * np.sin(np.arange(n) / 300.0) + random.choice([0.0, 7.0, -15.0], n, p=[0.96, 0.02, 0.02])
-        of_others = {at.LOAD: 1.02 * vehicle.weight, at.ENABLE: 1.0 * (random.random(n) > 0.2), at.DISTANCE: 0.16 * np.arange(n)}
-        small = [at.ACCEL, at.GRADE, at.YAW_RATE, at.LATITUDE, at.LONGITUDE]
-        value = np.select([channel == which for which in of_others], list(of_others.values()), speed)
-        value[np.isin(channel, small)] *= 0.01
-        rows.append(session.handle_block(channel, stamp, stamp, value).rows)
-        assert session.memory.counters[at.SPEED, at.Count.IMPLAUSIBLE] > 50
-    np.testing.assert_array_equal(*rows)
+def test_a_fit_and_a_route_give_the_same_bits(name):
+    estimator, found = Estimator(name), []
+    k, n = estimator.constants, 200
+    time, speed, load, air, accel, grade, yaw_rate, heading, distance = a_drive(n)
+    unknown = np.full(n, np.nan)
+    drive = DriveSeries(time, speed, load, air, accel, grade, yaw_rate, heading, distance, unknown, np.zeros(n), unknown, unknown)
+    kinds = len(estimator.assemblies)
+    for entries in (INTERPRETED, COMPILED):
+        state = estimator.cold_start(estimator.inputs(0.0))
+        rows, followed = np.empty((n, 4)), np.empty((n, 4))
+        entries.start_belts(k, state, 12.0, 1.0)
+        entries.predict_series(k, state, np.ones(max(kinds, 1)), drive, rows)
+        entries.follow_series(k, np.array(NOTHING_YET), time, speed, 0.8 + 1e-6 * time, 0.1 + 1e-6 * time, followed)
+        found.append(np.concatenate([rows.ravel(), followed.ravel(), *map(np.ravel, state)]))
+    np.testing.assert_array_equal(*found)
 
 
 def a_drive(steps):
@@ -86,7 +195,7 @@ def a_drive(steps):
 
 
 def interpreted_and_compiled(vehicle):
-    for entries in (interpreted_entries(), COMPILED):
+    for entries in (INTERPRETED, COMPILED):
         estimator = Estimator(vehicle, entries=entries)
         yield estimator.run(estimator.cold_start(estimator.inputs(0.0)), *a_drive(250))[1]
 
@@ -104,59 +213,6 @@ def test_every_effect_gives_the_same_bits(names):
         assert np.isfinite(machine[:, 0]).all()
 
 
-@pytest.mark.long
-def test_a_replay_that_changes_over_gives_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setattr(offline_replay, "BLOCK_ROWS", 1500)
-    time, speed = a_drive(5000)[:2]
-    drive = tmp_path / "drive.csv"
-    np.savetxt(drive, np.column_stack([time, speed]), delimiter=",", header="time_s,speed_mps", comments="", fmt="%.3f")
-    at_once = tr.replay(drive, "xgd24d")
-    made = []
-
-    class HalfWarm(warm_up.CompilerWarmUp):
-        """As on a machine where compiling takes two blocks."""
-
-        def __init__(self, work, **_):
-            super().__init__(work, meanwhile=False)
-            self.first = interpreted_entries()
-            self.asked = 0
-            made.append(self)
-
-        def finished(self):
-            self.asked += 1
-            return COMPILED if self.asked == 3 else None
-
-    monkeypatch.setattr(warm_up, "CompilerWarmUp", HalfWarm)
-    changed = tr.replay(drive, "xgd24d")
-    assert made[0].asked >= 3
-    assert changed.estimator.entries.compiled
-    for name in at_once:
-        np.testing.assert_array_equal(at_once[name], changed[name], err_msg=name)
-
-
-def test_the_first_simulation_is_the_second(monkeypatch):
-    second = tr.simulate("agri3t", speed_kmh=12, duration_s=120)
-    monkeypatch.setattr(warm_up, "is_warm", lambda _work: False)
-    monkeypatch.setattr(warm_up.subprocess, "Popen", Never)
-    first = tr.simulate("agri3t", speed_kmh=12, duration_s=120)
-    assert not first.estimator.entries.compiled
-    for name in second:
-        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
-
-
-class Never:
-    """A compiling process that does not get there."""
-
-    def __init__(self, **_):
-        pass
-
-    def wait(self):
-        return 1
-
-    def poll(self):
-        return None
-
-
 class Numbered(Row):
     first = Real()
     several = Reals(2)
@@ -168,7 +224,7 @@ class Counted(Row):
     since = Whole()
 
 
-def moved(numbers, counts):
+def moved(numbers: Annotated[Array, (None, 4)], counts: IntArray):
     row, count = Numbered(numbers[1]), Counted(counts)
     row.last = count.since / 2
     for i in range(2):
@@ -177,34 +233,10 @@ def moved(numbers, counts):
     return row.several[1] + count.seen
 
 
-def test_a_row_names_numbers_where_they_lie():
+def test_a_row_names_numbers_where_they_lie(tmp_path):
     assert (Numbered.first, Numbered.several, Numbered.last, Numbered.columns) == (0, slice(1, 3), 3, 4)
     found = []
-    for function in (moved, compiled(moved)):
+    for function in (moved, built_in(tmp_path, {"moved": moved}, "-O0").moved):
         numbers, counts = np.arange(8.0).reshape(2, 4), np.array([3, 5])
         found.append((function(numbers, counts), numbers.tolist(), counts.tolist()))
     assert found == [(15.0, [[0.0, 1.0, 2.0, 3.0], [4.0, 5.0, 10.0, 2.5]], [5, 5])] * 2
-
-
-def test_an_effect_of_a_users_own_waits_for_compiled_steps():
-    class Own(Effect):
-        name = "own"
-
-    ours = catalogue()["drivetrain_drag"]
-    vehicle = load("xgd24d")
-    assert warm_up.same_in_python(vehicle)
-    assert warm_up.same_in_python(replace(vehicle, effects=(Active(ours, ours.values()),)))
-    assert not warm_up.same_in_python(replace(vehicle, effects=(Active(Own(), {}),)))
-
-
-def test_where_nothing_is_to_be_compiled_effects_are_not_either(monkeypatch):
-    def refuse(*_):
-        raise AssertionError("an effect is compiled")
-
-    monkeypatch.setattr(native, "_machine_code", refuse)
-    drag = catalogue()["drivetrain_drag"]
-    vehicle = replace(load("xgd24d"), effects=(Active(drag, drag.values()),))
-    estimator = Estimator(vehicle, entries=interpreted_entries())
-    inputs = estimator.inputs(5.0, ambient=15.0)
-    _, estimate = estimator.step(estimator.cold_start(inputs), inputs, 0.1)
-    assert estimate["effects_nm"] == pytest.approx(drag.values()["drag"])

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from built import STRICT, have, write
 
-from trackres_ros.effects import Active, Terms, catalogue, native
+from trackres_ros.effects import Active, Terms, calls, catalogue
 from trackres_ros.effects.effect import ALL_KNOWN, conditions
 from trackres_ros.estimator import constants
 from trackres_ros.model.vehicle_constants import vehicle_constants
@@ -88,11 +88,11 @@ def answers(effect, at):
     return by
 
 
-@pytest.mark.skipif(not (native.HAVE_NUMBA and have("gcc")), reason="numba or gcc is not installed")
+@pytest.mark.skipif(not have("gcc", "cc"), reason="no C compiler is installed")
 def test_each_way_of_an_own_effect_gives_the_same_numbers(tmp_path, xgd24d, monkeypatch):
     monkeypatch.setattr(constants, "check_own_effects", lambda vehicle: None)  # which refuses these
     own = effects(tmp_path)
-    assert all(map(native.is_compiled, own))
+    assert all(map(calls.is_compiled, own))
     write(replace(xgd24d, effects=tuple(Active(one, one.values()) for one in own)), tmp_path)
     with (tmp_path / "trackres.c").open("a") as file:
         file.write("void call(int64_t n, const double *x, const double *p, double *y);\n")
@@ -101,7 +101,7 @@ def test_each_way_of_an_own_effect_gives_the_same_numbers(tmp_path, xgd24d, monk
     library = ctypes.CDLL(str(tmp_path / "all.so"))
     facts = vehicle_constants(xgd24d)
     for number, effect in enumerate(own, 1):
-        machine, python = (native.CALL(native.native(effect, way)[0]) for way in (True, False))
+        machine, python = (calls.CALL(calls.number_of(effect, "terms", way)) for way in (True, False))
         for x, y, z in itertools.product(VALUES, repeat=3):
             at = conditions(facts, **{**ALL_KNOWN, "speed": x, "accel": y, "heading": z})
             by = answers(effect, at)

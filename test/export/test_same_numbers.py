@@ -22,7 +22,6 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off, resume, save
 from trackres_ros.export import step
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
-from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 
@@ -202,7 +201,7 @@ def enabled(tmp_path_factory):
     return built, bytes(built.state)
 
 
-GUARD, FOLLOWED = interpreted(not_enabled), interpreted(followed)
+GUARD, FOLLOWED = not_enabled, followed
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -232,7 +231,7 @@ def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
         guarded.add(unfed)
         age_s += FEEDFORWARD_STEP_S
     of_c, of_live = np.abs(shown).T
-    a_tick_later = (k.number.feedforward_rate + interpreted(rate_towards)(k.number, 0.0)) * FEEDFORWARD_STEP_S
+    a_tick_later = (k.number.feedforward_rate + rate_towards(k.number, 0.0)) * FEEDFORWARD_STEP_S
     assert (of_c <= of_live + a_tick_later + 1e-6).all()
     assert of_c.max() > 500.0
     assert guarded == {0, at.Reason.SPEED_IMPLAUSIBLE, at.Reason.DISABLED, at.Reason.ENABLE_OLD}

@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from trackres_ros.errors import InputError
-from trackres_ros.export.c_source import TEMPLATES, filled
-from trackres_ros.export.calls import ALLOWED
-from trackres_ros.export.flow import translate_body
-from trackres_ros.export.functions import Translator
-from trackres_ros.export.kinds import INT, REAL, SAME_IN_C, ArrayOf
-from trackres_ros.jit.rows import Real, Reals, Row
+from trackres_ros.kernels.calls import ALLOWED
+from trackres_ros.kernels.extension import used_helpers
+from trackres_ros.kernels.flow import translate_body
+from trackres_ros.kernels.functions import Translator
+from trackres_ros.kernels.kinds import INT, REAL, SAME_IN_C, ArrayOf
+from trackres_ros.kernels.rows import Real, Reals, Row
 
 STEPS = (2.0, -1.0, 0.25)
 TABLE = np.arange(12.0).reshape(4, 3)
@@ -130,8 +130,6 @@ FUNCTIONS = (whole_numbers, branches, views, rows, places, rounds, operands)
 def compiled(tmp_path_factory):
     folder, translator = tmp_path_factory.mktemp("translated"), Translator(translate_body)
     ones = [translator.instance(function, [INT, INT, ArrayOf(REAL, (4,))]) for function in FUNCTIONS]
-    helpers = (TEMPLATES / "helpers.c").read_text().replace("static ", "static inline ")
-    values = {"REAL": "double", "REAL_LEAST": "-9.2e18", "REAL_MOST": "9.2e18", "FLOOR": "floor", "FMOD": "fmod", "HALF": "0.5"}
     functions = translator.text_of_functions(ones)
     head = "#include <math.h>\n#include <stdint.h>\n#include <stdbool.h>\n"
     entries = ""
@@ -139,9 +137,8 @@ def compiled(tmp_path_factory):
         given = ", ".join([*(name for name, _ in one.given), *["&failed"] * one.fails])
         entries += f"bool run_{one.function.__name__}(int64_t a, int64_t b, double *out)\n"
         entries += f"{{ bool failed = false; {one.name}({given}); return failed; }}\n"
-    text = (
-        head + filled(helpers, values) + translator.text_of_structs(functions) + translator.text_of_tables() + functions + entries
-    )
+    own = used_helpers(translator, functions)
+    text = head + own + translator.text_of_structs(functions) + translator.text_of_tables() + functions + entries
     (folder / "all.c").write_text(text)
     subprocess.run(["gcc", *STRICT, "-O1", "-shared", "-fPIC", "all.c", "-o", "all.so", "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(folder / "all.so"))

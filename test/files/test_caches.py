@@ -4,23 +4,15 @@
 """Caches: whatever their content, the numbers are the same, and no foreign code is run."""
 
 import os
-import pickle
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from waiting import wait_for
 
-from trackres_ros.files import cache, own_files
+from trackres_ros.files import cache
 from trackres_ros.files import cached_arrays as cached_arrays_module
 from trackres_ros.files.cached_arrays import cached_arrays
-from trackres_ros.jit import compiled as compiling
-from trackres_ros.jit.code_cache import LIGHT
-
-needs_numba = pytest.mark.skipif(not compiling.HAVE_NUMBA, reason="numba is not installed: nothing is compiled")
 
 SHAPES = {"a": (3, 4), "b": (), "c": (5,)}
 ARRAYS = {"a": np.arange(12.0).reshape(3, 4), "b": np.array(-1.5), "c": np.linspace(0, 1, 5)}
@@ -167,97 +159,17 @@ def test_without_a_home_there_is_no_cache_and_it_is_said(monkeypatch, said):
     assert said()
 
 
-# Compiled code
-
-
-def square(x):
-    return x * x + 1.0
-
-
-@pytest.fixture
-def code(tmp_path, monkeypatch):
-    """A folder for compiled code, and the one file in it."""
-    monkeypatch.setattr(compiling._library.config, "CACHE_DIR", str(tmp_path))
-    assert compiling.compiled(square)(3.0) == 10.0
-    (path,) = tmp_path.rglob("*.code")
-    return path
-
-
-def compiled_anew():
-    """Whether a new dispatcher of the same function had to compile."""
-    fresh = compiling.compiled(square)
-    assert fresh(3.0) == 10.0
-    return not fresh.stats.cache_hits
-
-
-@needs_numba
-def test_compiled_code_is_taken_from_the_cache(code):
-    assert compiling.is_cached(compiling.compiled(square))
-    assert not compiled_anew()
-    assert code.stat().st_mode & 0o077 == 0
-
-
-@needs_numba
-def test_damaged_code_is_compiled_anew_and_written_again(code):
-    whole = code.read_bytes()
-    sealed = [own_files.sealed(code.name, pickle.dumps(content)) for content in (None, (1, 2), ("x",) * 9)]
-    unloadable = [*sealed, *(own_files.sealed(code.name, payload) for payload in (b"", b"\x80\x05."))]
-    for damaged in [*(damage(whole) for damage in list(DAMAGES.values())[:9]), *unloadable]:
-        code.write_bytes(damaged)
-        assert compiling.is_cached(compiling.compiled(square)) is (damaged in unloadable)
-        assert compiled_anew()
-        assert not compiled_anew()
-
-
-class Bomb:
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return Path.touch, (self.path,)
-
-
-@needs_numba
-def test_a_pickle_that_we_did_not_write_is_never_opened(code, tmp_path):
-    code.write_bytes(pickle.dumps(Bomb(tmp_path / "ran")))
-    assert compiled_anew()
-    assert not (tmp_path / "ran").exists()
-
-
-@needs_numba
-def test_code_in_a_folder_open_to_others_is_not_loaded(code, tmp_path, monkeypatch, said):
-    other = private(tmp_path / "other")
-    shutil.copytree(code.parent, other / code.parent.name)
-    (other / code.parent.name).chmod(0o777)
-    monkeypatch.setattr(compiling._library.config, "CACHE_DIR", str(other))
-    assert compiled_anew()
-    assert "other users can write" in said()[0]
-
-
 # Through the command line
 
 
-SHORT_S, LONG_S = 20, 30000  # a long one waits for compiled steps, a short first one does not
-
-
-def simulation(out, seconds):
-    return ["simulate", "--vehicle", "agri3t", "--speed-kmh", "10", "--duration-s", str(seconds), "--dt", "0.5", "-o", str(out)]
-
-
-def process(folder, out, seconds):
-    command = [sys.executable, "-m", "trackres_ros", *simulation(out, seconds)]
-    return subprocess.Popen(command, env={**os.environ, "XDG_CACHE_HOME": str(folder)}, stderr=subprocess.DEVNULL)
-
-
 @pytest.fixture
-def simulate(tmp_path, monkeypatch, compiled, good, said):
-    """The result of a simulation with its tables in a folder, and what it says of caches; compiled code is found elsewhere."""
-    if compiling.HAVE_NUMBA:
-        monkeypatch.setattr(compiling._library.config, "CACHE_DIR", str(compiling.code_folder().parent))
+def simulate(tmp_path, monkeypatch, good, said):
+    """The result of a simulation with its tables in a folder, and what it says of caches."""
+    words = ["simulate", "--vehicle", "agri3t", "--speed-kmh", "10", "--duration-s", "20", "--dt", "0.5"]
 
     def run(folder):
         monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
-        good(*simulation(tmp_path / "out.csv", SHORT_S))
+        good(*words, "-o", str(tmp_path / "out.csv"))
         return (tmp_path / "out.csv").read_bytes(), said()
 
     return run
@@ -276,52 +188,3 @@ def test_a_simulation_with_damaged_or_no_tables_gives_the_same(simulate, tmp_pat
     assert out == whole[0]
     assert "not cached" in messages[0]
     assert len(messages) == 1
-
-
-START = """
-import sys
-from dataclasses import replace
-import numba
-from trackres_ros.effects import Active, catalogue
-from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.vehicle import load
-
-numba.__version__ = sys.argv[1] or numba.__version__
-effect = catalogue()["warmup"]
-estimator = Estimator(replace(load("xgd24d"), effects=(Active(effect, effect.values()),)))
-session = estimator.session()
-stamps = [10**18 + 10**8 * i for i in range(9)]
-results = [session.handle(session.channel("speed"), stamp, stamp, 5.0).row.tobytes() for stamp in stamps]
-estimator.rest(session.state, 0.0, 100.0)
-print("numba.np.linalg" in sys.modules, b"".join(results).hex())
-"""
-
-
-@needs_numba
-def test_cached_code_starts_without_the_library_of_numba(compiled):
-    def started(version=""):
-        return subprocess.run([sys.executable, "-c", START, version], capture_output=True, text=True, check=True).stdout.split()
-
-    started()  # the effect is in the cache from now on
-    (light, results), (whole, same) = started(), started("0.57.0")
-    assert (light == "False") == compiling._library.__version__.startswith(LIGHT)
-    assert whole == "True"
-    assert results == same
-
-
-@needs_numba
-@pytest.mark.long
-def test_a_first_run_compiles_and_two_at_once_mend_damaged_code(tmp_path, warm_code, simulate, good):
-    (start,) = warm_code("start.entry")
-    start.unlink()
-    assert process(tmp_path, tmp_path / "first.csv", SHORT_S).wait() == 0
-    assert wait_for(start.exists, patience_s=600.0)
-    assert simulate(tmp_path)[0] == (tmp_path / "first.csv").read_bytes()
-    good(*simulation(tmp_path / "long.csv", LONG_S))
-    start.write_bytes(DAMAGES["other bytes"](start.read_bytes()))
-    both = [process(tmp_path, tmp_path / f"{i}.csv", LONG_S) for i in range(2)]
-    assert [one.wait() for one in both] == [0, 0]
-    files = [path for path in (tmp_path / "trackres").rglob("*.*") if path.suffix != ".lock"]
-    assert start in files
-    assert not [path for path in files if path.is_file() and own_files.unsealed(path.name, path.read_bytes()) is None]
-    assert len({(tmp_path / f"{name}.csv").read_bytes() for name in ("0", "1", "long")}) == 1

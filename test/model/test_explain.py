@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from trackres_ros.effects import Active, Effect, Parameter, Terms
 from trackres_ros.effects.stepping import MOST_TORQUE
 from trackres_ros.estimator.columns import Reason
-from trackres_ros.estimator.entry_points import interpreted_entries
+from trackres_ros.estimator.entry_points import INTERPRETED
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.operating_point import explain, explain_road, left_out_at
 from trackres_ros.model.resistance import direction
@@ -157,7 +157,7 @@ def test_a_point_leaves_out_what_the_step_refuses(name, size, acts):
     assert found["effects_left_out"] == ([] if acts else ["odd"])
     assert left_out_at(vehicle, 2.0, 20.0) == found["effects_left_out"]
     assert (found["torque_nm"] == point(plain)["torque_nm"]) == (not acts)
-    estimator = Estimator(vehicle, entries=interpreted_entries())
+    estimator = Estimator(vehicle, entries=INTERPRETED)
     inputs = estimator.inputs(2.0)
     reasons = estimator.step(estimator.cold_start(inputs), inputs, 0.1)[1].reasons
     assert bool(reasons & Reason.EFFECT_LEFT_OUT) == (not acts)

@@ -400,8 +400,3 @@ def workspace(tmp_path_factory, repository):
     sourced = f"source {folder}/install/setup.bash && env -0"
     said = subprocess.run(["bash", "-c", sourced], capture_output=True, text=True, check=True).stdout
     return dict(line.split("=", 1) for line in said.split("\0") if "=" in line)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def compiled_before(compiled):
-    """Before the first node is started."""

@@ -1,9 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The first start on a machine, with nothing compiled yet, and signals while a node is still starting."""
+"""Signals while a node is still starting, its output for programs, and a user without a home."""
 
-import itertools
 import json
 import signal
 import subprocess
@@ -12,58 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import TRANSPORTS, Node, environment
+from conftest import TRANSPORTS, environment
 from ros_messages import stamped
-from soak import REFUSALS_AND_ACCEPTED
 from waiting import Pace, exit_code, wait_for, work_s
 
 from trackres_ros.files.resources import cache_dir
-
-HZ = 1000
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("transport", TRANSPORTS)
-def test_two_compiling_nodes_count_all_speeds_and_no_clock_jump(transport, tmp_path, wire, warm_code, monkeypatch):
-    """Nodes of two namespaces, while a part of the code is not compiled yet."""
-    for path in warm_code("rest.entry"):
-        path.unlink()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    nodes = [Node(transport, tmp_path, wire, name=name, namespace=f"/{name}") for name in ("left", "right")]
-    try:
-        for node in nodes:
-            node.started()
-        compiling, pace = {}, Pace(HZ)
-        for count in itertools.count():
-            for node, speed in zip(nodes, (8.0, 3.0), strict=True):
-                node.send("speed", speed + 0.001 * (count % 7))
-            pace.next()
-            if count % HZ == 0 and count >= 4 * HZ:
-                compiling = {node.name: node.notices(max(0, len(node.statuses()) - 3)) for node in nodes}
-                if not any("COMPILING" in names for names in compiling.values()) or count >= 60 * HZ:
-                    break
-        assert any("COMPILING" in node.notices() for node in nodes)
-        for node in nodes:
-            sent = node.inputs["speed"].sent
-
-            def found(node=node):
-                values = node.values("input speed")
-                return {name: int(values.get(name, 0)) for name in (*REFUSALS_AND_ACCEPTED, "dropped", "clock_jump")}
-
-            node.until(lambda sent=sent, found=found: sum(found().values()) >= sent, f"{sent} in the counters")
-            assert sum(found().values()) == sent
-            assert found()["clock_jump"] == 0
-            assert found()["accepted"] > 0
-            assert "CLOCK_JUMPED" not in node.notices()
-            assert {s.name for s in node.statuses()} == {f"{node.base[1:]}: estimate"}
-        left, right = (node.out["resistance"].update()[-1].message.effort[0] for node in nodes)
-        assert left != right
-        for node in nodes:
-            assert node.stop() == 0, node.log
-    finally:
-        for node in nodes:
-            node.close()
 
 
 @pytest.fixture

@@ -95,7 +95,6 @@ def replay(
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.snapshot import save, state_file
     from trackres_ros.estimator.topic_settings import settings_for
-    from trackres_ros.estimator.warm_up import MESSAGES, first_run
     from trackres_ros.files.file_sets import file_set
     from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
     from trackres_ros.learning.learner import MODES, OFF, Learner
@@ -138,15 +137,14 @@ def replay(
     kept: list[Steps] = []
     with ExitStack() as stack:
         stack.enter_context(file_set())
-        warm_up = stack.enter_context(first_run(MESSAGES, described))
-        estimator = Estimator(described, settings, entries=warm_up.first)
+        estimator = Estimator(described, settings)
         learner = Learner(estimator, learning) if learns else None
         session = learned_before = off_s = None
         if before is not None:
             session, off_s, learned_before, unlearned_s = resumed(source, estimator, before)
             go_on_from(before, session, learner, learned_before, unlearned_s)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
-        done = run(source, estimator, write, session, progress, learner, warm_up.finished)
+        done = run(source, estimator, write, session, progress, learner)
         written = [one for one in (file, state) if one is not None]
         if state is not None:
             saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND

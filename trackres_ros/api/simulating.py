@@ -83,7 +83,6 @@ def simulate(
 
     from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.estimator.warm_up import SERIES, first_run
     from trackres_ros.files.output_files import not_an_input, output_file
     from trackres_ros.model.coverage import check_speed
     from trackres_ros.offline.profile import conditions, read_profile
@@ -129,10 +128,9 @@ def simulate(
         given |= conditions(recording, drive.time_s, given, described.weight)
     position = [given[role] for role in POSITION if role in given]
     grade = given.get("grade", np.nan)
-    with first_run(SERIES, described, len(drive.time_s)) as warm_up:
-        estimator = Estimator(described, entries=warm_up.first)
-        ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
-        rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
+    estimator = Estimator(described)
+    ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
+    rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
     result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes, inputs)
     if file is not None:
         result.save(file)

@@ -25,7 +25,7 @@ QUICK_MINUTES = 12.0
 REPORTED_SEED = 20261124
 GROOMERS = 6  # of each kind
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
-EXTRA = "proof", "numba", "matplotlib", "jinja2"
+EXTRA = "proof", "matplotlib", "jinja2"
 SAME_OPTIONS = "an empty folder, or one of a run with the same options"
 FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "sealed")
 

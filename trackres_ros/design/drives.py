@@ -13,7 +13,7 @@ import numpy as np
 from trackres_ros.design.steady import Array, FileErrors, with_errors
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, kernel_arguments, work_space
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, work_space
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.vehicle_constants import vehicle_constants
@@ -145,5 +145,4 @@ def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -
     number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
     work = work_space(facts, len(assembly))
     changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive, work=work)
-    changed.kernel_arguments = kernel_arguments(changed.constants, estimator.entries.compiled)
     return changed

@@ -15,6 +15,8 @@ from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
+import numpy as np
+
 from trackres_ros.units import STANDSTILL_MPS
 
 REFERENCE_NM = 97920.0  # weight times wheel radius of the 24-tonne vehicle that the magnitudes of the catalogue are of
@@ -192,12 +194,17 @@ class Lag(NamedTuple):
     start: float
 
 
+FACTS, ANSWERED = len(VehicleConstants._fields), len(Terms._fields)  # numbers that an effect looks at, and that it answers
+LOOKED_AT = FACTS + len(Conditions._fields) - 1
+ANSWERS = {"terms": ANSWERED, "lag": len(Lag._fields)}
+
+
 class Effect(ABC):
     """An effect that the base model lacks: one class in one file, without other state.
 
-    `lag` and `terms` are for one instant: numbers in, numbers out. They are compiled into the step that runs live, in replay and
-    in a fit, so they use their arguments, constants of their file and `math`, and no `self`; what cannot be compiled runs in
-    plain Python, some hundred times slower.
+    `lag` and `terms` are for one instant: numbers in, numbers out. They are translated to C for the step that runs live, in
+    replay and in a fit, so they use their arguments, constants of their file and `math`, and no `self`; what cannot be translated
+    runs in plain Python, some hundred times slower.
     """
 
     name: str  # stable identifier
@@ -210,7 +217,6 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]
     belt_only: ClassVar[bool] = False  # whether it makes sense only where there is a belt
     only_of: ClassVar[Literal["", "rolls", "slides"]] = ""  # where it makes sense only of what rolls, or of what does not
-    plain: Effect | None = None  # of a user's own: the same for plain Python, with the arithmetic of compiled code
     source: Path | None = None  # the file of an effect of the user's own; None for those of the catalogue
 
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
@@ -235,10 +241,15 @@ class Effect(ABC):
         """Whether it has its own state."""
         return type(self).lag is not Effect.lag
 
-    @property
-    def in_python(self) -> Effect:
-        """The effect whose `lag` and `terms` plain Python calls."""
-        return self.plain or self
+    def run(self, method: str, at: Conditions, values: Sequence[float]) -> Any:
+        """`lag` or `terms` in plain Python; of a user's own with the arithmetic of C, see `own_file`."""
+        function = getattr(self, method)
+        if self.source is None:
+            return function(at, self.pack(*values))
+        facts, *others = at
+        real = np.float64
+        with np.errstate(all="ignore"):
+            return function(Conditions(VehicleConstants(*map(real, facts)), *map(real, others)), self.pack(*map(real, values)))
 
     @property
     def pack(self) -> Any:
@@ -284,6 +295,11 @@ class Effect(ABC):
         }
 
 
+def is_of_user(kind: type[Effect]) -> bool:
+    """Whether an effect is of a file of the user's own, not of the catalogue."""
+    return not kind.__module__.startswith(f"{__package__}.")
+
+
 @dataclass(frozen=True)
 class Active:
     """An effect with values for its parameters, and their ranges if known."""
@@ -309,11 +325,13 @@ class Active:
 
     def terms(self, at: Conditions, own: float = 0.0) -> Terms:
         """Its terms, given its own state."""
-        return self.effect.in_python.terms(at._replace(own=own), self.effect.pack(*self.numbers))
+        terms: Terms = self.effect.run("terms", at._replace(own=own), self.numbers)
+        return terms
 
     def lag(self, at: Conditions) -> Lag | None:
         """Target of its own state, if it has one."""
-        return self.effect.in_python.lag(at, self.effect.pack(*self.numbers))
+        lag: Lag | None = self.effect.run("lag", at, self.numbers)
+        return lag
 
     def shifted(self) -> list[Active]:
         """Copies with one parameter moved by a standard deviation, for each that has a range (+-2 standard deviations)."""
@@ -331,7 +349,7 @@ class Active:
 def terms_by_parameters(effects: tuple[Effect, ...], numbers: tuple[tuple[float, ...], ...], facts: VehicleConstants) -> Terms:
     """Terms of effects together that depend on their parameters alone: of sensors, and the resistance inside a belt."""
     at = conditions(facts)
-    return together([effect.in_python.terms(at, effect.pack(*of)) for effect, of in zip(effects, numbers, strict=True)])
+    return together([effect.run("terms", at, of) for effect, of in zip(effects, numbers, strict=True)])
 
 
 def together(terms: Sequence[Terms]) -> Terms:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from trackres_ros.effects.effect import REFERENCE_NM, Conditions, Effect, Lag, Parameter, Terms, Values
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 
 TYPICAL_NM, MOST_NM = 150.0, 20_000.0  # of a vehicle of `REFERENCE_NM`
 MOST_KNOTS = 9
@@ -62,7 +62,7 @@ SIDES |= {NEGATIVE: Followed("negative", "where it is negative", "Nm")}  # to a 
 LATCHED = (SPEED, LOAD, BELT)
 
 
-@inlined
+@kernel
 def variable(at: Conditions, code: float) -> float:
     """The variable of a code."""
     if code == SPEED:
@@ -86,14 +86,14 @@ def variable(at: Conditions, code: float) -> float:
     return 0.0
 
 
-@inlined
+@kernel
 def beyond(x: float, low: float, high: float) -> float:
     """1 where a variable is outside of its driven range, with a margin, else 0."""
     little = MARGIN * (high - low)
     return 1.0 if x < low - little or x > high + little else 0.0
 
 
-@inlined
+@kernel
 def latched(x: float, was: float, off: float, on: float) -> float:
     """1 if a latch is on now, given its last state `was`, else 0."""
     if x > on:
@@ -284,6 +284,12 @@ def learned(name: str, parameters: object, size: float) -> EmpiricalEffect:
     else:
         found = OTHERS[name]()
     return sized(found, size)
+
+
+def examples() -> list[EmpiricalEffect]:
+    """One of each class, and a curve of each number of knots: all that differ in their code."""
+    curves = [Curve(SPEED, [0.0] * count) for count in range(1, MOST_KNOTS + 1)]
+    return [*curves, *(make() for make in OTHERS.values())]
 
 
 def sized(effect: EmpiricalEffect, size: float) -> EmpiricalEffect:

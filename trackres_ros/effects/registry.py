@@ -20,7 +20,6 @@ from types import ModuleType
 from typing import Any
 
 from trackres_ros import checks
-from trackres_ros.effects.as_compiled import AsCompiled, AsItIs
 from trackres_ros.effects.effect import (
     ACTS_ON,
     ALL_KNOWN,
@@ -38,6 +37,7 @@ from trackres_ros.effects.effect import (
 )
 from trackres_ros.effects.learned import NAMES as LEARNED
 from trackres_ros.effects.learned import EmpiricalEffect, learned
+from trackres_ros.effects.own_file import AsItIs
 from trackres_ros.errors import InputError, nearest
 
 ONLY_OF = ("", "rolls", "slides")
@@ -74,8 +74,7 @@ def catalogue(
         own = _effects_in(_module_of(path))
         if not own:
             raise InputError(str(path), "no class derived from trackres_ros.effects.Effect", "at least one in each file")
-        in_python = _effects_in(_module_of(path, AsCompiled))
-        for effect in (_own(kind, plain, path) for kind, plain in zip(own, in_python, strict=True)):
+        for effect in (_own(kind, path) for kind in own):
             if effect.name in effects or effect.name in LEARNED:
                 raise InputError(f"{path}: name", effect.name, "a name that no other effect has")
             effects[effect.name] = effect
@@ -159,14 +158,13 @@ def _effects_in(module: ModuleType) -> list[type[Effect]]:
     ]
 
 
-def _own(kind: type[Effect], plain: type[Effect], path: Path) -> Effect:
-    """An effect of a user's file, and of the same file as plain Python has it. Raises InputError whatever is wrong with it."""
+def _own(kind: type[Effect], path: Path) -> Effect:
+    """An effect of a user's file. Raises InputError whatever is wrong with it."""
     try:
         effect = kind()
-        effect.plain = plain()
+        effect.source = path.resolve()
         _check(effect, path)
         hash(effect)  # its functions are kept by it
-        effect.source = path.resolve()
     except InputError:
         raise
     except Exception as error:  # of any kind, as the code is not ours
@@ -182,9 +180,9 @@ def _python_files(folder: Path) -> list[Path]:
     return files
 
 
-def _module_of(path: Path, loader: type[AsItIs] = AsItIs) -> ModuleType:
+def _module_of(path: Path) -> ModuleType:
     name = f"own_effect_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path, loader=loader(name, str(path)))
+    spec = importlib.util.spec_from_file_location(name, path, loader=AsItIs(name, str(path)))
     if spec is None or spec.loader is None:
         raise InputError(str(path), "a file that Python does not know how to import", "a Python file, .py")
     module = importlib.util.module_from_spec(spec)

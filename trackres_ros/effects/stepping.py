@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Steps all effects of a vehicle, each through the addresses of its `terms` and `lag`, see `native`.
+"""Steps all effects of a vehicle, each through the numbers of its `terms` and `lag`, see `calls`.
 
 They are in a table, with a row for each effect and a row of values of its parameters. So the step is compiled once, whatever
 effects there are.
@@ -12,21 +12,33 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Effect, Terms, VehicleConstants
-from trackres_ros.effects.native import ANSWERED, FACTS, LOOKED_AT, call_at, native, reads_drag_area
+from trackres_ros.effects.calls import call_at, numbers_of, reads_drag_area
+from trackres_ros.effects.effect import (
+    ANSWERED,
+    FACTS,
+    LOOKED_AT,
+    SOFTENING_FROM_DEGC,
+    Active,
+    Conditions,
+    Effect,
+    Terms,
+    VehicleConstants,
+)
 from trackres_ros.errors import InputError
-from trackres_ros.jit.arithmetic import length, squared
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.arithmetic import length, squared
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import STANDSTILL_MPS
 
-# One row of the table of effects: which effect's own state, its kind (see below), its required inputs, and its two addresses.
+# One row of the table of effects: which effect's own state, its kind (see below), its required inputs, and its two numbers.
 STATE, KIND, NEEDS, TERMS_AT, LAG_AT = range(5)
 ROW = 5
+Rows = Annotated[IntArray, (None, ROW)]
+Table = Annotated[Array, (None, None)]
 # Kinds. Fed forward is what belongs to the vehicle; what comes with an acceleration only where that is. A shifted row is the row
 # above it with one parameter a standard deviation off: it moves nothing and gives the effect's variance. A row with more drag is
 # the same with a drag area a square metre larger: it gives what the effect's torque gains by that.
@@ -97,18 +109,16 @@ ANSWER_EXTRAPOLATED = Terms._fields.index("extrapolated")
 class EffectTable(NamedTuple):
     """Effects ready for the step."""
 
-    rows: IntArray  # (rows, ROW)
-    values: Array  # (rows, most parameters)
+    rows: Rows
+    values: Table  # (rows, most parameters)
 
 
-def effect_table(of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = (), machine: bool = True) -> EffectTable:
-    """The effects of a vehicle, which are fed forward, and of its surroundings, with the rows that move nothing; as machine
-    code, or in plain Python to save compiling.
-    """
+def effect_table(of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = ()) -> EffectTable:
+    """The effects of a vehicle, which are fed forward, and of its surroundings, with the rows that move nothing."""
     rows: list[tuple[int, ...]] = []
     values: list[tuple[float, ...]] = []
     for state, active in enumerate((*of_vehicle, *of_surroundings)):
-        fed, *of_effect = _row(active.effect, machine)
+        fed, *of_effect = _row(active.effect)
         rows.append((state, fed if state < len(of_vehicle) else UNFED, *of_effect))
         values.append(active.numbers)
         if reads_drag_area(active.effect):
@@ -128,14 +138,14 @@ def fit_table(of_vehicle: Sequence[Active]) -> EffectTable:
 @lru_cache(maxsize=256)
 def _fit_rows(effects: tuple[Effect, ...]) -> IntArray:
     """Rows of effects in a fit: it changes only their values, thousands of times."""
-    rows = [(state, *_row(effect, True)) for state, effect in enumerate(effects)]
+    rows = [(state, *_row(effect)) for state, effect in enumerate(effects)]
     return np.array(rows, dtype=np.int64).reshape(-1, ROW)
 
 
-def _row(effect: Effect, machine: bool) -> tuple[int, int, int, int]:
+def _row(effect: Effect) -> tuple[int, int, int, int]:
     """An effect's row after its state, if it is fed forward."""
     fed = FED_WITH_ACCEL if "accel" in effect.needs else FED
-    return fed, sum(1 << Conditions._fields.index(need) for need in effect.needs), *native(effect, machine)
+    return fed, sum(1 << Conditions._fields.index(need) for need in effect.needs), *numbers_of(effect)
 
 
 def _values(values: Sequence[tuple[float, ...]]) -> Array:
@@ -186,14 +196,14 @@ def new_work(facts: VehicleConstants) -> Array:
     return work
 
 
-@inlined
+@kernel
 def neutral(work: Array) -> None:
     """Neutral terms."""
     for i in range(TERMS):
         work[i] = NO_TERMS[i]
 
 
-@inlined
+@kernel
 def look(
     work: Array,
     speed: float,
@@ -216,8 +226,8 @@ def look(
     looked_at[AT_CURVATURE] = turning / length(speed, looked_at[CONTACT_LENGTH] * turning + STANDSTILL_MPS)
 
 
-@compiled
-def rest_effects(rows: IntArray, values: Array, memory: Array, work: Array, ambient: float, seconds: float) -> None:
+@kernel
+def rest_effects(rows: Rows, values: Table, memory: Array, work: Array, ambient: float, seconds: float) -> None:
     """Relax the effects' own states for some time at rest [s]; leave the terms at its end."""
     memory[LAST_SPEED] = 0.0
     look(work, 0.0, 0.0, work[TERMS + WEIGHT], ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
@@ -225,7 +235,7 @@ def rest_effects(rows: IntArray, values: Array, memory: Array, work: Array, ambi
         step_effects(rows, values, memory, work, dt)
 
 
-@inlined
+@kernel
 def usable(answer: Array, most_torque: float) -> bool:
     """Whether an effect's result is a number within the limits."""
     if not abs(answer[0]) <= most_torque:
@@ -236,7 +246,7 @@ def usable(answer: Array, most_torque: float) -> bool:
     return within
 
 
-@inlined
+@kernel
 def is_known(needs: int, looked_at: Array) -> bool:
     """Whether all that an effect needs is known."""
     known = True
@@ -246,18 +256,18 @@ def is_known(needs: int, looked_at: Array) -> bool:
     return known
 
 
-@inlined
-def call_lag(address: int, looked_at: Array, values: Array, answer: Array) -> bool:
+@kernel
+def call_lag(function: int, looked_at: Array, values: Array, answer: Array) -> bool:
     """Target, time constant and start of an effect's own state; whether they are usable."""
     for i in range(3):
         answer[i] = math.nan
-    call_at(address, looked_at, values, answer)
+    call_at(function, looked_at, values, answer)
     works: bool = abs(answer[0]) <= MOST_STATE and abs(answer[2]) <= MOST_STATE and LEAST_TIME_S <= answer[1] < math.inf
     return works
 
 
-@inlined
-def after(rows: IntArray, values: Array, work: Array, row: int, own: Array, dt: float) -> tuple[float, float]:
+@kernel
+def after(rows: Rows, values: Table, work: Array, row: int, own: Array, dt: float) -> tuple[float, float]:
     """An effect's own state after some time [s] in the conditions of the work space, and the share of the air in it; unchanged
     where they are unknown.
     """
@@ -269,9 +279,9 @@ def after(rows: IntArray, values: Array, work: Array, row: int, own: Array, dt: 
     return own[OWN], own[OF_AIR]
 
 
-@compiled
+@kernel
 def pass_gap_of_effects(
-    rows: IntArray, values: Array, memory: Array, work: Array, speed: float, weight: float, ambient: float, dt: float
+    rows: Rows, values: Table, memory: Array, work: Array, speed: float, weight: float, ambient: float, dt: float
 ) -> None:
     """Pass a gap too long to bridge (ours): as `belt_step.pass_gap` the mean of a rest and of a drive throughout, at a speed
     [m/s].
@@ -287,9 +297,9 @@ def pass_gap_of_effects(
         own[OWN], own[OF_AIR] = 0.5 * (rested + driven), 0.5 * (rested_air + driven_air)
 
 
-@compiled
+@kernel
 def move_effects(
-    rows: IntArray, values: Array, memory: Array, work: Array, speed: float, weight: float, before: float, ambient: float
+    rows: Rows, values: Table, memory: Array, work: Array, speed: float, weight: float, before: float, ambient: float
 ) -> None:
     """Move the effects' own states by what their start gains from one ambient temperature [degC] to another, times the share of
     the air in them.
@@ -307,11 +317,11 @@ def move_effects(
                 own[TARGET] += sign * answer[0]
 
 
-@inlined
-def own_state(address: int, values: Array, looked_at: Array, answer: Array, own: Array, dt: float) -> bool:
+@kernel
+def own_state(function: int, values: Array, looked_at: Array, answer: Array, own: Array, dt: float) -> bool:
     """Advance an effect's own state by a step and write it for the effect; return whether it is usable."""
     looked_at[AT_OWN] = 0.0
-    if address == 0:
+    if function == 0:
         return True
     state = math.nan
     if not math.isnan(own[OWN]):
@@ -319,7 +329,7 @@ def own_state(address: int, values: Array, looked_at: Array, answer: Array, own:
         state = own[OWN] + (own[TARGET] - own[OWN]) * passed
         own[OF_AIR] += (1.0 - own[OF_AIR]) * passed
         looked_at[AT_OWN] = state
-    if not call_lag(address, looked_at, values, answer):
+    if not call_lag(function, looked_at, values, answer):
         return False
     target, time_constant, start = answer[0], answer[1], answer[2]
     if math.isnan(state):
@@ -329,8 +339,8 @@ def own_state(address: int, values: Array, looked_at: Array, answer: Array, own:
     return True
 
 
-@compiled
-def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: float) -> int:
+@kernel
+def step_effects(rows: Rows, values: Table, memory: Array, work: Array, dt: float) -> int:
     """All effects of a step that ends now, `dt` [s] after the one before; return `ALL_WELL`, or why one is missing in the terms.
 
     The work space has the known values; its terms are filled, and a missing distance by the one driven. The memory is changed.
@@ -392,14 +402,14 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
     return outcome
 
 
-@inlined
+@kernel
 def cooling_of(answer: Array, looked_at: Array) -> float:
     """Conductance of one belt to its surroundings with one effect [W/K]; 0 without belts."""
     at_rest, by_speed = looked_at[COOLING] * answer[TERM_FILM_OFFSET], looked_at[COOLING_BY_SPEED] * answer[TERM_FILM_SLOPE]
     return float(at_rest + by_speed * abs(looked_at[AT_SPEED]) + answer[TERM_CONDUCTANCE])
 
 
-@inlined
+@kernel
 def add_terms(work: Array, answer: Array) -> None:
     """Add the terms of one effect to the total, as `Terms.with_`."""
     for term in (TERM_TORQUE, TERM_SOFTENING, TERM_HEAT, TERM_INNER_RESISTANCE):
@@ -411,18 +421,18 @@ def add_terms(work: Array, answer: Array) -> None:
         work[TERM_SINK] += answer[TERM_CONDUCTANCE] / work[TERM_CONDUCTANCE] * (answer[TERM_SINK] - work[TERM_SINK])
 
 
-@inlined
-def call_with_more_drag(address: int, looked_at: Array, values: Array, answer: Array) -> None:
+@kernel
+def call_with_more_drag(function: int, looked_at: Array, values: Array, answer: Array) -> None:
     """Terms of an effect of a vehicle whose drag area is a square metre larger."""
     area = looked_at[DRAG_AREA]
     looked_at[DRAG_AREA] = area + 1.0
-    call_terms(address, looked_at, values, answer)
+    call_terms(function, looked_at, values, answer)
     looked_at[DRAG_AREA] = area
 
 
-@inlined
-def call_terms(address: int, looked_at: Array, values: Array, answer: Array) -> None:
+@kernel
+def call_terms(function: int, looked_at: Array, values: Array, answer: Array) -> None:
     """Terms of an effect; nan where it does not fill in a term."""
     for i in range(LIMITED):
         answer[i] = math.nan
-    call_at(address, looked_at, values, answer)
+    call_at(function, looked_at, values, answer)

@@ -30,8 +30,8 @@ from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.learned_step import learned_elsewhere, learned_hysteresis
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.road import Road
-from trackres_ros.jit.arithmetic import squared
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.arithmetic import squared
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.rubber import log_shift_factor
 
 FIRST_OF_ASSEMBLIES, COLUMNS_EACH = Results.columns, OfAssembly.columns
@@ -44,7 +44,7 @@ BELT_UNSURE, DISAGREEING = int(Reason.BELT_UNSURE), int(Reason.BELT_SENSOR_DISAG
 OUTSIDE = int(Reason.OUTSIDE_TABLE)
 
 
-@compiled
+@kernel
 def measure(k: Constants, assembly: Assembly, belt: Array, measured: float, ambient: float, speed: float) -> int:
     """Correct one belt by a new measurement [degC]; return the reasons."""
     shown, of_mean, of_surface = Belt(belt[0]).temperature, 1.0, 0.0
@@ -57,7 +57,7 @@ def measure(k: Constants, assembly: Assembly, belt: Array, measured: float, ambi
     return 0
 
 
-@inlined
+@kernel
 def bear(arm: float, unsigned: float, road: Road, part: Part) -> float:
     """Fill the parts (34 to 36) of the forces on the whole vehicle at an arm R_1 G/G_v [m]; return the unsigned resistance [Nm].
 
@@ -69,7 +69,7 @@ def bear(arm: float, unsigned: float, road: Road, part: Part) -> float:
     return part.unsigned
 
 
-@inlined
+@kernel
 def outside(k: Constants, assembly: Assembly, temperature: float, log10_speed: float, log_load: float) -> int:
     """Reason to report where T, x = log10(a_T v) or ln G are outside the rubber data or the table, else 0."""
     x = log10_speed + log_shift_factor(temperature, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)[0]
@@ -78,7 +78,7 @@ def outside(k: Constants, assembly: Assembly, temperature: float, log10_speed: f
     return OUTSIDE if temperature > k.number.hottest or x > k.number.fastest_x or not within else 0
 
 
-@inlined
+@kernel
 def fill_causes(assembly: Assembly, mean: Belt, by_temperature: float, unsigned: float, part: Part) -> None:
     """Fill the torque departure [Nm] by cause of uncertainty: dM/dT d_c + M_h Lambda_1c + M_res Lambda_4c."""
     consider, departures = part.consider, mean.consider
@@ -93,7 +93,7 @@ def fill_causes(assembly: Assembly, mean: Belt, by_temperature: float, unsigned:
     part.noise = by_temperature * by_temperature * (squared(mean.noise_1) + squared(mean.noise_2))
 
 
-@inlined
+@kernel
 def fill_departures(
     assembly: Assembly, mean: Belt, by_temperature: float, unsigned: float, learned: Learned, part: Part
 ) -> float:
@@ -115,7 +115,7 @@ def fill_departures(
     return float(warmer * learned.on)
 
 
-@inlined
+@kernel
 def warming_variance(work: Array, part: Part) -> float:
     """Variance of a belt's temperature [K^2] due to the ranges of effects, as if these departed from the beginning (ours)."""
     warming = part.warming
@@ -123,7 +123,7 @@ def warming_variance(work: Array, part: Part) -> float:
     return float(of_loss * squared(warming[OF_LOSS]) + of_cooling * squared(warming[OF_COOLING]))
 
 
-@inlined
+@kernel
 def advance_assembly(
     k: Constants, assembly: Assembly, belt: Array, load: float, measured: float, road: Road, learned: Learned, part: Part,
     result: OfAssembly,
@@ -168,7 +168,7 @@ def advance_assembly(
     return reasons
 
 
-@inlined
+@kernel
 def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
     """Index of an earlier assembly with the same kind, load and belt state, to the bit, both without a measurement; else i.
 
@@ -191,7 +191,7 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
     return i
 
 
-@inlined
+@kernel
 def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, learned: Learned, out: Array) -> tuple[Array, int]:
     """Advance all assemblies; return the sums of their parts, a `Part` in the work space, and their reasons."""
     assemblies = belts.shape[0]

@@ -21,7 +21,7 @@ from trackres_ros.effects.stepping import (
 )
 from trackres_ros.estimator.columns import TEMPERATURE, Assembly
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.rubber import log_shift_factor
 from trackres_ros.model.thermal import film_coefficient, surface_temperature
@@ -38,14 +38,14 @@ class Heat(NamedTuple):
     surroundings: float  # degC: air and sink of the effects together
 
 
-@inlined
+@kernel
 def log_speed(speed: float) -> float:
     """log10 of a speed [m/s], bounded below."""
     magnitude = abs(speed)
     return math.log10(magnitude) if magnitude > 1e-6 else SLOWEST_LOG_SPEED
 
 
-@inlined
+@kernel
 def loss_force(
     k: Constants, assembly: Assembly, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
 ) -> tuple[float, float]:
@@ -68,13 +68,13 @@ def loss_force(
     return loss * factor, (slope * shift_slope - softening * loss) * factor
 
 
-@inlined
+@kernel
 def film(k: Constants, assembly: Assembly, speed: float) -> float:
     """Film coefficient U = U_0 + U_1 |v| [W/m^2/K] (31), with the effects on U_0 and U_1."""
     return film_coefficient(speed, assembly.film_offset * k.work[TERM_FILM_OFFSET], assembly.film_slope * k.work[TERM_FILM_SLOPE])
 
 
-@inlined
+@kernel
 def surface(k: Constants, assembly: Assembly, belt: Array, ambient: float, speed: float) -> tuple[float, float, float]:
     """Surface temperature T_s [degC], and its derivatives by mean and surface: the row h of the measurement.
 
@@ -88,7 +88,7 @@ def surface(k: Constants, assembly: Assembly, belt: Array, ambient: float, speed
     return (shown, 0.0, share) if k.number.two_nodes else (shown, share, 0.0)
 
 
-@inlined
+@kernel
 def heat_of(
     k: Constants, assembly: Assembly, temperature: float, speed: float, log10_speed: float, log_load: float, drive_torque: float,
     ambient: float,

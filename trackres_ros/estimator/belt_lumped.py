@@ -11,12 +11,12 @@ from trackres_ros.arrays import Array
 from trackres_ros.estimator.belt_heat import Heat
 from trackres_ros.estimator.columns import Assembly, Belt
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.jit.arithmetic import squared
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.arithmetic import squared
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.thermal import phi_1, phi_2
 
 
-@inlined
+@kernel
 def advance_lumped(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:

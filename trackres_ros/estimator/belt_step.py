@@ -20,8 +20,8 @@ from trackres_ros.estimator.belt_two_nodes import advance_two_nodes
 from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.columns import BELT_COLUMNS, TEMPERATURE, Assembly
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.jit.arithmetic import squared
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.arithmetic import squared
+from trackres_ros.kernels.marks import kernel
 
 LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
@@ -31,7 +31,7 @@ RESTED = BEFORE + 2 * BELT_COLUMNS
 BEHIND_BELTS = RESTED + 2 * BELT_COLUMNS
 
 
-@inlined
+@kernel
 def roll(
     k: Constants,
     assembly: Assembly,
@@ -73,7 +73,7 @@ def roll(
     return heat_in, heat_out
 
 
-@compiled
+@kernel
 def pass_gap(
     k: Constants,
     assembly: Assembly,

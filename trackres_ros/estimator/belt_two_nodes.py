@@ -12,14 +12,14 @@ from trackres_ros.estimator.belt_heat import Heat
 from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, Assembly, Belt
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.jit.arithmetic import squared
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.arithmetic import squared
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.thermal import phi_1, phi_2, phi_matrix
 
 LEAST_SPREAD = 1e-5  # of the rates, between the two of a belt
 
 
-@inlined
+@kernel
 def eigenvalues(j11: float, j12: float, j21: float, j22: float) -> tuple[float, float]:
     """Middle of the two eigenvalues and half of their distance [1/s]; complex or equal ones count as close: the step is short."""
     half = 0.5 * (j11 - j22)
@@ -27,7 +27,7 @@ def eigenvalues(j11: float, j12: float, j21: float, j22: float) -> tuple[float, 
     return 0.5 * (j11 + j22), math.sqrt(max(half * half + j12 * j21, least * least))
 
 
-@compiled
+@kernel
 def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[float, float, float]:
     """Covariance [s] of mean and surface after dt [s] in which both gain 1 per second together: of mean, both, surface.
 
@@ -48,7 +48,7 @@ def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[f
     )
 
 
-@compiled
+@kernel
 def fading(
     belt: Array,
     assembly: Assembly,
@@ -89,7 +89,7 @@ def fading(
         belt[1, FIRST_DEPARTURE + cause] += dt * dt * (with_2 + p21 * off_1 + p22 * off_2)
 
 
-@inlined
+@kernel
 def advance_two_nodes(
     k: Constants, assembly: Assembly, belt: Array, heat: Heat, ambient_std: float, dt: float
 ) -> tuple[float, float]:

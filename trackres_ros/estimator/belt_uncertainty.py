@@ -14,11 +14,11 @@ import math
 
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, Belt
-from trackres_ros.jit.arithmetic import squared
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.arithmetic import squared
+from trackres_ros.kernels.marks import kernel
 
 
-@inlined
+@kernel
 def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
     """Variance [K^2] of h'T, the sum of (h'd_c)^2, with h = (of_mean, of_surface)."""
     total = 0.0
@@ -27,7 +27,7 @@ def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
     return total
 
 
-@compiled
+@kernel
 def add_noise(belt: Array, of_mean: float, of_both: float, of_skin: float) -> None:
     """Add an independent covariance W [K^2] of the two nodes to the random part: the factor of N N' + W (Cholesky)."""
     mean, skin = Belt(belt[0]), Belt(belt[1])
@@ -39,7 +39,7 @@ def add_noise(belt: Array, of_mean: float, of_both: float, of_skin: float) -> No
     skin.noise_2 = math.sqrt(max(c22 - squared(skin.noise_1), 0.0))
 
 
-@compiled
+@kernel
 def correct_belt(belt: Array, measured: float, variance: float, expected: float, of_mean: float, of_surface: float) -> None:
     """Correct a belt by a measured temperature z [degC] of variance r [K^2], by the Kalman update; change `belt`.
 

@@ -14,19 +14,19 @@ from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import finite, followed, present_target
 from trackres_ros.estimator.guards import LAST_ARRIVAL, Memory, not_enabled
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import NANOSECOND
 
 ENABLE_OLD = int(at.Reason.ENABLE_OLD)
 
 
-@inlined
+@kernel
 def age_of_speed(memory: Memory, now: int) -> float:
     """Time from the arrival of the last accepted speed to another one [s]."""
     return float((now - Times(memory.times[at.SPEED]).last_arrival) * NANOSECOND)
 
 
-@inlined
+@kernel
 def last_turn(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[float, float, int]:
     """The last turn of the feed-forward before an arrival [ns]: its value [Nm] and the age of the speed [s] then, and the reason
     why it has been on its way to zero since, else 0.
@@ -44,14 +44,14 @@ def last_turn(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[f
     return value, max(motion.turned, age), unfed
 
 
-@inlined
+@kernel
 def turn(k: Constants, memory: Memory, motion: Motion, now: int) -> None:
     """Turn the feed-forward at an arrival [ns]: to zero once it is not enabled or the vehicle may stand, afterwards back."""
     motion.feedforward, motion.turned, unfed = last_turn(k, memory, motion, now)
     motion.unfed = 1.0 if unfed != 0 else 0.0
 
 
-@inlined
+@kernel
 def fed_now(k: Constants, memory: Memory, motion: Array, now: int) -> tuple[float, float, int]:
     """Feed-forward at an arrival [ns] without its fading, the value that it is on its way to [Nm], and the reason why that is
     zero, else 0.

@@ -8,28 +8,29 @@ result.
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Times
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.jit.arithmetic import length
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.arithmetic import length
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.route.follower import PLACE_KNOWN, SLOPE, TORQUE, TORQUE_STD, drive_on, look, take_position
-from trackres_ros.route.track import FARTHEST_M, flat_now
+from trackres_ros.route.track import FARTHEST_M, flat
 from trackres_ros.units import NANOSECOND
 
 TOGETHER_NS = 50_000_000  # between the stamps of latitude and longitude: a bus sends them in two messages
 PLACE_UNKNOWN = int(at.Reason.PLACE_UNKNOWN)
 
 
-@inlined
+@kernel
 def has_route(k: Constants) -> bool:
     """Whether the surroundings have data by place."""
     return k.number.slopes_by_place or k.number.torques_by_place
 
 
-@inlined
+@kernel
 def position_came(k: Constants, times: IntArray, values: Array, followed: Array) -> None:
     """A latitude or a longitude was accepted: it is a position once both of about one time came. Each serves one position."""
     latitude, longitude = Times(times[at.LATITUDE]), Times(times[at.LONGITUDE])
@@ -40,16 +41,16 @@ def position_came(k: Constants, times: IntArray, values: Array, followed: Array)
         position_at(k, followed, values[at.LATITUDE], values[at.LONGITUDE])
 
 
-@inlined
+@kernel
 def position_at(k: Constants, followed: Array, latitude: float, longitude: float) -> None:
     """It is at a position [rad]."""
-    x, y = flat_now(k.number.route_latitude, k.number.route_longitude, latitude, longitude)
+    x, y = flat(k.number.route_latitude, k.number.route_longitude, latitude, longitude)
     if not length(x, y) < FARTHEST_M:
         x = y = math.nan
     take_position(followed, x, y)
 
 
-@inlined
+@kernel
 def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, elapsed: int) -> tuple[float, float, float, bool]:
     """Ground at an accepted speed [m/s], given the time since the last one [ns].
 
@@ -70,22 +71,28 @@ def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, ela
     return followed[SLOPE], followed[TORQUE], followed[TORQUE_STD], followed[PLACE_KNOWN] > 0.0
 
 
-@inlined
+@kernel
 def is_missing(k: Constants, grade: float, slope: float, torque: float) -> bool:
     """Whether the surroundings have data by place, but not for this one. A measured slope has priority over theirs."""
     no_slope = k.number.slopes_by_place and math.isnan(grade) and math.isnan(slope)
     return no_slope or (k.number.torques_by_place and math.isnan(torque))
 
 
-@inlined
+@kernel
 def of_place(k: Constants, known: bool, grade: float, slope: float, torque: float) -> int:
     """The reason to report if the surroundings have no data because the place is unknown, else 0."""
     return PLACE_UNKNOWN if not known and is_missing(k, grade, slope, torque) else 0
 
 
-@inlined
+@kernel
 def follow_along(
-    k: Constants, followed: Array, times: Array, speeds: Array, latitudes: Array, longitudes: Array, out: Array
+    k: Constants,
+    followed: Array,
+    times: Array,
+    speeds: Array,
+    latitudes: Array,
+    longitudes: Array,
+    out: Annotated[Array, (None, 4)],
 ) -> None:
     """Follow a drive; fill one row of `out` per time, as `records.GroundSeries`. A missing position is nan."""
     at_s = -math.inf

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from enum import IntEnum, IntFlag
 
 from trackres_ros.errors import InputError
-from trackres_ros.jit.rows import Real, Reals, Row, Whole
+from trackres_ros.kernels.rows import Real, Reals, Row, Whole
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.vehicle import AnyVehicle
 

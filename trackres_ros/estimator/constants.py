@@ -9,13 +9,13 @@ import functools
 import math
 from collections import Counter
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.effect import ALL_KNOWN, VehicleConstants, conditions
-from trackres_ros.effects.stepping import effect_table, new_work, refuse_unusable
+from trackres_ros.effects.stepping import ROW, effect_table, new_work, refuse_unusable
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import PARTS, Settings
@@ -25,6 +25,7 @@ from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
+from trackres_ros.route.lookup import CELL_COLUMNS, PLACE_COLUMNS
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.reading import FITTED
@@ -125,17 +126,17 @@ class Numbers(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Constants of the kernel. Inside compiled code `number` is a record with the fields of `Numbers`."""
+    """Constants of the kernel."""
 
     number: Numbers
-    assembly: Array  # (assemblies, constants), see columns
-    loss: Array  # (tables, x, load)
-    drive: Array  # (tables, x, 2)
-    channel_limits: Array  # (channels, 2)
-    effects: IntArray  # (rows, effects.stepping.ROW)
-    effect_values: Array  # (rows, most parameters of one)
-    route_cells: IntArray  # see route.lookup
-    route_places: Array
+    assembly: Annotated[Array, (None, at.Assembly.columns)]  # of the assemblies
+    loss: Annotated[Array, (None, None, None)]  # (tables, x, load)
+    drive: Annotated[Array, (None, None, 2)]  # (tables, x, 2)
+    channel_limits: Annotated[Array, (None, 2)]
+    effects: Annotated[IntArray, (None, ROW)]
+    effect_values: Annotated[Array, (None, None)]  # (rows, most parameters of one)
+    route_cells: Annotated[IntArray, (None, CELL_COLUMNS)]  # see route.lookup
+    route_places: Annotated[Array, (None, PLACE_COLUMNS)]
     work: Array  # inputs and outputs of effects in a step, see effects.stepping; the only part that changes
 
 
@@ -143,22 +144,6 @@ def work_space(facts: VehicleConstants, assemblies: int) -> Array:
     """Work space of a step: no step allocates memory."""
     parts_and_belts = at.PARTS * (1 + assemblies) + 2 * 2 * at.BELT_COLUMNS
     return np.concatenate([new_work(facts), np.empty(parts_and_belts)])
-
-
-def kernel_arguments(constants: Constants, for_compiled: bool) -> tuple[Any, ...]:
-    """Constants as the kernel's entries take them: the numbers as one record of an array. A call costs a tenth of that with
-    fifty separate numbers.
-    """
-    if not for_compiled:
-        return ([constants.number], *constants[1:])
-    return (np.array([tuple(constants.number)], dtype=_record()), *constants[1:])
-
-
-@functools.cache
-def _record() -> np.dtype[Any]:
-    """The record that `Numbers` are in compiled code."""
-    kinds = {float: np.float64, int: np.int64, bool: np.bool_}
-    return np.dtype([(name, kinds[kind]) for name, kind in get_type_hints(Numbers).items()])
 
 
 class Running(NamedTuple):
@@ -178,17 +163,15 @@ def check_own_effects(vehicle: AnyVehicle) -> None:
             refuse_unusable(active, at)
 
 
-def make_constants(
-    vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, machine: bool = True, uncertain: bool = True
-) -> Constants:
-    """Gather the constants; builds the loss tables or takes them from the cache. Effects are `machine` code or plain Python.
+def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, uncertain: bool = True) -> Constants:
+    """Gather the constants; builds the loss tables or takes them from the cache.
 
     Not `uncertain`: belts without standard deviations and heat, and without the half second that these take at first.
     """
     check_own_effects(vehicle)
     runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, uncertain)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
-    acting = effect_table(vehicle.own, vehicle.surroundings, machine=machine)
+    acting = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
 
     fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS}

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import Disturbance, Drift, Spells
 
@@ -51,7 +51,7 @@ def seen_there(there: float, mean: float, levels: tuple[float, float], variance:
     return there * times / (there * times + 1.0 - there)
 
 
-@inlined
+@kernel
 def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
     """Predict mean [Nm] and variance [Nm^2] of a drifting level.
 
@@ -60,7 +60,7 @@ def later_level(level: float, variance: float, keep: float, size: float) -> tupl
     return keep * level, keep**2 * variance + size**2 * (1.0 - keep**2)
 
 
-@inlined
+@kernel
 def seen_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
     """Update mean [Nm] and variance [Nm^2] of a level by the mean of a block, given its noise variance [Nm^2]."""
     gain = variance / (variance + noise_variance)

@@ -8,10 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import TERMS, WEIGHT, neutral, rest_effects
@@ -32,22 +29,25 @@ from trackres_ros.estimator.guards import (
     gather,
     longest_age,
 )
-from trackres_ros.estimator.kernel import advance, follow_air, predict, start
+from trackres_ros.estimator.kernel import PREDICTED, advance, follow_air, predict, start
 from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, State
-from trackres_ros.jit.compiled import HAVE_NUMBA, entry, inlined, interpreted
+from trackres_ros.kernels.marks import COMPILED as HAVE_C
+from trackres_ros.kernels.marks import Bound, entry, kernel
 from trackres_ros.units import NANOSECOND
+
+Record = TypeVar("Record")
 
 
 class Messages(NamedTuple):
     """Messages in the order they arrived, shape (messages,)."""
 
-    channels: NDArray[np.integer[Any]]
+    channels: IntArray
     stamps: IntArray  # ns
     arrivals: IntArray  # ns
     values: Array
 
 
-@inlined
+@kernel
 def feed(
     k: Constants,
     memory: Memory,
@@ -95,7 +95,7 @@ def feed(
     return True
 
 
-@inlined
+@kernel
 def feed_all(
     k: Constants,
     memory: Memory,
@@ -103,7 +103,7 @@ def feed_all(
     loads: Array,
     belt_measured: Array,
     messages: Messages,
-    out: Array,
+    out: Annotated[Array, (None, None)],
     out_stamps: IntArray,
     out_arrivals: IntArray,
 ) -> int:
@@ -118,7 +118,7 @@ def feed_all(
     return steps
 
 
-@inlined
+@kernel
 def advance_once(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array) -> bool:
     """`kernel.advance` for inputs from outside; false for values that `records.checked` refuses: here a check costs nothing."""
     usable = (
@@ -146,9 +146,15 @@ def advance_once(k: Constants, carried: State, inputs: Inputs, dt: float, out: A
     return True
 
 
-@inlined
+@kernel
 def advance_along(
-    k: Constants, carried: State, series: DriveSeries, ambient_std: float, loads: Array, no_belts: Array, out: Array
+    k: Constants,
+    carried: State,
+    series: DriveSeries,
+    ambient_std: float,
+    loads: Array,
+    no_belts: Array,
+    out: Annotated[Array, (None, None)],
 ) -> None:
     """`kernel.advance` along a drive. One row of `out` a time."""
     for i in range(series.times.shape[0]):
@@ -163,8 +169,10 @@ def advance_along(
         advance(k, carried, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
 
 
-@inlined
-def predict_along(k: Constants, carried: State, count: Array, series: DriveSeries, out: Array) -> None:
+@kernel
+def predict_along(
+    k: Constants, carried: State, count: Array, series: DriveSeries, out: Annotated[Array, (None, PREDICTED)]
+) -> None:
     """`kernel.predict` along a drive, from a state that was started or rested. One row of `out` a time."""
     for i in range(series.times.shape[0]):
         turning = series.yaw_rates[i], series.headings[i], series.distances[i]
@@ -175,7 +183,7 @@ def predict_along(k: Constants, carried: State, count: Array, series: DriveSerie
         )  # fmt: skip
 
 
-@inlined
+@kernel
 def rest(k: Constants, carried: State, ambient: float, ambient_std: float, seconds: float) -> None:
     """Let the vehicle stand for some time [s] at an ambient temperature [degC], nan for the last known: all cools."""
     motion = Motion(carried.motion)
@@ -195,37 +203,33 @@ def rest(k: Constants, carried: State, ambient: float, ambient_std: float, secon
 
 @dataclass(frozen=True)
 class Entries:
-    """Functions that an estimator runs, compiled by numba or in plain Python, with equal results.
-
-    Each takes the fields of `Constants`, `Memory`, `State`, `Inputs`, `Messages` and `DriveSeries`, see `jit.compiled.entry`.
-    """
+    """Functions that an estimator runs, compiled or in plain Python, with equal results."""
 
     compiled: bool
-    feed: Callable[..., Any]
-    run_series: Callable[..., Any]
-    predict_series: Callable[..., Any]
-    step_once: Callable[..., Any]
-    rest_vehicle: Callable[..., Any]
-    start_belts: Callable[..., Any]
-    follow_series: Callable[..., Any]
+    feed: Callable[..., bool]
+    feed_all: Callable[..., int]
+    run_series: Callable[..., None]
+    predict_series: Callable[..., None]
+    step_once: Callable[..., bool]
+    rest_vehicle: Callable[..., None]
+    start_belts: Callable[..., None]
+    follow_series: Callable[..., None]
+
+    def bound(self, record: Record) -> Bound[Record]:
+        """A record for many calls of them."""
+        return Bound(record, self.compiled)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Copied or in another process they are the same functions, or those of its numba."""
+        """Copied or in another process they are the same functions, or those that it has."""
         return _entries_of, (self.compiled,)
 
 
 _KERNELS: tuple[Callable[..., Any], ...] = (
-    feed_all, advance_along, predict_along, advance_once, rest, start, follow_along,
+    feed, feed_all, advance_along, predict_along, advance_once, rest, start, follow_along,
 )  # fmt: skip
-_ENTRIES = tuple(map(entry, _KERNELS))
-COMPILED = Entries(HAVE_NUMBA, *_ENTRIES)
+COMPILED = Entries(HAVE_C, *map(entry, _KERNELS))
+INTERPRETED = Entries(False, *_KERNELS)
 
 
 def _entries_of(compiled: bool) -> Entries:
-    return COMPILED if compiled or not HAVE_NUMBA else interpreted_entries()
-
-
-def interpreted_entries() -> Entries:
-    """The same in plain Python."""
-    known: dict[Any, Any] = {}
-    return Entries(False, *(interpreted(one, known) for one in _ENTRIES))
+    return COMPILED if compiled else INTERPRETED

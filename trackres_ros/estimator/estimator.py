@@ -20,7 +20,7 @@ from trackres_ros.effects.stepping import cooled as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
+from trackres_ros.estimator.constants import Constants, make_constants
 from trackres_ros.estimator.entry_points import COMPILED, Entries, Messages
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, ambient_now, new_memory
@@ -72,7 +72,7 @@ class Estimator:
     cache
         Folder of computed tables; by default the user's.
     entries
-        The kernels, compiled where numba is installed.
+        The kernels, as C where that was built.
 
     Attributes
     ----------
@@ -106,8 +106,7 @@ class Estimator:
         self.settings = settings or Settings()
         self.entries = entries
         folder = None if cache is None else checks.path(cache, "cache")
-        self.constants: Constants = make_constants(vehicle, self.settings, folder, entries.compiled)
-        self.kernel_arguments = kernel_arguments(self.constants, entries.compiled)
+        self.constants: Constants = make_constants(vehicle, self.settings, folder)
         self.assemblies = tuple(a.name for a in vehicle.assemblies)
         self.channels = at.channels(vehicle)
         self.columns = at.columns(vehicle)
@@ -190,7 +189,7 @@ class Estimator:
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
         effects = new_effects_memory(len(self.vehicle.active))
         state = State(belts, np.empty(at.Motion.columns), effects, np.zeros(at.Learned.columns))
-        self.entries.start_belts(*self.kernel_arguments, *state, inputs.ambient, inputs.ambient_std)
+        self.entries.start_belts(self.constants, state, inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.Belt.temperature] = number(belt_degc, "belt_degc")
             state.belts[:, :, at.Belt.consider_ambient] = 0.0
@@ -215,16 +214,16 @@ class Estimator:
         after, elapsed, row = self._copy(state), duration(dt, "dt", *LONGEST_STEP), np.empty(len(self.columns))
         if not is_as_compiled(inputs, *self._sizes):
             inputs = self._checked(inputs)
-        if not self.entries.step_once(*self.own_arguments(), *after, *inputs, elapsed, row):
+        if not self.entries.step_once(self.own_constants(), after, inputs, elapsed, row):
             self._checked(inputs)  # which says why
         return after, Estimate(row, self.column_index)
 
     def _checked(self, inputs: Inputs) -> Inputs:
         return checked(inputs, *self._sizes)
 
-    def own_arguments(self) -> tuple[Any, ...]:
-        """The kernel's arguments, first of an entry point, with a new work space, so that threads do not share one."""
-        return (*self.kernel_arguments[:-1], self.kernel_arguments[-1].copy())
+    def own_constants(self) -> Constants:
+        """The constants with a new work space, so that threads do not share one."""
+        return Constants._make((*self.constants[:-1], self.constants.work.copy()))
 
     def run(
         self,
@@ -271,7 +270,7 @@ class Estimator:
         series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, ALONG, strict=True)))
         after, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
         work = self.constants.number.ambient_std, np.empty(len(self.constants.assembly)), self._no_belts
-        self.entries.run_series(*self.own_arguments(), *after, *series, *work, rows)
+        self.entries.run_series(self.own_constants(), after, series, *work, rows)
         return after, rows
 
     def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
@@ -298,7 +297,7 @@ class Estimator:
         given = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
         series = (bounded(a, name, at_times.shape, unknown=name != "speed") for name, a in given)
         found = np.empty((len(at_times), len(GroundSeries._fields)))
-        self.entries.follow_series(*self.own_arguments(), np.array(NOTHING_YET), at_times, *series, found)
+        self.entries.follow_series(self.own_constants(), np.array(NOTHING_YET), at_times, *series, found)
         return GroundSeries(*found.T)
 
     def rest(self, state: State, ambient: float | None, seconds: float) -> State:
@@ -311,7 +310,7 @@ class Estimator:
         after, std = self._copy(state), self.constants.number.ambient_unknown_std
         off = min(duration(seconds, "seconds"), LONGEST_STEP_S)
         air = math.nan if ambient is None else number(ambient, "ambient")
-        self.entries.rest_vehicle(*self.own_arguments(), *after, air, std, off)
+        self.entries.rest_vehicle(self.own_constants(), after, air, std, off)
         return after
 
     def check(self, state: State) -> None:
@@ -355,19 +354,10 @@ class Session:
         self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
         self._channels = len(estimator.channels)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
-        self._message = Messages(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1))
-        self._of_step = np.zeros(1, np.int64), np.zeros(1, np.int64)
-        self._arguments = self._gathered()
-
-    def _gathered(self) -> tuple[Any, ...]:
-        """Arguments of the entry points before a message."""
-        of_session = self.belts, self.motion, self.effects, self.learned, self._loads, self._belt_measured
-        return (*self.estimator.own_arguments(), *self.memory, *of_session)
-
-    def change_over(self, entries: Entries) -> None:
-        """Go on with other entry points, from the same state."""
-        self.estimator = Estimator(self.estimator.vehicle, self.estimator.settings, entries=entries)
-        self._arguments = self._gathered()
+        self._columns = len(estimator.columns)
+        bound = estimator.entries.bound
+        self._k, self._memory = bound(estimator.own_constants()), bound(self.memory)
+        self._carried = bound(State(self.belts, self.motion, self.effects, self.learned))
 
     @property
     def started(self) -> bool:
@@ -447,22 +437,24 @@ class Session:
 
     def feed(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
         """`handle` without its checks, for numbers that are of these types already: another channel writes outside the arrays."""
-        channels, stamps, arrivals, values = message = self._message
-        channels[0], stamps[0], arrivals[0], values[0] = channel, stamp_ns, arrival_ns, value
-        rows = np.empty((1, len(self.estimator.columns)))
-        stepped = self.estimator.entries.feed(*self._arguments, *message, rows, *self._of_step)
-        return Estimate(rows[0], self.estimator.column_index) if stepped else None
+        row, estimator = np.empty(self._columns), self.estimator
+        stepped = estimator.entries.feed(
+            self._k.given, self._memory.given, self._carried.given, self._loads, self._belt_measured, channel, stamp_ns,
+            arrival_ns, value, row,
+        )  # fmt: skip
+        return Estimate(row, estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.integer[Any]], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
         """Process many messages, arrays of shape (messages,) in the order of arrival.
 
         Raises InputError for different lengths, and as `handle`.
         """
-        channels, stamps, arrivals, values = self._messages(channel, stamp_ns, arrival_ns, value)
-        most = int(np.count_nonzero(channels == at.SPEED))
+        messages = self._messages(channel, stamp_ns, arrival_ns, value)
+        most = int(np.count_nonzero(messages.channels == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         of_steps = np.empty((2, most + 1), dtype=np.int64)
-        steps = self.estimator.entries.feed(*self._arguments, channels, stamps, arrivals, values, rows, *of_steps)
+        given = self._k.given, self._memory.given, self._carried.given, self._loads, self._belt_measured
+        steps = self.estimator.entries.feed_all(*given, messages, rows, *of_steps)
         return Steps(of_steps[0, :steps], of_steps[1, :steps], rows[:steps])
 
     def _messages(self, channel: ArrayLike, stamp_ns: ArrayLike, arrival_ns: ArrayLike, value: ArrayLike) -> Messages:

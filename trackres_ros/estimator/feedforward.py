@@ -12,14 +12,14 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Assembly, Motion, Part
 from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.estimator.records import Inputs
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 
 FEEDFORWARD_STEP_S = 0.02  # between two outputs at the default rate: so far the feed-forward moves at once, the rest follows
 
 CLAMPED, LIMITED = int(at.Reason.FEEDFORWARD_CLAMPED), int(at.Reason.FEEDFORWARD_RATE_LIMITED)
 
 
-@inlined
+@kernel
 def fade(age: float, max_age: float, fade_s: float) -> float:
     """Share of the feed-forward at an age of the speed [s]: 1 until `max_age`, 0 `fade_s` later, linear between
     (ours).
@@ -27,7 +27,7 @@ def fade(age: float, max_age: float, fade_s: float) -> float:
     return min(1.0, max(0.0, 1.0 - (age - max_age) / fade_s))
 
 
-@inlined
+@kernel
 def towards(here: float, there: float, room: float) -> float:
     """From one value to another, by no more than `room`; nowhere if one of the three is no number."""
     way = there - here
@@ -36,7 +36,7 @@ def towards(here: float, there: float, room: float) -> float:
     return there if abs(way) <= room else here
 
 
-@inlined
+@kernel
 def rate_towards(number: Numbers, target: float) -> float:
     """Largest change of the feed-forward [Nm/s] on its way to a target: from its limit, zero is reached within the time of a
     fade, as nothing may push a vehicle that stands or is not enabled (ours).
@@ -45,13 +45,13 @@ def rate_towards(number: Numbers, target: float) -> float:
     return max(rate, number.feedforward_limit / number.feedforward_fade) if target == 0.0 else rate
 
 
-@inlined
+@kernel
 def finite(torque: float) -> float:
     """A torque, or 0 in place of one that is no number."""
     return torque if math.isfinite(torque) else 0.0
 
 
-@inlined
+@kernel
 def followed(number: Numbers, value: float, target: float, lasted: float) -> float:
     """Feed-forward [Nm] after some time [s] on its way from a value to a target. One of the other sign goes to zero first, at the
     rate to zero, as it pushes the wrong way (ours).
@@ -65,13 +65,13 @@ def followed(number: Numbers, value: float, target: float, lasted: float) -> flo
     return towards(here, there, rate_towards(number, there) * left)
 
 
-@inlined
+@kernel
 def present_target(motion: Motion) -> float:
     """What the feed-forward is on its way to [Nm]."""
     return 0.0 if motion.unfed > 0.0 else motion.feedforward_target
 
 
-@inlined
+@kernel
 def feedforward(k: Constants, motion: Motion, total: Part, of_effects: float, inputs: Inputs, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons for limits; store the target in `motion` (ours).
 

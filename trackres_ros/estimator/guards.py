@@ -11,7 +11,7 @@ keeps the arrival that its stamp tells.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,8 @@ from trackres_ros.estimator.plausible_speed import (
     speed_is_plausible,
 )
 from trackres_ros.estimator.records import Inputs
-from trackres_ros.jit.compiled import compiled, inlined
-from trackres_ros.route.follower import NOTHING_YET, forget
+from trackres_ros.kernels.marks import kernel
+from trackres_ros.route.follower import FOLLOWED, NOTHING_YET, forget
 from trackres_ros.units import NANOSECOND
 
 ACCEPTED, NON_FINITE, OUT_OF_RANGE = int(at.Count.ACCEPTED), int(at.Count.NON_FINITE), int(at.Count.OUT_OF_RANGE)
@@ -71,13 +71,13 @@ ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOU
 class Memory(NamedTuple):
     """Memory of the guards, one row per channel. All arrays are changed in place."""
 
-    times: IntArray  # (channels, numbers of `columns.Times`)
-    values: Array  # (channels,) last accepted value
-    counters: IntArray  # (channels, counters)
+    times: Annotated[IntArray, (None, at.Times.columns)]
+    values: Array  # last accepted value
+    counters: Annotated[IntArray, (None, len(at.Count))]
     reasons: IntArray  # (reasons,) steps with each reason
-    followed: Array  # (FOLLOWED,) position on a route, see `route.follower`
-    tracked: Array  # numbers of `columns.Tracked`
-    runs: Array  # (channels, numbers of `columns.Run`)
+    followed: Annotated[Array, (FOLLOWED,)]  # position on a route, see `route.follower`
+    tracked: Annotated[Array, (at.Tracked.columns,)]
+    runs: Annotated[Array, (None, at.Run.columns)]
 
 
 def new_memory(channels: int) -> Memory:
@@ -93,7 +93,7 @@ def new_memory(channels: int) -> Memory:
     )
 
 
-@inlined
+@kernel
 def has_jumped(k: Constants, times: Times, stamp: int, arrival: int, is_behind: bool) -> bool:
     """Whether enough messages in a row agree on a new offset between stamp and arrival; record one more.
 
@@ -107,7 +107,7 @@ def has_jumped(k: Constants, times: Times, stamp: int, arrival: int, is_behind: 
     return times.suspects >= k.number.jumps_to_accept and (not is_behind or until > k.number.clock_jump_ns)
 
 
-@inlined
+@kernel
 def learn_period(times: Times, elapsed: int) -> None:
     """Follow the period of a channel's messages, by at most half of it each time (ours): it is near the median of the last few.
 
@@ -121,7 +121,7 @@ def learn_period(times: Times, elapsed: int) -> None:
         times.period = max(elapsed, times.period - times.period // 3)
 
 
-@inlined
+@kernel
 def slow_ns(k: Constants, times: Times) -> int:
     """Age [ns] to which the last value of a channel may be used as its messages come so rarely, whatever the setting.
 
@@ -131,13 +131,13 @@ def slow_ns(k: Constants, times: Times) -> int:
     return min(times.period + times.period // 2, k.number.slow_input_max_age_ns)
 
 
-@inlined
+@kernel
 def longest_age(k: Constants, memory: Memory) -> float:
     """Longest age of a trusted speed [s]."""
     return max(k.number.speed_max_age, slow_ns(k, Times(memory.times[at.SPEED])) * NANOSECOND)
 
 
-@inlined
+@kernel
 def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step observed in the speed [m/s].
 
@@ -215,7 +215,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     return outcome, elapsed
 
 
-@inlined
+@kernel
 def may_change_at_will(k: Constants, memory: Memory, channel: int, now: int, quantum: float) -> bool:
     """Whether a speed or load that arrives now may have any value: the first one, and a load at standstill, or after a time in
     which the last one was not used any more.
@@ -229,7 +229,7 @@ def may_change_at_will(k: Constants, memory: Memory, channel: int, now: int, qua
     return not drives or now - memory.times[channel, LAST_ARRIVAL] > hold_ns
 
 
-@inlined
+@kernel
 def is_plausible(
     k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float, quantum: float
 ) -> bool:
@@ -239,7 +239,7 @@ def is_plausible(
     return load_is_plausible(k, times, run, channel, stamp, elapsed, value)
 
 
-@compiled
+@kernel
 def forget_others(memory: Memory, kept: int) -> None:
     """Forget times and values of all channels but one, as at the start; counters stay."""
     for channel in range(memory.times.shape[0]):
@@ -254,7 +254,7 @@ def forget_others(memory: Memory, kept: int) -> None:
         trust(Times(memory.times[kept]), Run(memory.runs[kept]), memory.values[kept])
 
 
-@inlined
+@kernel
 def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     """The last value of a channel if it arrived within `hold_ns`, else nan."""
     if memory.times[channel, SEEN] == 0 or now - memory.times[channel, LAST_ARRIVAL] > hold_ns:
@@ -262,13 +262,13 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     return float(memory.values[channel])
 
 
-@inlined
+@kernel
 def held_motion(k: Constants, memory: Memory, channel: int, now: int) -> float:
     """The last acceleration, grade, yaw rate or heading, nan where it is too old for the period in which it comes."""
     return held(memory, channel, now, max(k.number.motion_hold_ns, slow_ns(k, Times(memory.times[channel]))))
 
 
-@inlined
+@kernel
 def ambient_now(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[float, float, int]:
     """Ambient temperature [degC] at an arrival, its standard deviation [K], and the reason if it is assumed, else 0.
 
@@ -284,7 +284,7 @@ def ambient_now(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple
     return last, k.number.ambient_unknown_std, AMBIENT_NOMINAL
 
 
-@inlined
+@kernel
 def not_enabled(k: Constants, memory: Memory, now: int) -> int:
     """Reason why the feed-forward is zero at an arrival [ns], else 0.
 
@@ -300,7 +300,7 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
     return 0 if enable > 0.0 else DISABLED
 
 
-@inlined
+@kernel
 def reasons_of_load(memory: Memory, channel: int, now: int) -> int:
     """Reasons to report where the last load of a channel is used."""
     age, reasons = now - memory.times[channel, LAST_ARRIVAL], 0
@@ -313,13 +313,13 @@ def reasons_of_load(memory: Memory, channel: int, now: int) -> int:
     return reasons
 
 
-@inlined
+@kernel
 def unsure_load(k: Constants, memory: Memory, channel: int, now: int) -> float:
     """Standard deviation of the last load of a channel [N]; of passengers their number."""
     return load_std(k, Times(memory.times[channel]), Run(memory.runs[channel]), channel, memory.values[channel], now)
 
 
-@inlined
+@kernel
 def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, loads: Array) -> tuple[int, float]:
     """Share a load [N], less those already known, among the assemblies without one; return the reasons to report, and the
     standard deviation of what is shared [N].
@@ -343,7 +343,7 @@ def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, 
     return reasons_of_load(memory, channel, now), unsure_load(k, memory, channel, now)
 
 
-@inlined
+@kernel
 def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[int, float]:
     """Load of each assembly [N] from the finest source available; fill `loads`, return the reasons to report, and the standard
     deviation of all together [N], as if all departed alike.
@@ -387,7 +387,7 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[
     return reasons, unsure
 
 
-@inlined
+@kernel
 def gather(
     k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Motion, loads: Array, belt_measured: Array
 ) -> Inputs:

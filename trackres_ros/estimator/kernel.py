@@ -58,8 +58,8 @@ from trackres_ros.estimator.learned_step import learn_from, learned_variance
 from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
 from trackres_ros.estimator.records import Inputs, State
 from trackres_ros.estimator.road import Road, driving_torque, road_now, torque_of_place
-from trackres_ros.jit.arithmetic import squared
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.arithmetic import squared
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.resistance import direction, wind_force
 
 LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
@@ -73,7 +73,7 @@ PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN, PREDICTED_OUTCOME = range(4)
 PREDICTED = 4
 
 
-@inlined
+@kernel
 def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> None:
     """A cold start: every belt at the ambient temperature, and uncertain."""
     belts, motion, effects, _ = carried
@@ -90,7 +90,7 @@ def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> N
         effects[place] = math.nan
 
 
-@inlined
+@kernel
 def follow_air(
     k: Constants, carried: State, speed: float, weight: float, ambient: float, ambient_std: float, assumed: bool
 ) -> None:
@@ -125,7 +125,7 @@ def follow_air(
         motion.air_std = 0.0
 
 
-@inlined
+@kernel
 def act(
     k: Constants,
     carried: State,
@@ -159,7 +159,7 @@ def act(
     return step_effects(k.effects, k.effect_values, effects, k.work, dt if bridged else 0.0)
 
 
-@inlined
+@kernel
 def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; change the carried state, fill one row of results.
 
@@ -250,7 +250,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
     result.reasons = reasons | of_assemblies | of_feedforward
 
 
-@inlined
+@kernel
 def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, driving: float, of_place_std: float) -> float:
     """Variance of the resistance [Nm^2]: var M of docs/model.md, with those of effects and of a torque by place (ours).
 
@@ -283,7 +283,7 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
     return variance
 
 
-@inlined
+@kernel
 def of_load(total: Part, road: Road, relative_std: float, gain: float) -> float:
     """Variance of the resistance [Nm^2] by a relative standard deviation of the load, to which all but the wind is taken to be
     proportional (ours).
@@ -291,7 +291,7 @@ def of_load(total: Part, road: Road, relative_std: float, gain: float) -> float:
     return squared((total.unsigned - total.arm * abs(road.wind)) * relative_std * gain)
 
 
-@inlined
+@kernel
 def predict(
     k: Constants, carried: State, count: Array, speed: float, accel: float, grade: float, torque_by_place: float, weight: float,
     ambient: float, turning: tuple[float, float, float], dt: float, out: Array,

@@ -10,13 +10,13 @@ departure. This is first order: at a departure of a fifth the error is less than
 from __future__ import annotations
 
 from trackres_ros.estimator.columns import LEARNABLE, OF_BEARING, OF_BELT, OF_DRAG, OF_MASS, Learned, Part
-from trackres_ros.jit.arithmetic import squared
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.arithmetic import squared
+from trackres_ros.kernels.marks import kernel
 
 BELTS = OF_BELT + 1  # the first departures act through hysteresis
 
 
-@inlined
+@kernel
 def learned_hysteresis(part: Part, learned: Learned) -> float:
     """Learned change of the hysteresis [Nm], without its sign: the sum of d dM/dd."""
     more, departures, by = 0.0, learned.departures, part.by
@@ -25,14 +25,14 @@ def learned_hysteresis(part: Part, learned: Learned) -> float:
     return float(more * learned.on)
 
 
-@inlined
+@kernel
 def learned_elsewhere(part: Part, learned: Learned) -> float:
     """Learned change of bearings and wind [Nm]."""
     departures = learned.departures
     return float((departures[OF_BEARING] * part.bearing + departures[OF_DRAG] * part.wind) * learned.on)
 
 
-@inlined
+@kernel
 def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float, of_drag: float) -> float:
     """Keep the sensitivities of a step, and move its parts by the learned departures; return the slow disturbance before the gain
     [Nm].
@@ -63,7 +63,7 @@ def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float, of
     return float(learned.torque * sign / drive_gain)
 
 
-@inlined
+@kernel
 def learned_variance(total: Part, learned: Learned, rolling_bearing: float, drive_gain: float) -> float:
     """Variance of the resistance due to the learned departures and the slow disturbance [Nm^2]: s'FF's + slow^2.
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from trackres_ros.estimator.columns import Motion
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 
 LARGEST_QUANTUM = 1.0  # m/s: a greater smallest step is not a quantum
 SAME_VALUE = 1e-6  # m/s: rounding of a scaled bus value
@@ -25,7 +25,7 @@ SAME_VALUE = 1e-6  # m/s: rounding of a scaled bus value
 ROLLS_FROM, ROLLS_UNTIL = 6.0, 3.0
 
 
-@inlined
+@kernel
 def start_motion(motion: Motion, speed: float, speed_variance: float, acceleration_variance: float) -> None:
     """Begin the filter at a first speed [m/s]."""
     motion.filtered_speed, motion.filtered_accel = speed, 0.0
@@ -33,26 +33,26 @@ def start_motion(motion: Motion, speed: float, speed_variance: float, accelerati
     motion.started = 1.0
 
 
-@inlined
+@kernel
 def known_quantum(motion: Motion) -> float:
     """Step of a quantised speed [m/s]; 0 for a continuous one."""
     return motion.quantum if motion.quantum < LARGEST_QUANTUM else 0.0
 
 
-@inlined
+@kernel
 def is_noise(speed: float, quantum: float, speed_variance: float, has_rolled: bool) -> bool:
     """Whether a speed [m/s] may be the sensor's noise at rest, or is none; `quantum`: smallest step observed [m/s]."""
     noise = ROLLS_UNTIL if has_rolled else ROLLS_FROM
     return not abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * (quantum if quantum < LARGEST_QUANTUM else 0.0)
 
 
-@inlined
+@kernel
 def rolls(motion: Motion, speed: float, speed_variance: float) -> float:
     """1 while the speed [m/s] exceeds its sensor's noise at rest, else 0: |v| > n std + quantum/2 (ours)."""
     return 0.0 if is_noise(speed, motion.quantum, speed_variance, motion.rolls > 0.0) else 1.0
 
 
-@inlined
+@kernel
 def advance_motion(
     motion: Motion, speed: float, last_speed: float, dt: float, speed_variance: float, acceleration_variance: float, time: float
 ) -> None:

@@ -19,7 +19,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Run, Times
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, Constants
 from trackres_ros.estimator.feedforward import towards
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import NANOSECOND
 
 LONGEST_RUN_NS = 2_000_000_000  # by then the feed-forward is zero: a longer wait is no safer
@@ -33,7 +33,7 @@ LOAD_PER_S = LOAD_SLACK / 60.0  # what nobody measures: a tank for a third of th
 FRESH_LOAD_NS = 2_000_000_000  # an older load is reported as held, while it is valid
 
 
-@inlined
+@kernel
 def follow(reference: float, value: float, elapsed: int, rate: float, slack: float) -> tuple[float, bool]:
     """The reference after some time [ns], and whether a value is within `slack` of it (ours).
 
@@ -43,14 +43,14 @@ def follow(reference: float, value: float, elapsed: int, rate: float, slack: flo
     return moved, abs(value - moved) <= slack
 
 
-@inlined
+@kernel
 def trust(times: Times, run: Run, value: float) -> None:
     """Accept a value, independent of its history."""
     run.reference, run.doubted = value, math.nan
     times.doubts = 0
 
 
-@inlined
+@kernel
 def is_in_reach(
     k: Constants, times: Times, run: Run, stamp: int, elapsed: int, value: float, rate: float, slack: float, lasting: int
 ) -> bool:
@@ -82,13 +82,13 @@ def is_in_reach(
     return False
 
 
-@inlined
+@kernel
 def is_load(k: Constants, channel: int) -> bool:
     """Whether a channel tells what the vehicle carries."""
     return channel == at.LOAD or channel == at.PASSENGERS or at.FIRST_AXLE <= channel < k.number.first_belt
 
 
-@inlined
+@kernel
 def nominal_of(k: Constants, channel: int) -> float:
     """Nominal load of a channel of loads [N]; of passengers the number that weighs as much as the vehicle."""
     if channel == at.PASSENGERS:
@@ -96,7 +96,7 @@ def nominal_of(k: Constants, channel: int) -> float:
     return float(k.channel_limits[channel, 1] / LARGEST_LOAD_SHARE)
 
 
-@inlined
+@kernel
 def load_is_plausible(k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float) -> bool:
     """Whether to accept a load, or a number of passengers, of a vehicle that drives."""
     nominal = nominal_of(k, channel)
@@ -104,7 +104,7 @@ def load_is_plausible(k: Constants, times: Times, run: Run, channel: int, stamp:
     return is_in_reach(k, times, run, stamp, since, value, FOLLOWED_PER_S * nominal, LOAD_SLACK * nominal, LOAD_LASTS_NS)
 
 
-@inlined
+@kernel
 def load_std(k: Constants, times: Times, run: Run, channel: int, value: float, now: int) -> float:
     """Standard deviation of a load [N] that is held, or of a number of passengers: it may have changed since, or is doubted.
 

@@ -17,7 +17,7 @@ from trackres_ros.estimator.columns import SPEED, Run, Times, Tracked
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.estimator.plausible_change import follow, is_in_reach
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import NANOSECOND
 
 SEEN, LAST_ARRIVAL = Times.seen, Times.last_arrival
@@ -28,13 +28,13 @@ COMPARED_M, COMPARED_STEPS = 50.0, 8.0  # a comparison takes so far, and so many
 FARTHEST_M = 1000.0  # no odometer has larger steps
 
 
-@inlined
+@kernel
 def slack_of(k: Constants, quantum: float) -> float:
     """How far a speed [m/s] may be from where the vehicle can be: the slack, and one step of a quantised speed."""
     return float(k.number.speed_slack + (quantum if quantum < LARGEST_QUANTUM else 0.0))
 
 
-@inlined
+@kernel
 def move_clock(times: Times, by: int) -> None:
     """Move all that is remembered of the speed's clock by a jump of it [ns]."""
     times.last_stamp += by
@@ -42,32 +42,32 @@ def move_clock(times: Times, by: int) -> None:
     times.doubt_stamp += by
 
 
-@inlined
+@kernel
 def is_near(k: Constants, run: Run, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether the vehicle can have reached a speed some time [ns] after the last accepted one."""
     return follow(run.reference, speed, elapsed, k.number.max_acceleration, slack_of(k, quantum))[1]
 
 
-@inlined
+@kernel
 def seems_to_stand(k: Constants, run: Run) -> bool:
     """Whether the doubtful speeds are those of a standing vehicle."""
     return bool(abs(run.doubted) <= k.number.speed_slack)
 
 
-@inlined
+@kernel
 def speed_is_plausible(k: Constants, times: Times, run: Run, stamp: int, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether to accept a speed some time [ns] after the last accepted one; record a doubtful one."""
     return is_in_reach(k, times, run, stamp, elapsed, speed, k.number.max_acceleration, slack_of(k, quantum), 0)
 
 
-@inlined
+@kernel
 def forget_way(tracked: Tracked) -> None:
     """Restart the comparison with the odometer."""
     tracked.began, tracked.way, tracked.net = math.nan, 0.0, 0.0
     tracked.apart = 0.0
 
 
-@inlined
+@kernel
 def odometer_came(k: Constants, tracked: Tracked, distance: float, elapsed: int) -> None:
     """Process a distance [m] some time [ns] after the last one; compare it with the integrated speed where both are long enough.
 
@@ -92,7 +92,7 @@ def odometer_came(k: Constants, tracked: Tracked, distance: float, elapsed: int)
         tracked.began, tracked.apart = distance, apart
 
 
-@inlined
+@kernel
 def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None:
     """Integrate a speed [m/s] over its duration [ns]; restart after an unknown gap."""
     seconds = elapsed * NANOSECOND
@@ -103,7 +103,7 @@ def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None
     tracked.net += speed * seconds
 
 
-@inlined
+@kernel
 def disagrees(k: Constants, times: IntArray, values: Array, last_speed: float, speed: float, now: int) -> bool:
     """Whether, at an arrival [ns], two speeds [m/s] have contradicted all wheel speeds for longer than the speed may pause.
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,10 +70,10 @@ KINDS = (
 class State(NamedTuple):
     """State carried from one step to the next; not to be changed but by the kernel. `columns` describes the numbers."""
 
-    belts: Array  # (assemblies, 2, BELT_COLUMNS): temperature [degC] and its departures [K], of the mean and of the surface
-    motion: Array  # (Motion.columns,): filtered speed and values of the last step
+    belts: Annotated[Array, (None, 2, at.BELT_COLUMNS)]  # temperature [degC] and departures [K], of mean and surface
+    motion: Annotated[Array, (at.Motion.columns,)]  # filtered speed and values of the last step
     effects: Array  # memory of the effects, see `effects.stepping`
-    learned: Array  # learned departures of the vehicle
+    learned: Annotated[Array, (at.Learned.columns,)]  # learned departures of the vehicle
 
     def __repr__(self) -> str:
         degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])

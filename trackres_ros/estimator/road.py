@@ -12,7 +12,7 @@ from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import TERM_DRIVE_GAIN, TERM_TORQUE
 from trackres_ros.estimator.belt_heat import log_speed
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
 
 
@@ -36,7 +36,7 @@ class Road(NamedTuple):
     dt: float
 
 
-@inlined
+@kernel
 def road_now(
     k: Constants,
     last_speed: float,
@@ -77,13 +77,13 @@ def road_now(
     )
 
 
-@inlined
+@kernel
 def torque_of_place(against: float, speed: float) -> float:
     """Torque by place [Nm]: sign(v) times the torque against travel (ours); 0 where unknown, and at standstill."""
     return 0.0 if math.isnan(against) else against * direction(speed)
 
 
-@inlined
+@kernel
 def driving_torque(work: Array, resisting: float, of_place: float, uphill: float, inertia: float) -> tuple[float, float]:
     """Torque M at the sprockets [Nm]: the sum of its parts (32) and effects, times the effects' gain (ours). Also return the
     effects' and the place's share.

@@ -10,17 +10,20 @@ import json
 import re
 import textwrap
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
-from trackres_ros.effects.as_compiled import LARGEST_WHOLE
+from trackres_ros.effects.dispatch import CALL
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.records import LONGEST_STEP_S
-from trackres_ros.export.functions import TEMPLATES, Instance
-from trackres_ros.export.kinds import INT, REAL, WIDE, Record, safe
 from trackres_ros.export.parts import Parts, StateArray
+from trackres_ros.kernels.extension import filled, used_helpers
+from trackres_ros.kernels.functions import Instance
+from trackres_ros.kernels.kinds import INT, REAL, WIDE, Record, safe
 from trackres_ros.recording.role_units import UNITS
 from trackres_ros.recording.roles import ROLES
 
+TEMPLATES = Path(__file__).parent / "templates"
 OF_MESSAGE = {"channel": "channel", "stamp": "stamp_ns", "arrival": "arrival_ns", "value": "value"}
 CHECKED_BYTES = 8  # version and checksum, before the arrays
 
@@ -114,23 +117,15 @@ class CSource:
 
     def _functions(self) -> dict[str, str]:
         functions = self.translator.text_of_functions(list(self.parts.entries.values()))
-        dispatch = self.parts.text_of_dispatch() if "tr_call_effect(" in functions else ""
+        dispatch = self.parts.effects.text() if f"{CALL}(" in functions else ""
+        prototype = f"{self.parts.effects.prototype}\n" if dispatch else ""
         functions = f"{functions}\n{dispatch}" if dispatch else functions
         tables = self.translator.text_of_tables()
-        helpers = (TEMPLATES / "helpers.c").read_text(encoding="utf-8")
-        values = {
-            "REAL": self.real,
-            "REAL_LEAST": self.translator.literal(-LARGEST_WHOLE),
-            "REAL_MOST": self.translator.literal(LARGEST_WHOLE),
-            "FLOOR": self.translator.call("floor"),
-            "HALF": self.translator.literal(0.5),
-            "FMOD": self.translator.call("fmod"),
-        }
         return {
-            "HELPERS": _used_helpers(filled(helpers, values), functions),
+            "HELPERS": used_helpers(self.translator, functions),
             "STRUCTS": self.translator.text_of_structs(functions),
             "TABLES": tables,
-            "PROTOTYPES": f"{dispatch.splitlines()[1]};\n" if dispatch else "",
+            "PROTOTYPES": prototype,
             "FUNCTIONS": functions,
         }
 
@@ -214,20 +209,6 @@ class CSource:
 def in_state(array: StateArray) -> str:
     """The name of an array in the struct of the state."""
     return array.name.removeprefix("carried_")
-
-
-def filled(template: str, values: dict[str, str]) -> str:
-    """A template with its places filled."""
-    return re.sub(r"@([A-Z_]+)@", lambda match: values.get(match[1], match[0]), template)
-
-
-def _used_helpers(helpers: str, functions: str) -> str:
-    found = []
-    for block in helpers.split("\n\n"):
-        name = re.search(r"(tr_\w+)\(", block)
-        if name and f"{name[1]}(" in functions:
-            found.append(block.strip("\n"))
-    return "\n\n".join(found) + "\n"
 
 
 def _shape(array: StateArray) -> str:

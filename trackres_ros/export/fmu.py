@@ -19,18 +19,18 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 import trackres_ros as tr
-from trackres_ros.effects import native, stepping
-from trackres_ros.effects.effect import Active, Parameter, VehicleConstants
+from trackres_ros.effects import stepping
+from trackres_ros.effects.effect import FACTS, Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Motion
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.export.c_source import CSource, filled, in_c
+from trackres_ros.export.c_source import TEMPLATES, CSource, in_c
 from trackres_ros.export.exporting import Request, translated
-from trackres_ros.export.functions import TEMPLATES
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
+from trackres_ros.kernels.extension import filled
 from trackres_ros.model.thermal import parting_resistance
 from trackres_ros.vehicle.road import RoadVehicle, built_in, least_rolling
 from trackres_ros.vehicle.schema import CHASSIS, ROAD_LOAD
@@ -158,7 +158,7 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
     k = source.estimator.constants
     width = k.effect_values.shape[1] if k.effect_values.ndim > 1 else 0
     states = k.effects[:, stepping.STATE].tolist()
-    facts = VehicleConstants(*k.work[stepping.TERMS : stepping.TERMS + native.FACTS].tolist())
+    facts = VehicleConstants(*k.work[stepping.TERMS : stepping.TERMS + FACTS].tolist())
     vehicle = source.estimator.vehicle
     listed = built_in(vehicle.values) if isinstance(vehicle, RoadVehicle) else ()
     quantities = {effect: (arm, ROAD_LOAD[name]) for effect, _, name, arm in listed}

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import FunctionType
 from typing import Any
 
 import numpy as np
 
-from trackres_ros.effects import native, stepping
-from trackres_ros.effects.effect import Active, Conditions, VehicleConstants
+from trackres_ros.effects import stepping
+from trackres_ros.effects.calls import function_of
+from trackres_ros.effects.dispatch import EffectCalls
+from trackres_ros.effects.effect import Active
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.export import step
-from trackres_ros.export.expressions import Expressions, Value
-from trackres_ros.export.flow import translate_body
-from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.kinds import INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar
+from trackres_ros.kernels.flow import translate_body
+from trackres_ros.kernels.functions import Instance, Translator
+from trackres_ros.kernels.kinds import INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar
 
 NAMES_OF_CONSTANTS = {"assembly": "assemblies", "loss": "loss", "drive": "drive", "channel_limits": "limits"}
 
@@ -59,8 +59,7 @@ class Parts:
         self.arrays = [array for array in self.arrays if array.start.size]
         self.translator = Translator(translate_body, single)
         self.translator.checked = False
-        self.effects: dict[int, Instance] = {}
-        self.translator.intrinsics[native.call_at] = self._call_effect
+        self.effects = EffectCalls(self.translator)
         self._translate_effects()
         self.entries = self._translate_entries()
 
@@ -72,77 +71,21 @@ class Parts:
     # Effects
 
     def _translate_effects(self) -> None:
-        """Number the functions of the effects; the table of effects gets these numbers in the place of addresses."""
+        """Number the functions of the effects here from 1; the table of effects gets these numbers."""
         rows = self.estimator.constants.effects.copy()
         numbers: dict[Any, int] = {}
         actives = self.active
         for row in rows:
             effect = actives[row[stepping.STATE]].effect
-            names = tuple(q.name for q in effect.parameters)
             for column, method in ((stepping.TERMS_AT, "terms"), (stepping.LAG_AT, "lag")):
                 if row[column] == 0:
                     continue
-                key = type(effect), method, names
+                key = function_of(effect, method)
                 if key not in numbers:
                     numbers[key] = len(numbers) + 1
-                    self.effects[numbers[key]] = self._effect_function(*key)
+                    self.effects.add(key, numbers[key])
                 row[column] = numbers[key]
         self._rows = rows
-
-    def _effect_function(self, cls: type, method: str, names: tuple[str, ...]) -> Instance:
-        """`terms` or `lag` of an effect behind the signature that the step calls."""
-        facts, looked_at = native.FACTS, native.LOOKED_AT
-        known = ", ".join(f"x[{i}]" for i in range(facts, looked_at))
-        vehicle = ", ".join(f"x[{i}]" for i in range(facts))
-        name = f"{cls.__name__.lower()}_{method}"
-        answered = native.ANSWERS[method]
-        lines = [
-            f"def {name}(x, p, out):",
-            f'    """{method} of {cls.__name__}"""',
-            f"    found = run(None, Conditions(VehicleConstants({vehicle}), {known}), p)",
-            *(f"    out[{i}] = found[{i}]" for i in range(answered)),
-        ]
-        text = "\n".join(lines)
-        namespace: dict[str, Any] = {"Conditions": Conditions, "VehicleConstants": VehicleConstants, "run": getattr(cls, method)}
-        exec(text, namespace)
-        function: FunctionType = namespace[name]
-        self.translator.add_text(function, text)
-        values = ArrayOf(REAL, (len(names),), names)
-        self.translator.checked = native.is_of_user(cls)
-        found = self.translator.instance(function, [ArrayOf(REAL, (looked_at,)), values, ArrayOf(REAL, (answered,))])
-        self.translator.checked = False
-        return found
-
-    def _call_effect(self, body: Expressions, values: Sequence[Value]) -> str:
-        number, looked_at, parameters, answer = values
-        body.note_written(answer)
-        body.calls += list(self.effects.values())
-        return f"tr_call_effect({', '.join(v.code for v in (number, looked_at, parameters, answer))})"
-
-    def text_of_dispatch(self) -> str:
-        """The function that calls an effect by its number; empty without effects."""
-        if not self.effects:
-            return ""
-        real = self.translator.number(REAL)
-        cases = ""
-        for number, one in self.effects.items():
-            given = [{"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in one.given] + ["&failed"] * one.fails
-            cases += f"    case {number}:\n        {one.name}({', '.join(given)});\n        break;\n"
-        fails = any(one.fails for one in self.effects.values())
-        begun = "    bool failed = false;\n" if fails else ""
-        ended = "    answer[0] = failed ? NAN : answer[0];\n" if fails else ""
-        unused = [
-            f"    (void){name};\n"
-            for short, name in (("x", "looked_at"), ("p", "values"))
-            if not any(short in dict(one.given) for one in self.effects.values())
-        ]
-        return (
-            "/* What an effect does now, by its number. */\n"
-            f"static void tr_call_effect(int64_t number, const {real} *looked_at, const {real} *values, {real} *answer)\n"
-            f"{{\n{''.join(unused)}{begun}"
-            f"    switch (number) {{\n{cases}    default:\n        break;\n    }}\n"
-            f"{ended}}}\n"
-        )
 
     # The step
 

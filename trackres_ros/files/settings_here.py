@@ -12,7 +12,7 @@ from contextlib import contextmanager
 def unread(name: str) -> Iterator[None]:
     """Import a library that reads a file of this name in the current folder, from the root folder if there is one.
 
-    numba and older matplotlib can be made to run code by such a file. Neither has an option to leave it out.
+    An older matplotlib can be made to run code by such a file. It has no option to leave it out.
     """
     if not os.path.lexists(name):
         yield

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.files.cached_arrays import cached_arrays
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
@@ -66,7 +66,7 @@ class LossTable:
         return out
 
 
-@inlined
+@kernel
 def look_up(
     loss: Array, table: int, first_x: float, step_x: float, first_log_load: float, step_log_load: float, x: float, log_load: float
 ) -> tuple[float, float]:
@@ -81,7 +81,7 @@ def look_up(
     return before + u * (after - before), (after - before) / step_x
 
 
-@inlined
+@kernel
 def look_up_drive(drive: Array, table: int, first_x: float, step_x: float, x: float) -> tuple[float, float]:
     """Loss per sprocket torque with its sign, and per its size [N/Nm]."""
     u = min(max((x - first_x) / step_x, 0.0), drive.shape[1] - 1.000001)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
@@ -44,31 +44,31 @@ def force_along(torque: ArrayLike, of_assemblies: Iterable[ArrayLike], radii: Se
     return np.asarray(sum(np.asarray(one) / radius for one, radius in zip(of_assemblies, radii, strict=True)))
 
 
-@inlined
+@kernel
 def direction(speed: float) -> float:
     """Sign of the speed [m/s], smooth through zero."""
     return math.tanh(speed / STANDSTILL_MPS)
 
 
-@inlined
+@kernel
 def bearing_force(speed: float, weight: float, bearing_friction: float) -> float:
     """Bearing friction [N]. Equation (34) as printed divides by R1 and has the unit N/m; M = f G R1."""
     return bearing_friction * weight * direction(speed)
 
 
-@inlined
+@kernel
 def wind_force(speed: float, drag_area: float, air_density: float) -> float:
     """Drag [N] of C_d A [m^2]. The 76140 of equation (35) belongs to a power; M = 1/2 rho C_d A v abs(v) R1."""
     return 0.5 * air_density * drag_area * speed * abs(speed)
 
 
-@inlined
+@kernel
 def inertia_force(acceleration: float, weight: float, rotating_mass_factor: float) -> float:
     """Force to accelerate [N]. Equation (36) as printed lacks g and divides by R1; M = delta (G/g) a R1."""
     return rotating_mass_factor * weight / GRAVITY * acceleration
 
 
-@inlined
+@kernel
 def grade_force(grade: float, weight: float) -> float:
     """Force up a grade [N]; `grade` is rise over run, positive uphill in the direction the vehicle points."""
     return weight * grade / math.sqrt(1.0 + grade * grade)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.vehicle import Rubber
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 REFERENCE_ABOVE_TG = 50.0  # K: the shift function is 1 at Tg + 50, equation (4)
 
 
-@inlined
+@kernel
 def log_shift_factor(belt_degc: float, glass_transition: float, c1: float, c2: float) -> tuple[float, float]:
     """log10 a_T of one temperature and its derivative [1/K]; scalars in and out, shared with the live kernel.
 

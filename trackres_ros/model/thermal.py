@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from trackres_ros.effects.effect import Active, VehicleConstants, terms_by_parameters
 from trackres_ros.effects.stepping import LIMITS
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.model import belt as belt_model
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Belt, Rubber
@@ -103,19 +103,19 @@ def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> fl
     return total if total > LEAST_RESISTANCE else 0.0
 
 
-@inlined
+@kernel
 def film_coefficient(speed: float, film_offset: float, film_slope: float) -> float:
     """Film coefficient [W/m^2/K] at a speed [m/s], equation (31)."""
     return film_offset + film_slope * abs(speed)
 
 
-@inlined
+@kernel
 def surface_temperature(mean: float, ambient: float, film: float, area: float, inner_conductance: float) -> float:
     """Surface temperature [degC] of a mean one in the lumped model: layer and film have the same flux."""
     return (inner_conductance * mean + film * area * ambient) / (inner_conductance + film * area)
 
 
-@inlined
+@kernel
 def phi_1(z: float) -> float:
     """(e^z - 1)/z, the mean of a growing exponential."""
     if abs(z) < SERIES_BELOW:
@@ -123,7 +123,7 @@ def phi_1(z: float) -> float:
     return math.expm1(z) / z
 
 
-@inlined
+@kernel
 def phi_2(z: float) -> float:
     """((e^z - 1)/z - 1)/z, by which the mean departure over a step follows from the rate at its start."""
     if abs(z) < SERIES_BELOW:
@@ -131,7 +131,7 @@ def phi_2(z: float) -> float:
     return (math.expm1(z) / z - 1.0) / z
 
 
-@compiled
+@kernel
 def phi_series(z11: float, z12: float, z21: float, z22: float, order: float) -> tuple[float, float, float, float]:
     """The same by its series, for a matrix with no term much above 1."""
     s11, s12, s21, s22 = 1.0, 0.0, 0.0, 1.0
@@ -147,7 +147,7 @@ def phi_series(z11: float, z12: float, z21: float, z22: float, order: float) -> 
     return whole * s11, whole * s12, whole * s21, whole * s22
 
 
-@compiled
+@kernel
 def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: float) -> tuple[float, float, float, float]:
     """phi_1 or phi_2 (order 1.0 or 2.0: as integers, each would be compiled by itself) of a 2 x 2 matrix, row by row.
 

@@ -22,8 +22,6 @@ from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import LONGEST_OFF, content
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.estimator.warm_up import MESSAGES, CompilerWarmUp, exercise
-from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.clock import NodeClock, steady_ns
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics, without_effect
@@ -45,7 +43,6 @@ from trackres_ros.units import NANOSECOND, SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
 SPEED_IMPLAUSIBLE, LOAD_DOUBTED = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Reason.LOAD_DOUBTED)
-FED_NOW = interpreted(fed_now)  # as live also processes messages between two steps
 LOOK_NS = 200_000_000  # between two looks for other publishers of the feed-forward
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
@@ -69,9 +66,7 @@ class Application:
         self.node, self.namespace = node, namespace
         setup = read_setup(parameters)
         self.topics, self.vehicle = setup.topics, setup.vehicle
-        self._warm_up = CompilerWarmUp(MESSAGES, str(setup.vehicle_file), setup.surroundings_file)
-        self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
-        exercise(self.estimator)  # loading compiled functions takes a third of a second; the first message does not wait for it
+        self.estimator = Estimator(self.vehicle, setup.settings)
         self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
         self.outputs = live_topics(self.vehicle, self.topics)
         measured = any("torque" in given.roles for given in self.inputs)
@@ -237,7 +232,7 @@ class Application:
     def _fed(self, steady: int, pace: int) -> tuple[float, float, int]:
         """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `between_steps.fed_now`."""
         arrival = self.clock.recorded_ns(steady, pace)
-        goal, target, unfed = FED_NOW(self.estimator.constants, self.session.memory, self.session.motion, arrival)
+        goal, target, unfed = fed_now(self.estimator.constants, self.session.memory, self.session.motion, arrival)
         return float(goal), float(target), unfed
 
     def _reasons_or_fault(self, steady: int) -> Reasons:
@@ -369,16 +364,10 @@ class Application:
             self.keeper.save_soon(self.session, self._state_at, self.learning)
 
     def _every_second(self, steady: int) -> None:
-        self.guard("changing over to compiled steps", self._change_over)
         self.guard("watching the inputs", self._look, steady)
         self.guard("the log", self._log_notices, steady)
         if self.active:
             self._publish_status(steady, diagnostics=True)
-
-    def _change_over(self) -> None:
-        compiled = self._warm_up.finished()
-        if compiled:
-            self._go_on_with(Estimator(self.vehicle, self.estimator.settings, entries=compiled))
 
     def _look(self, steady: int) -> None:
         self._peers = [()] * len(self.inputs)
@@ -433,7 +422,6 @@ class Application:
             *(self.guard("publishing statuses", self._publisher.notices) or []),
             *(self.guard("saving the state", self.keeper.notices) or []),
             *(self.guard("recording", self.recording_notices) or []),
-            *(self.guard("changing over to compiled steps", self._compiling) or []),
             *self.guard.notices(steady),
         ]
         if self._withdrawn and all(notice.name != "INTERNAL_ERROR" for notice in found):  # which says why it ends
@@ -454,11 +442,6 @@ class Application:
             index = next(index for index, given in enumerate(self.inputs) if "speed" in given.roles)
             found.append(two_speeds(self._topic_names[index], both, self._peers[index]))
         return found
-
-    def _compiling(self) -> list[Notice]:
-        if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
-            return [Notice("COMPILING", "steps run in plain Python until they are compiled")]
-        return []
 
     def overview(self, steady: int | None = None) -> Overview:
         """Snapshot for statuses and the terminal."""
@@ -482,7 +465,7 @@ class Application:
             self._next_output_ns = self.clock.steady_ns()
         self.parameters = parameters
         if settings != self.estimator.settings:
-            self._go_on_with(Estimator(self.vehicle, settings, entries=self.estimator.entries))
+            self._go_on_with(Estimator(self.vehicle, settings))
 
     def checked_change(self, given: Mapping[str, object]) -> Parameters:
         """The parameters after a change, which is not made; see `changed_parameters`."""
@@ -527,7 +510,6 @@ class Application:
         """Save the state and end other threads; return a text for the log."""
         self.deactivate()
         self.messages.close()
-        self.guard("ending the compiler", self._warm_up.close)
         self.guard("the log", self._log_counts)
         try:
             return self.save_state(SAVING_AT_THE_END_S) if self.keeper.path else "no state is saved"

@@ -106,9 +106,6 @@ LIVE_KINDS = {
     "STATE_NOT_USED": NoticeKind(
         Level.OK, "the state file could not be used: cold start; its text says where the file is kept", of_start=True
     ),
-    "COMPILING": NoticeKind(
-        Level.OK, "first start on this machine: steps run in plain Python until compiled, with the same numbers"
-    ),
 }
 AWAITED = (
     at.Reason.LOAD_NOMINAL

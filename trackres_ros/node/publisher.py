@@ -11,15 +11,11 @@ from collections.abc import Callable, Sequence
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import fade, followed, rate_towards, towards
-from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic
 from trackres_ros.units import NANOSECOND
 
-# Not worth compiling at a first start.
-FADE, FOLLOWED = interpreted(fade), interpreted(followed)
-TOWARDS, RATE_TOWARDS = interpreted(towards), interpreted(rate_towards)
 WINDOW_NS = 100_000_000  # a clock ticks several times in it
 Row = list[float]
 Values = Callable[[Row], list[float]]
@@ -93,7 +89,7 @@ class OutputPublisher:
         settings = self.estimator.settings
         age_s, fade_s = self.age_s(steady), settings.feedforward_fade_s
         since_s = 0.0 if self._withdrawn_ns is None else (steady - self._withdrawn_ns) * NANOSECOND
-        share = 0.0 if math.isinf(age_s) else FADE(age_s, self.max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
+        share = 0.0 if math.isinf(age_s) else fade(age_s, self.max_age_s, fade_s) * fade(since_s, 0.0, fade_s)
         if self._published_ns is None:
             return share
         return min(self._left, max(share, self._left - (steady - self._published_ns) * NANOSECOND / fade_s))
@@ -142,9 +138,9 @@ class OutputPublisher:
         """The feed-forward before its fading, after a time on its way. While the session's goes to zero, so does this one."""
         number, here = self.estimator.constants.number, self._unfaded
         if goal * target > 0.0:
-            return FOLLOWED(number, here, goal, elapsed_s)
+            return followed(number, here, goal, elapsed_s)
         there = goal if min(0.0, here) <= goal <= max(0.0, here) else 0.0
-        return TOWARDS(here, there, RATE_TOWARDS(number, 0.0) * elapsed_s)
+        return towards(here, there, rate_towards(number, 0.0) * elapsed_s)
 
     def publish_statuses(
         self, statuses: Sequence[Status], now_ns: int, diagnostics: bool, learned: Sequence[Status] = ()

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.entry_points import Entries
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.snapshot import read_learning, rested, resume
@@ -112,7 +111,6 @@ def replay(
     session: Session | None = None,
     progress: Callable[[float], None] | None = None,
     learner: Learner | None = None,
-    finished: Callable[[], Entries | None] = lambda: None,
 ) -> Replayed:
     """Feed a source through a session, block by block: memory does not grow with the recording.
 
@@ -126,8 +124,6 @@ def replay(
         Takes the number of messages of each block.
     learner
         Learns from each step, as live; its columns then follow those of the estimate.
-    finished
-        Called before each block for entry points to change over to; they give the same bits.
 
     Raises
     ------
@@ -142,11 +138,6 @@ def replay(
     times = StepTimes(estimator.settings)
     counters, reasons = session.memory.counters.copy(), session.memory.reasons.copy()  # of earlier recordings
     handle_block = session.handle_block if learner is None else LearningSteps(session, learner).handle_block
-
-    def handle(channel: NDArray[np.int16], stamp_ns: NDArray[np.int64], arrival_ns: NDArray[np.int64], value: Array) -> Steps:
-        if entries := finished():
-            session.change_over(entries)
-        return handle_block(channel, stamp_ns, arrival_ns, value)
 
     def take(steps: Steps) -> None:
         if len(steps):
@@ -164,7 +155,7 @@ def replay(
                 rows = channel >= 0
                 channel = channel[rows]
                 block = SampleBlock(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
-            before, running = running, worker.submit(handle, channel, block.stamp_ns, block.arrival_ns, block.value)
+            before, running = running, worker.submit(handle_block, channel, block.stamp_ns, block.arrival_ns, block.value)
             if before:
                 take(before.result())
             if progress:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from trackres_ros.jit.arithmetic import length
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.arithmetic import length
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.route.lookup import Array, IntArray, learned_at
 
 COURSE_M = 15.0  # between two positions for a course: their scatter is a part of it
@@ -32,14 +32,14 @@ FOLLOWED = 15
 NOTHING_YET = (*(math.nan,) * 6, 0.0, 0.0, 0.0, 0.0, EVERY_S, *(math.nan,) * 3, 0.0)
 
 
-@compiled
+@kernel
 def forget(followed: Array) -> None:
     """As at the start."""
     for i in range(FOLLOWED):
         followed[i] = NOTHING_YET[i]
 
 
-@inlined
+@kernel
 def take_position(followed: Array, x: float, y: float) -> None:
     """A position came, east and north of the frame [m]; nan of one beyond it. A repeated one is none: receivers repeat their last
     one where they have no reception.
@@ -56,7 +56,7 @@ def take_position(followed: Array, x: float, y: float) -> None:
     followed[AT_X], followed[AT_Y], followed[AHEAD_M], followed[IS_NEW] = x, y, 0.0, 1.0
 
 
-@inlined
+@kernel
 def drive_on(followed: Array, speed: float, dt: float, since_position: float) -> None:
     """Process a speed [m/s], given the time since the last one and since the last position, by their stamps [s]."""
     followed[SINCE_M] += abs(speed) * dt
@@ -71,7 +71,7 @@ def drive_on(followed: Array, speed: float, dt: float, since_position: float) ->
     followed[IS_NEW] = 0.0
 
 
-@inlined
+@kernel
 def look(cells: IntArray, places: Array, followed: Array, is_old: bool) -> None:
     """Look up the ground under the vehicle, if the last look-up is old enough; `is_old` means that the last position
     is old.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.kernels.marks import kernel
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -67,13 +67,13 @@ def _keys(places: Array) -> IntArray:
     return np.asarray(column * SPAN + row)
 
 
-@inlined
+@kernel
 def cell_of(metres: float) -> int:
     """The column or row of a place."""
     return math.floor(metres / CELL_M) + HALF
 
 
-@inlined
+@kernel
 def seen_from(
     x: float, y: float, east: float, north: float, of_x: float, of_y: float, of_east: float, of_north: float
 ) -> tuple[float, float, float]:
@@ -93,7 +93,7 @@ def seen_from(
     return along, abs(along) + SIDEWAYS * aside, math.copysign(1.0, alike)
 
 
-@compiled
+@kernel
 def between(
     cells: IntArray, places: Array, kind: int, x: float, y: float, east: float, north: float
 ) -> tuple[int, int, float, float, float]:
@@ -132,7 +132,7 @@ def between(
     return NOWHERE
 
 
-@inlined
+@kernel
 def first_at(cells: IntArray, key: int) -> int:
     """The first cell with a key that is not smaller."""
     low, high = 0, cells.shape[0]
@@ -145,7 +145,7 @@ def first_at(cells: IntArray, key: int) -> int:
     return low
 
 
-@inlined
+@kernel
 def learned_at(cells: IntArray, places: Array, kind: int, x: float, y: float, east: float, north: float) -> tuple[float, float]:
     """Learned value of a kind for travel at (x, y) [m] in a direction, and its standard deviation; nan where
     unknown.

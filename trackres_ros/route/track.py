@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.arrays import Array, Mask
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import EARTH_M
 
 STEP_M = 10.0  # between points of a track
@@ -24,15 +24,11 @@ TURN = 2.0 * math.pi
 FARTHEST_M = 125_000.0  # distance of a place from the map's origin: up to it a map is flat to half a percent
 
 
+@kernel
 def flat(latitude: Any, longitude: Any, of_latitude: Any, of_longitude: Any) -> tuple[Any, Any]:
-    """East and north of a place [m] that another one lies, all in rad, on a flat map; numbers, or arrays. Compiled code has it as
-    `flat_now`.
-    """
+    """East and north of a place [m] that another one lies, all in rad, on a flat map; numbers, or arrays."""
     east = np.remainder(of_longitude - longitude + math.pi, 2.0 * math.pi) - math.pi
     return EARTH_M * math.cos(latitude) * east, EARTH_M * (of_latitude - latitude)
-
-
-flat_now = inlined(flat)
 
 
 def on_same_turn(longitude: Array, other: float) -> Array:

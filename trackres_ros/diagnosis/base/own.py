@@ -35,7 +35,7 @@ from trackres_ros.effects.stepping import (
 )
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.errors import InputError
-from trackres_ros.jit.compiled import entry, inlined
+from trackres_ros.kernels.marks import entry, kernel
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle.road import SLOW_SHARE
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -122,7 +122,7 @@ class OwnBase(Base):
         for i, (session, unseen) in enumerate(with_unseen(sessions)):
             far = float(memory[DISTANCE])
             if i > 0 and np.isfinite(session.gap):
-                rest_effects(*acting.table, memory, work, float(session.ambient[0]), session.gap)
+                rest_own(*acting.table, memory, work, float(session.ambient[0]), session.gap)
             else:
                 memory = cooled(memory)
                 if session.first_drive:
@@ -131,7 +131,7 @@ class OwnBase(Base):
             own = self._own(true, values) + acting.torque_by_place(session, i) * np.sign(true.speed)
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
             series = (session.time, true.speed, true.accel, session.weight, session.ambient, session.yaw_rate, session.heading)
-            step_own(*acting.table, work, memory, own, *series, torque, outcome)
+            step_own(acting.table, work, memory, own, *series, torque, outcome)
             acting.check(outcome == UNUSABLE, session, self.facts)
             if unseen:
                 memory[DISTANCE] = far
@@ -202,7 +202,7 @@ def _parameter(name: str, value: float, low: float, high: float, unit: str) -> B
     return BaseParameter(name, unit, value, 0.25 * wide, least, most, (low, high))
 
 
-@inlined
+@kernel
 def own_along(
     effects: EffectTable,
     work: Array,
@@ -230,4 +230,4 @@ def own_along(
         last_torque, last_own = torque[i], own[i]
 
 
-step_own = entry(own_along)
+step_own, rest_own = entry(own_along), entry(rest_effects)

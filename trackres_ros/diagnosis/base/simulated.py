@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_uns
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import Constants, kernel_arguments, work_space
+from trackres_ros.estimator.constants import Constants, work_space
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.records import DriveSeries, State
@@ -69,22 +69,22 @@ def simulated(
     """
     table = acting.table
     k = k._replace(effects=table.rows, effect_values=table.values, work=work_space(facts, 0))
-    arguments = kernel_arguments(k, COMPILED.compiled)
     state = State(
         np.empty((belts, 2, at.BELT_COLUMNS)),
         np.empty(at.Motion.columns),
         new_memory(len(acting.stepped)),
         np.zeros(at.Learned.columns),
     )
+    constants, carried = COMPILED.bound(k).given, COMPILED.bound(state).given
     found: list[Array] = []
     for i, (session, unseen) in enumerate(with_unseen(sessions)):
         ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
         if i == 0 or not np.isfinite(session.gap):
-            COMPILED.start_belts(*arguments, *state, ambient, 0.0)
+            COMPILED.start_belts(constants, carried, ambient, 0.0)
             if session.first_drive:
                 state.effects[DISTANCE] = far = 0.0
         else:
-            COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
+            COMPILED.rest_vehicle(constants, carried, ambient, 0.0, session.gap)
         rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
         series = DriveSeries(
             session.time,
@@ -101,7 +101,7 @@ def simulated(
             unknown,
             unknown,
         )
-        COMPILED.predict_series(*arguments, *state, count, *series, rows)
+        COMPILED.predict_series(constants, carried, count, series, rows)
         acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
         if unseen:
             state.effects[DISTANCE] = far

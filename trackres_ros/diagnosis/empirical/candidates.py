@@ -17,7 +17,6 @@ from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.effects import learned
 from trackres_ros.effects.effect import Conditions
 from trackres_ros.effects.learned import Curve, EmpiricalEffect, SidedGain
-from trackres_ros.jit.compiled import interpreted
 from trackres_ros.units import STANDSTILL_MPS
 
 DRIVEN = (0.02, 0.98)  # quantiles that bound the knots
@@ -35,14 +34,14 @@ FEWEST_REVERSE = 60  # samples in reverse
 
 def series(code: int, fit: Fit) -> list[Array]:
     """A variable of learned effects in each session of a fit, as in the live step."""
-    facts, follow, found = fit.problem.base.facts, interpreted(learned.variable), []
+    facts, found = fit.problem.base.facts, []
     for s, p in zip(fit.problem.sessions, fit.predicted, strict=True):
         turning = np.abs(s.yaw_rate)
         curvature = turning / np.hypot(s.speed, facts.contact_length * turning + STANDSTILL_MPS)
         recorded: Any = s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance
         simulated: Any = p.at_sprockets, np.tanh(s.speed / facts.standstill), curvature, p.belt
         at = Conditions(facts, *recorded, *simulated)
-        found.append(np.asarray(np.broadcast_to(follow(at, code), len(s)), dtype=float))
+        found.append(np.asarray(np.broadcast_to(learned.variable(at, code), len(s)), dtype=float))
     return found
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from scipy.optimize import minimize
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.estimator.disturbance import BLOCK_S, later_level, seen_level
-from trackres_ros.jit.compiled import compiled
+from trackres_ros.kernels.marks import entry
 
 FEWEST_SAMPLES = 2  # of a block
 INNER = (0.03, 0.97)  # quantiles: a mean is limited to once their distance beyond them
@@ -157,7 +158,7 @@ def _forward_backward(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
     return there[:, 1], pairs, float(np.log(scales).sum() + top.sum())
 
 
-@compiled
+@entry
 def _pass(
     absent: Array,
     present: Array,
@@ -165,8 +166,8 @@ def _pass(
     come: float,
     go: float,
     share: float,
-    forward: Array,
-    backward: Array,
+    forward: Annotated[Array, (None, 2)],
+    backward: Annotated[Array, (None, 2)],
     scales: Array,
 ) -> None:
     """Forward pass, with the scale of each block, and backward pass, over the likelihoods without and with a spell."""
@@ -234,7 +235,7 @@ def expected_level(b: Blocks, w: DriftingLevel) -> tuple[Array, Array]:
     return expected, spread
 
 
-@compiled
+@entry
 def _follow(mean: Array, noise: Array, first: Mask, keep: float, size: float, expected: Array, spread: Array) -> None:
     level, variance = 0.0, size * size
     for i in range(len(mean)):

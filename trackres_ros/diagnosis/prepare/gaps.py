@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.prepare.speed_smoothing import resolution
-from trackres_ros.jit.compiled import compiled
+from trackres_ros.kernels.marks import entry
 
 Samples = tuple[Array, Array]
 Indices = NDArray[np.intp]
@@ -90,7 +90,7 @@ def _straight_runs(at: Array, value: Array, tolerance: float) -> tuple[Indices, 
     return first, np.append(first[1:], len(at) - 1)
 
 
-@compiled
+@entry
 def mark_corners(at: Array, value: Array, tolerance: float, corners: Mask) -> None:
     """Mark the starts of straight runs: a line from the first sample passes all others of a run within a tolerance."""
     i = 0

@@ -11,15 +11,19 @@ Striebel, AIAA Journal 3 (1965) 1445.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import minimize
 
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, Mask
-from trackres_ros.jit.compiled import compiled
+from trackres_ros.kernels.marks import entry
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import MAD_TO_STD
+
+States = Annotated[Array, (None, 5)]
 
 SLOWEST_S, FEWEST = 0.25, 100  # slower samples, or fewer, do not separate noise from motion
 JERK = 0.002, 1.0  # m/s^2/sqrt(s): from a heavy vehicle at constant speed to a pushed robot; assumed
@@ -234,9 +238,9 @@ def _times_alike(left: Array) -> float:
     return alike
 
 
-@compiled
+@entry
 def filter_forward(
-    at: Array, shown: Array, sample: Mask, begins: Mask, jerk: Array, noise: float, states: Array, turns: Mask
+    at: Array, shown: Array, sample: Mask, begins: Mask, jerk: Array, noise: float, states: States, turns: Mask
 ) -> float:
     """Kalman filter: half the deviance of the innovations.
 
@@ -266,7 +270,7 @@ def filter_forward(
         if sample[i]:
             known += 1
             off = shown[i] - v
-            expected = OUTLIER * np.sqrt(vv + r)
+            expected = OUTLIER * math.sqrt(vv + r)
             if known <= 3 or (off > 0.0) != above:
                 above, side, first = off > 0.0, i, -1
             if known > 3 and abs(off) > expected:
@@ -288,7 +292,7 @@ def filter_forward(
                 first = -1
             s = max(vv + r, off * off / (OUTLIER * OUTLIER))
             if known > 2:  # the first two only initialise the stretch
-                deviance += 0.5 * (np.log(s) + off * off / s)
+                deviance += 0.5 * (math.log(s) + off * off / s)
             of_speed, of_accel = vv / s, va / s
             v += of_speed * off
             a += of_accel * off
@@ -300,8 +304,8 @@ def filter_forward(
     return deviance
 
 
-@compiled
-def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, turns: Mask, states: Array, variances: Array) -> None:
+@entry
+def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, turns: Mask, states: States, variances: Array) -> None:
     """Rauch, Tung and Striebel's pass over the states of `filter_forward`, in place.
 
     `variances` receives the variance of the change of speed from each of the `asked` times to the next of the stretch,

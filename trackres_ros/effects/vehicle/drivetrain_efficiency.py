@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 
 from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 
 SMOOTH = 1e-3  # of weight times radius: over it driving turns into braking
 
 
-@inlined
+@kernel
 def drives(drive_torque: float, direction: float, weight: float, radius: float) -> float:
     """1 where the motor drives and -1 where it brakes, in either direction of travel, smooth between."""
     return math.tanh(drive_torque * direction / (SMOOTH * weight * radius))

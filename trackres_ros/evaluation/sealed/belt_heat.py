@@ -6,17 +6,16 @@
 from __future__ import annotations
 
 import math
-
-import numpy as np
-from numba import njit
+from typing import Annotated
 
 from trackres_ros.arrays import Array
+from trackres_ros.kernels.marks import entry
 
 LAYERS = 15
 KELVIN = 273.15
 
 
-@njit(cache=True)
+@entry
 def roll(
     step: float,
     speed: Array,
@@ -28,7 +27,7 @@ def roll(
     ground: Array,
     first_log_speed: float,
     step_log_speed: float,
-    indentation: Array,
+    indentation: Annotated[Array, (None, None)],
     bending: Array,
     bending_share: Array,
     shift_constants: Array,
@@ -36,12 +35,13 @@ def roll(
     capacity: float,
     area: float,
     conductance: float,
-    start: Array,
+    layers: Array,
+    rates: Array,
     force: Array,
     mean: Array,
     surface: Array,
-) -> Array:
-    """Fill loss per metre [N], mean and outer surface temperature [degC]; gives the layers' temperatures at the end.
+) -> None:
+    """Fill loss per metre [N], mean and outer surface temperature [degC]; change the layers' temperatures.
 
     Parameters
     ----------
@@ -58,20 +58,18 @@ def roll(
         A further exp(activation (1/T - 1/313 K)) on the loss [K]; 0 for none.
     capacity, area, conductance
         Of one belt [J/K], of both faces [m^2], from the middle of a layer to that of the next [W/K].
-    start
-        Temperatures of the layers, inside first [degC].
+    layers, rates
+        Temperatures of the layers, inside first [degC], and as much space.
     """
-    layers = start.copy()
     count = len(layers)
     each = capacity / count
-    rates = np.empty(count)
     last = indentation.shape[1] - 2
     for i in range(speed.shape[0]):
         travel = abs(speed[i])
         log_speed = math.log10(travel) if travel > 1e-6 else -6.0
         row = min(int(load_row[i]), indentation.shape[0] - 2)
         part = load_row[i] - row
-        total = 0.0
+        total = warmth = 0.0
         for j in range(count):
             above = max(layers[j] - shift_constants[0], -shift_constants[4]) - shift_constants[3]
             x = log_speed - shift_constants[1] * above / (shift_constants[2] + above)
@@ -85,22 +83,23 @@ def roll(
             more = math.exp(activation * (1.0 / (layers[j] + KELVIN) - 1.0 / 313.15))
             lost = (pressed / count + bent * bending_share[j]) * more * factor[i]
             total += lost
+            warmth += layers[j]
             rates[j] = lost * travel
         force[i] = total
-        mean[i] = layers.mean()
+        mean[i] = warmth / count
         # A face and half a layer behind it in series; the face itself holds no heat.
         to_face = 2.0 * conductance
         face = 0.5 * film[i] * area
         inner = (to_face * layers[0] + face * ambient[i]) / (to_face + face)
-        outer = (to_face * layers[-1] + (face + ground[i]) * ambient[i] + outer_flux[i] * 0.5 * area) / (
+        outer = (to_face * layers[count - 1] + (face + ground[i]) * ambient[i] + outer_flux[i] * 0.5 * area) / (
             to_face + face + ground[i]
         )
         surface[i] = outer
         rates[0] += to_face * (inner - layers[0])
-        rates[-1] += to_face * (outer - layers[-1])
+        rates[count - 1] += to_face * (outer - layers[count - 1])
         for j in range(count - 1):
             flow = conductance * (layers[j] - layers[j + 1])
             rates[j] -= flow
             rates[j + 1] += flow
-        layers += step * rates / each
-    return layers
+        for j in range(count):
+            layers[j] += step * rates[j] / each

@@ -157,6 +157,7 @@ def _run(
         area,
         build.conductivity * 0.5 * area / (belt["thickness"] / LAYERS),
         np.full(LAYERS, drive.ambient[0]),
+        np.empty(LAYERS),
         force,
         mean,
         surface,

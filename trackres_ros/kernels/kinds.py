@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ SAME_IN_C = {**dict.fromkeys(OF_ONE_NUMBER, 1), **dict.fromkeys(OF_TWO_NUMBERS, 
 TO_WHOLE = ("floor", "ceil")
 ASKED = ("isnan", "isfinite", "isinf")
 MOST_OF_INT = 2**31 - 1
+LARGEST_WHOLE = 9.2e18  # inside of 64 bits
 NOT_FOR_NAMES = frozenset((
     "auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "false",
     "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof",
@@ -47,13 +49,34 @@ REALS = (REAL, WIDE)
 WIDTHS = {BOOL: 0, INT: 1, REAL: 2, WIDE: 3}
 
 
+class AtRunTime(Enum):
+    """A length that is known when the code runs: the array brings it along."""
+
+    LENGTH = auto()
+
+
+LENGTH = AtRunTime.LENGTH
+Length = int | AtRunTime | None
+
+
 @dataclass(frozen=True, slots=True)
 class ArrayOf:
-    """A pointer to numbers in C order. A length is None if unknown; `names` are those of entries, if any."""
+    """Numbers in C order: a pointer, or a struct of a pointer and those lengths that are known at run time only. A length is None
+    if unknown; `names` are those of entries, if any.
+    """
 
     of: Scalar
-    shape: tuple[int | None, ...]
+    shape: tuple[Length, ...]
     names: tuple[str, ...] = ()
+
+    @property
+    def lengths(self) -> int:
+        """How many lengths it brings along."""
+        return self.shape.count(LENGTH)
+
+    def place_of(self, axis: int) -> str:
+        """The name in its struct of a length that it brings along."""
+        return f"n{self.shape[:axis].count(LENGTH)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,27 +3,23 @@
 
 """Names the numbers of an array: `Motion(motion).last_speed` is an entry of `motion`, to read and to change.
 
-In compiled code a row is a record at the address of the array, so a name costs nothing. The array keeps its layout.
+In C a name is an index, so it costs nothing. The array keeps its layout.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any, overload
 
-import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.arrays import Array
-from trackres_ros.jit.compiled import HAVE_NUMBA
 
 
 class Real:
     """A real number of a row; on the class, its index in the array. `Row` replaces the declaration by a property."""
 
-    kind: Any = np.float64
     shape: tuple[int, ...] = ()
 
     @overload
@@ -40,7 +36,6 @@ class Real:
 class Whole:
     """An integer of a row, else as `Real`."""
 
-    kind: Any = np.int64
     shape: tuple[int, ...] = ()
 
     def __get__(self, row: Row | None, of: type[Row]) -> int:
@@ -52,8 +47,6 @@ class Whole:
 
 class Reals:
     """Several real numbers of a row as an array; on the class, their slice."""
-
-    kind: Any = np.float64
 
     def __init__(self, count: int) -> None:
         self.shape = (count,)
@@ -92,8 +85,6 @@ class Row(metaclass=_Places):
         # The class finds a property of its own class first: of the class, a name is a place.
         of_class = {name: property(_constant(place)) for name, place in places.items()}
         cls.__class__ = type("Places", (_Places,), of_class)  # type: ignore[method-assign]
-        if HAVE_NUMBA:
-            _compile(cls, [(name, one.kind, one.shape) for name, one in declared.items()])
 
 
 def _constant(place: int | slice) -> Callable[[Any], int | slice]:
@@ -105,22 +96,3 @@ def _number(place: int | slice) -> property:
     where, known = f"{place.start}:{place.stop}" if isinstance(place, slice) else place, dict[str, Any]()
     exec(f"def get(row):\n    return row.numbers[{where}]\ndef change(row, value):\n    row.numbers[{where}] = value", known)
     return property(known["get"], known["change"])
-
-
-if HAVE_NUMBA:
-    numba: Any = import_module("numba")
-    extending: Any = import_module("numba.extending")
-
-    def _compile(row: type[Row], fields: list[Any]) -> None:
-        """In compiled code, a call of the class gives a record at the address of the array."""
-        record = numba.from_dtype(np.dtype(fields, align=True))
-        fits = [numba.types.Array(numba.from_dtype(np.dtype(fields[0][1])), 1, "C", readonly) for readonly in (False, True)]
-
-        @extending.type_callable(row)  # type: ignore[untyped-decorator]
-        def _typed(_context: Any) -> Any:
-            return lambda numbers: record if numbers in fits else None
-
-        @extending.lower_builtin(row, numba.types.Array)  # type: ignore[untyped-decorator]
-        def _lowered(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            array = context.make_array(signature.args[0])(context, builder, values[0])
-            return builder.bitcast(array.data, context.get_value_type(record))

@@ -8,10 +8,10 @@ from __future__ import annotations
 import ast
 from typing import Any
 
-from trackres_ros.export.expressions import UNARY, Value
-from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.kinds import FAILED, INT, ArrayOf, Const, Kind, Scalar, joined, narrowed, safe, widened
-from trackres_ros.export.statements import Statements
+from trackres_ros.kernels.expressions import UNARY, Value
+from trackres_ros.kernels.functions import Instance, Translator
+from trackres_ros.kernels.kinds import FAILED, INT, ArrayOf, Const, Kind, Scalar, joined, narrowed, safe, widened
+from trackres_ros.kernels.statements import Statements
 
 MOST_PASSES = 12
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from trackres_ros.export.expressions import (
+from trackres_ros.kernels.expressions import (
     AND,
     ATOM,
     BITS,
@@ -25,7 +25,7 @@ from trackres_ros.export.expressions import (
     Expressions,
     Value,
 )  # fmt: skip
-from trackres_ros.export.kinds import BOOL, INT, REAL, REALS, WIDE, Const, Kind, Scalar, joined, narrowed, widened
+from trackres_ros.kernels.kinds import BOOL, INT, REAL, REALS, WIDE, Const, Kind, Scalar, joined, narrowed, widened
 
 OPERATORS: dict[type, tuple[str, int, Callable[..., Any]]] = {
     ast.Add: ("+", SUM, operator.add),
@@ -118,7 +118,7 @@ class Operators(Expressions):
         return f"({self.translator.number(REAL)}){self.within(value, UNARY)}"
 
     def _power(self, base: Value, exponent: Value) -> Value:
-        if exponent.is_const and exponent.const == 2 and base.code.replace("_", "").isalnum():
+        if exponent.is_const and exponent.const == 2 and base.kind == INT and base.code.replace("_", "").isalnum():
             return Value(widened(base.kind), f"{base.code} * {base.code}", PRODUCT)
         return Value(REAL, f"{self.translator.call('pow')}({self.as_real(base)}, {self.as_real(exponent)})")
 

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from trackres_ros.export.calls import Calls
-from trackres_ros.export.expressions import Value
-from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.kinds import INT, REAL, REALS, WIDE, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
-from trackres_ros.export.scopes import Path, Scopes
+from trackres_ros.kernels.calls import Calls
+from trackres_ros.kernels.expressions import Value
+from trackres_ros.kernels.functions import Instance, Translator
+from trackres_ros.kernels.kinds import INT, REAL, REALS, WIDE, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
+from trackres_ros.kernels.scopes import Path, Scopes
 
 ENTRIES = ast.Subscript | ast.Attribute  # of an array
 COMMENT = re.compile(r"/\*.*?\*/")
@@ -139,7 +139,7 @@ class Statements(Calls):
         kind = self.kinds[name]
         real = self.translator.literal(0.0)
         zero = {INT: "0", REAL: real, WIDE: real}.get(kind, "false") if isinstance(kind, Scalar) else "{0}"
-        zero = "0" if isinstance(kind, ArrayOf) else zero
+        zero = "0" if isinstance(kind, ArrayOf) and not kind.lengths else zero
         return f"{self.translator.declared(kind, name in self.written)}{safe(name)} = {zero};"
 
     def assign(self, node: ast.AST, name: str, value: Value, depth: int) -> None:
@@ -201,13 +201,13 @@ class Statements(Calls):
         if isinstance(place.kind, Scalar):
             self.line(f"{place.code} = {self.as_kind(value, place.kind)};", depth)
             return
-        length = place.kind.shape[0] if isinstance(place.kind, ArrayOf) and len(place.kind.shape) == 1 else None
-        if length is None or not isinstance(widened(value.kind), Scalar):
+        is_row = isinstance(place.kind, ArrayOf) and len(place.kind.shape) == 1 and place.kind.shape[0] is not None
+        if not is_row or not isinstance(widened(value.kind), Scalar):
             raise self.refuse(node, ast.unparse(target)[:80], "a number into one entry, or into a whole row")
         assert isinstance(place.kind, ArrayOf)
         entry = self.temporary("entry")
-        self.line(f"for (int64_t {entry} = 0; {entry} < {length}; {entry}++) {{", depth)
-        self.line(f"    ({place.code})[{entry}] = {self.as_kind(value, place.kind.of)};", depth)
+        self.line(f"for (int64_t {entry} = 0; {entry} < {self.length(place, 0).code}; {entry}++) {{", depth)
+        self.line(f"    {self.pointer(place)}[{entry}] = {self.as_kind(value, place.kind.of)};", depth)
         self.line("}", depth)
 
     def _unpack(self, node: ast.Assign, target: ast.Tuple, depth: int) -> None:

@@ -16,17 +16,19 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.export.functions import Instance, Translator, refused
-from trackres_ros.export.kinds import (
+from trackres_ros.kernels.functions import Instance, Translator, refused
+from trackres_ros.kernels.kinds import (
     BOOL,
     FAILED,
     INT,
+    LENGTH,
     REAL,
     REALS,
     WIDE,
     ArrayOf,
     Const,
     Kind,
+    Length,
     Record,
     Scalar,
     narrowed,
@@ -140,15 +142,34 @@ class Expressions:
         if isinstance(of.kind, ArrayOf) and node.attr == "shape":
             if None in of.kind.shape:
                 raise self.refuse(node, ast.unparse(node), "the length of a whole array")
-            return self.const(of.kind.shape)
+            lengths = [self.length(of, axis) for axis in range(len(of.kind.shape))]
+            return Value(Record("", tuple((f"f{i}", one.kind) for i, one in enumerate(lengths))), "", parts=tuple(lengths))
         if isinstance(of.kind, ArrayOf) and node.attr in of.kind.names:
-            code = f"{self.within(of, ATOM)}[{of.kind.names.index(node.attr)} /* {node.attr} */]"
+            code = f"{self.pointer(of)}[{of.kind.names.index(node.attr)} /* {node.attr} */]"
             if (count := of.kind.names.count(node.attr)) > 1:
-                return Value(ArrayOf(of.kind.of, (count,)), f"&{code}", UNARY, of.root)
+                return self.array(ArrayOf(of.kind.of, (count,)), code, (None,), of.root)
             return Value(of.kind.of, code, ATOM, of.root)
         if isinstance(of.kind, Record) and (part := of.kind.kind_of(node.attr)) is not None:
             return self.part(of, node.attr, part)
         raise self.refuse(node, ast.unparse(node)[:80], "an attribute that it has")
+
+    def length(self, of: Value, axis: int) -> Value:
+        """The length of an array along an axis."""
+        assert isinstance(of.kind, ArrayOf)
+        known = of.kind.shape[axis]
+        return Value(INT, f"{self.within(of, ATOM)}.{of.kind.place_of(axis)}") if known is LENGTH else self.const(known)
+
+    def pointer(self, of: Value) -> str:
+        """The code of the pointer to the first entry of an array that is no constant."""
+        brings_lengths = isinstance(of.kind, ArrayOf) and of.kind.lengths
+        return f"{self.within(of, ATOM)}.at" if brings_lengths else self.within(of, ATOM)
+
+    def array(self, kind: ArrayOf, first: str, lengths: Sequence[Value | None], root: str | None) -> Value:
+        """An array of a kind that begins at an entry, with the lengths that it brings along."""
+        if not kind.lengths:
+            return Value(kind, f"&{first}", UNARY, root)
+        brought = [one.code for one, length in zip(lengths, kind.shape, strict=True) if one is not None and length is LENGTH]
+        return Value(kind, f"({self.translator.array(kind)}){{&{first}, {', '.join(brought)}}}", ATOM, root)
 
     def part(self, of: Value, name: str, kind: Kind) -> Value:
         """A part of a record."""
@@ -213,6 +234,8 @@ class Expressions:
                 return f"({self.translator.number(kind)}){self.within(value, UNARY)}"
         if isinstance(kind, ArrayOf) and isinstance(value.const, np.ndarray):
             return self.table(value, "table")
+        if isinstance(kind, ArrayOf) and not kind.lengths:
+            return self.pointer(value) if isinstance(value.kind, ArrayOf) and value.kind.lengths else value.code
         return value.code
 
     def table(self, value: Value, name: str) -> str:
@@ -233,7 +256,7 @@ class Expressions:
                 parts = self.parts(node, of)
                 return parts[self._known_place(node, index.const, len(parts))]
             if of.const and isinstance(of.const, tuple) and all(isinstance(x, int | float) for x in of.const):
-                place = self.offset(node, ArrayOf(REAL, (len(of.const),)), [index], indices)
+                place = self.offset(node, of, ArrayOf(REAL, (len(of.const),)), [index], indices)
                 return Value(widened(Const(sum(of.const))), f"{self.table(of, ast.unparse(node.value))}[{place}]")
             raise self.refuse(node, ast.unparse(node)[:80], "a place in a tuple that is known")
         array = self.array_kind(node, of)
@@ -245,11 +268,15 @@ class Expressions:
         if len(places) == len(array.shape) and isinstance(of.const, np.ndarray) and all(p.is_const for p in places):
             known = [self._known_place(node, p.const, n) for p, n in zip(places, array.shape, strict=True)]
             return self.const(of.const[tuple(known)].item())
-        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.within(of, ATOM)
-        offset = self.offset(node, array, places, indices)
+        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.pointer(of)
+        offset = self.offset(node, of, array, places, indices)
         if len(places) == len(array.shape):
             return Value(array.of, f"{name}[{offset}]", ATOM, of.root)
-        return Value(ArrayOf(array.of, array.shape[len(places) :]), f"&{name}[{offset}]", UNARY, of.root)
+        inner = ArrayOf(array.of, array.shape[len(places) :])
+        lengths = [
+            self.length(of, axis) if array.shape[axis] is LENGTH else None for axis in range(len(places), len(array.shape))
+        ]
+        return self.array(inner, f"{name}[{offset}]", lengths, of.root)
 
     def array_kind(self, node: ast.AST, of: Value) -> ArrayOf:
         """The kind of an array, constant or not."""
@@ -259,22 +286,23 @@ class Expressions:
             return ArrayOf(INT if of.const.dtype.kind in "iu" else REAL, of.const.shape)
         raise self.refuse(node, ast.unparse(node)[:80], "an array or a tuple")
 
-    def _known_place(self, node: ast.AST, place: int, length: int | None) -> int:
+    def _known_place(self, node: ast.AST, place: int, length: Length) -> int:
         """A place that is known, counted from the first entry; of a length that may be unknown."""
+        length = None if length is LENGTH else length
         if place >= 0 if length is None else -length <= place < length:
             return place if length is None else place % length
         raise self.refuse(node, ast.unparse(node)[:80], "a place that the array or tuple has")
 
-    def _place(self, node: ast.AST, place: Value, length: int | None) -> Value:
+    def _place(self, node: ast.AST, place: Value, length: Length) -> Value:
         """A place in an axis as Python counts it; kernels have only those within it."""
         if not self.translator.checked:
             return place
-        if length is None:
+        if not isinstance(length, int):
             raise self.refuse(node, ast.unparse(node)[:80], "places that are known, or an array of known length")
         return Value(INT, f"tr_place({place.code}, {length}, {FAILED})")
 
     def offset(
-        self, node: ast.AST, array: ArrayOf, places: Sequence[Value], nodes: Sequence[ast.expr], sliced: bool = False
+        self, node: ast.AST, of: Value, array: ArrayOf, places: Sequence[Value], nodes: Sequence[ast.expr], sliced: bool = False
     ) -> str:
         """Index of an entry of an array in C order, or of the first one of a slice of its last axis."""
         known, terms = 0, []
@@ -282,12 +310,16 @@ class Expressions:
             inner, length = array.shape[axis + 1 :], None if sliced and axis == len(places) - 1 else array.shape[axis]
             if None in inner or not (place.kind in (INT, BOOL) or isinstance(place.const, int)):
                 raise self.refuse(node, ast.unparse(node)[:80], "whole numbers as places, in an array of known shape")
-            stride = math.prod(n for n in inner if n is not None)
+            stride = math.prod(n for n in inner if isinstance(n, int))
+            brought = [self.length(of, axis + 1 + i).code for i, n in enumerate(inner) if n is LENGTH]
+            factors = [*([str(stride)] if stride != 1 else []), *brought]
             if place.is_const:
-                known += stride * self._known_place(node, place.const, length)
+                first = self._known_place(node, place.const, length)
+                known += 0 if brought else stride * first
+                terms += [" * ".join([str(first), *factors])] if brought and first else []
             else:
                 found = self._place(node, place, length)
-                terms.append(f"{self.within(found, PRODUCT)} * {stride}" if stride != 1 else self.within(found, SUM))
+                terms.append(" * ".join([self.within(found, PRODUCT), *factors]) if factors else self.within(found, SUM))
         named = [ast.unparse(n).rpartition(".")[2] for n in nodes if isinstance(n, ast.Name | ast.Attribute)]
         named = [name for name in named if name.isupper()]
         text = [*terms, f"{known}{f' /* {named[-1]} */' if named else ''}"] if known or not terms or named else terms
@@ -299,8 +331,11 @@ class Expressions:
         if not isinstance(last, ast.Slice) or last.step is not None or len(indices) != len(array.shape):
             raise self.refuse(node, ast.unparse(node)[:80], "a slice of the last axis, without a step")
         first = self.value(last.lower) if last.lower else self.const(0)
-        end = self.value(last.upper) if last.upper else self.const(array.shape[-1])
-        count, length = array.shape[-1], None
+        count = array.shape[-1] if isinstance(array.shape[-1], int) else None
+        if array.shape[-1] is LENGTH and last.lower is last.upper is None:
+            end, length = self.length(of, len(array.shape) - 1), LENGTH
+        else:
+            end, length = self.value(last.upper) if last.upper else self.const(count), None
         if first.is_const and end.is_const and end.const is not None:
             if count is not None:
                 begin, stop, _ = slice(first.const, end.const).indices(count)
@@ -309,9 +344,9 @@ class Expressions:
         elif self.translator.checked:
             raise self.refuse(node, ast.unparse(node)[:80], "a slice with known ends, of an array of known length")
         places = [*(self.value(index) for index in indices[:-1]), first]
-        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.within(of, ATOM)
-        offset = self.offset(node, array, places, [*indices[:-1], *([last.lower] if last.lower else [])], True)
-        return Value(ArrayOf(array.of, (length,)), f"&{name}[{offset}]", UNARY, of.root)
+        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.pointer(of)
+        offset = self.offset(node, of, array, places, [*indices[:-1], *([last.lower] if last.lower else [])], True)
+        return self.array(ArrayOf(array.of, (length,)), f"{name}[{offset}]", (end,), of.root)
 
     def note_written(self, value: Value) -> None:
         """Record that the owner of an array or record is changed here."""

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import math
 
-from trackres_ros.jit.compiled import inlined
+from trackres_ros.kernels.marks import kernel
 
 
-@inlined
+@kernel
 def squared(x: float) -> float:
     """X times x."""
     return x * x
 
 
-@inlined
+@kernel
 def length(x: float, y: float) -> float:
     """Length of a vector, for components whose squares neither overflow nor vanish."""
     return math.sqrt(x * x + y * y)

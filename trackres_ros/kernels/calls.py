@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.export.expressions import UNARY, Value
-from trackres_ros.export.kinds import (
+from trackres_ros.kernels.expressions import UNARY, Value
+from trackres_ros.kernels.kinds import (
     ASKED,
     BOOL,
     FAILED,
@@ -33,8 +33,8 @@ from trackres_ros.export.kinds import (
     widened,
     words,
 )
-from trackres_ros.export.operators import Operators
-from trackres_ros.jit.rows import Row
+from trackres_ros.kernels.operators import Operators
+from trackres_ros.kernels.rows import Row
 
 OF_NUMPY = {"abs": "fabs", "absolute": "fabs", "arctan": "atan", "arctan2": "atan2", "arcsin": "asin", "arccos": "acos"}
 OF_MATH = ("trunc", *TO_WHOLE, *ASKED, *SAME_IN_C)
@@ -48,7 +48,7 @@ class Calls(Operators):
 
     def _call(self, node: ast.Call) -> Value:
         target = self.value(node.func)
-        function = getattr(target.const, "py_func", target.const)
+        function = getattr(target.const, "of", target.const)
         if not target.is_const or not callable(function):
             raise self.refuse(node, ast.unparse(node)[:80], "a call of a function that is known")
         if isinstance(function, type) and hasattr(function, "_fields"):
@@ -56,7 +56,7 @@ class Calls(Operators):
         values = self.spread(node.args)
         if isinstance(function, type) and issubclass(function, Row):
             array = self.array_kind(node, values[0])
-            code = self.table(values[0], "row") if values[0].is_const else values[0].code
+            code = self.table(values[0], "row") if values[0].is_const else self.as_kind(values[0], ArrayOf(array.of, (None,)))
             return replace(values[0], kind=ArrayOf(array.of, (function.columns,), function.names), code=code)
         if function in self.translator.intrinsics:
             return Value(Const(None), self.translator.intrinsics[function](self, values))
@@ -121,9 +121,10 @@ class Calls(Operators):
         """A call of a function of Python, math or numpy on numbers."""
         if function is len and len(values) == 1:
             of = values[0]
-            length = self.array_kind(node, of).shape[0] if not isinstance(of.const, tuple) else len(of.const)
-            if length is not None:
-                return self.const(length)
+            if isinstance(of.const, tuple | np.ndarray):
+                return self.const(len(of.const))
+            if isinstance(of.kind, ArrayOf) and of.kind.shape[0] is not None:
+                return self.length(of, 0)
         if not values or not all(isinstance(widened(v.kind), Scalar) for v in values):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers as arguments")
         if all(v.is_const for v in values):

@@ -24,7 +24,22 @@ from typing import Any, cast
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.export.kinds import BOOL, FAILED, INT, REAL, WIDE, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
+from trackres_ros.kernels.kinds import (
+    BOOL,
+    FAILED,
+    INT,
+    LENGTH,
+    REAL,
+    WIDE,
+    ArrayOf,
+    Const,
+    Kind,
+    Record,
+    Scalar,
+    literal,
+    safe,
+    words,
+)
 
 MOST_COLUMNS = 130  # of a line of C
 TEMPLATES = Path(__file__).parent / "templates"
@@ -102,6 +117,7 @@ class Translator:
         self._translate, self.single = translate, single
         self.instances: dict[Any, Instance] = {}
         self.structs: dict[Any, tuple[str, Record]] = {}
+        self.arrays: set[tuple[Scalar, int]] = set()
         self.tables: dict[int, tuple[str, Any]] = {}
         self.intrinsics: dict[Any, Callable[..., Any]] = {}
         self.sources: dict[Any, Source] = {}
@@ -172,6 +188,9 @@ class Translator:
         """The type of a variable of this kind; of an array a pointer, with a blank or star at its end."""
         if kind is None:
             return "void "
+        if isinstance(kind, ArrayOf) and kind.lengths:
+            self.arrays.add((kind.of, kind.lengths))
+            return f"{self.array(kind)} "
         if isinstance(kind, ArrayOf):
             return f"{'' if changes else 'const '}{self.number(kind.of)} *"
         if isinstance(kind, Record):
@@ -179,6 +198,11 @@ class Translator:
         if isinstance(kind, Scalar):
             return f"{self.number(kind)} "
         raise TypeError(f"no variable of {kind}")
+
+    def array(self, kind: ArrayOf) -> str:
+        """The struct of an array with lengths."""
+        self.arrays.add((kind.of, kind.lengths))
+        return f"struct tr_{words(kind.of.name)}s_{kind.lengths}"
 
     def number(self, kind: Scalar) -> str:
         """The type of a number."""
@@ -208,6 +232,10 @@ class Translator:
             if name in needed:
                 needed |= {self.structs[tuple(p.stored()), p.name][0] for _, p in kind.stored() if isinstance(p, Record)}
         lines = []
+        for scalar, count in sorted(self.arrays, key=lambda key: (key[0].name, key[1])):
+            lengths = "".join(f"    int64_t n{i};\n" for i in range(count))
+            array = self.array(ArrayOf(scalar, (LENGTH,) * count))
+            lines.append(f"{array} {{\n    {self.number(scalar)} *at;\n{lengths}}};\n")
         for name, kind in self.structs.values():
             if name not in needed:
                 continue
