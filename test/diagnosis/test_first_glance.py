@@ -381,7 +381,8 @@ def test_bokeh_knows_each_model_and_attribute_of_the_plots(diagnosed, caplog, mo
     import bokeh.plotting  # noqa: F401 - all models
     from bokeh.core.serialization import Deserializer
 
-    monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # Bokeh's own set-up of its logger stops it
+    monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # Dask keeps it to itself, and to errors alone
+    caplog.set_level(logging.WARNING, logger="bokeh")
     drawn = interactive(diagnosed)
     content = json.loads(gzip.decompress(base64.b64decode(drawn.data)))["documents"][DOCUMENT]["roots"]
     roots = Deserializer().decode(content)
