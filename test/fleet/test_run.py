@@ -178,6 +178,17 @@ def test_work_that_keeps_killing_workers_ends_and_others_finish(capfd, monkeypat
 
 
 @pytest.mark.long
+def test_a_worker_manages_memory_as_this_process_does(monkeypatch):
+    for name in ("MALLOC_TRIM_THRESHOLD_", *executor.ONE_THREAD):
+        monkeypatch.delenv(name, raising=False)
+    asked = "dict(__import__('os').environ)"
+    with engine("local", 1) as client:
+        ((_, found),) = done(client, eval, [asked])
+    assert "MALLOC_TRIM_THRESHOLD_" not in found
+    assert {name: found[name] for name in executor.ONE_THREAD} == executor.ONE_THREAD
+
+
+@pytest.mark.long
 def test_a_cluster_that_cannot_be_closed_costs_no_result():
     program = """if __name__ == "__main__":
         from distributed.nanny import WorkerProcess

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
+from trackres_ros.output import table as output_table
 from trackres_ros.output.table import TableWriter, write_table
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
@@ -207,6 +209,41 @@ def test_parquet_estimates_keep_seven_digits_and_exact_times(tmp_path: Path) -> 
     np.testing.assert_allclose(got["torque_nm"].to_numpy(), torque, rtol=6e-8)
     assert got["torque_nm"].type == pa.float32()
     assert got["belt_degc"].null_count == 50
+
+
+@with_pyarrow
+@given(st.lists(st.integers(0, 25), max_size=8), st.booleans())
+def test_row_groups_are_full_whatever_the_blocks(
+    tmp_path_factory: pytest.TempPathFactory, blocks: list[int], estimates: bool
+) -> None:
+    path, rows = tmp_path_factory.mktemp("t") / "run.parquet", sum(blocks)
+    number = np.arange(rows)
+    texts = np.array(["", "bright", "äöü"])[number % 3]
+    columns = {"time_s": number / 3.0, "n": number, "ok": number % 2 > 0, "x": np.where(number % 5, number / 7.0, np.nan)}
+    columns["text"] = texts
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(output_table, "GROUP_ROWS", 10)
+        write_table(path, columns, estimates)
+        whole = path.read_bytes()
+        with TableWriter(path, list(columns), estimates) as writer:
+            for start, end in itertools.pairwise(np.cumsum([0, *blocks])):
+                block = {name: column[start:end].copy() for name, column in columns.items()}
+                writer.write_columns(list(block.values()))
+                for column in block.values():
+                    column[:] = column[:1]  # what was given is the caller's again
+    if blocks:
+        assert path.read_bytes() == whole
+    metadata = parquet.read_metadata(path)
+    sizes = [metadata.row_group(group).num_rows for group in range(metadata.num_row_groups)]
+    assert sizes == ([10] * (rows // 10) + [rows % 10] * (rows % 10 > 0) or [0])
+    if not rows:
+        return
+    got = parquet.read_table(path)
+    for name, column in columns.items():
+        exact = not estimates or name != "x"
+        assert got[name].null_count == np.isnan(column).sum() if name == "x" else not got[name].null_count
+        expected = column if exact else column.astype(np.float32)
+        np.testing.assert_array_equal(got[name].to_numpy(), expected)
 
 
 def test_the_text_of_a_table(tmp_path: Path) -> None:

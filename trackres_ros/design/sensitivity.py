@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros import checks
-from trackres_ros.design.steady import OUTCOMES, WARMEST_K, Array, remarks_on, steady
+from trackres_ros.design.steady import ALONE, OUTCOMES, WARMEST_K, Array, remarks_on, steady
 from trackres_ros.design.uncertain import absorbed
 from trackres_ros.design.values import scalars, short
 from trackres_ros.engine.executor import LOCAL, results
@@ -170,8 +170,9 @@ def sensitivity(
     def model(rows: Array) -> Array:
         nonlocal lost, why
         pieces = [(i, rows[i : i + PIECE]) for i in range(0, len(rows), PIECE)]
+        of_each = partial(outcomes_of, source, paths, speed, air)
         advance, found = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES) + 1))
-        for (i, piece), result in results(partial(outcomes_of, source, paths, speed, air), pieces, LOCAL):
+        for (i, piece), result in results(of_each, pieces, LOCAL, few=len(rows) <= ALONE):
             found[i : i + PIECE] = result
             advance(len(piece))
         bad = ~np.isfinite(found).all(axis=1)

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 WARMEST_K = 140.0  # above the air, up to which a balance is looked for
 NODES = 15  # belt temperatures at which the loss is computed
 J_PER_KWH = 3.6e6
+ALONE = 500  # vehicles that this process solves itself: at 400 two workers took longer, as they must begin
 OUTCOMES = "cold_nm", "warm_nm", "belt_degc", "kwh_per_km"
 TOLERANCE_K, PASSES = 0.01, 10  # of a balance with effects, and of several kinds of track in turn
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackres_ros.design.drives import driven, left_out, read_cycle
-from trackres_ros.design.steady import OUTCOMES, Array, remarks_on, steady
+from trackres_ros.design.steady import ALONE, OUTCOMES, Array, remarks_on, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.engine.executor import LOCAL, results
 from trackres_ros.errors import InputError, one_line
@@ -28,7 +28,6 @@ from trackres_ros.vehicle import load
 
 AIR, OF_WEIGHT = "chassis.ambient", (".load", ".own_weight")
 MOST_POINTS = 100_000
-ALONE = 200  # points without a drive that this process makes itself: an engine takes longer to begin
 MOST_TICKS = 5  # of the first value: more would touch
 MOST_LINES, MANY = 8, 40  # lines of a picture, and points of one that are no longer marked
 DRIVE = "drive_kwh_per_km"

@@ -7,7 +7,7 @@ import csv
 import gzip
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -27,6 +27,8 @@ EXACT = ("time_s",)
 """Of estimates: columns that keep double precision in Parquet."""
 CHUNK_ROWS = 8192
 """Rows of a CSV that are put together at once."""
+GROUP_ROWS = 250_000
+"""Rows of a row group of Parquet: with small ones reading takes longer, and their list grows with the table."""
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 UNITS = {
     "s": "s", "ns": "ns", "mps": "m/s", "mps2": "m/s^2", "n": "N", "nm": "N m", "degc": "degC", "k": "K", "w": "W", "m^2": "m^2",
@@ -63,9 +65,9 @@ class TableWriter:
 
     def __enter__(self) -> Self:
         """Begin a temporary file in the same folder."""
-        if self._suffix == ".mf4":
-            self._out = self._files.enter_context(MdfTable(self._part, self.names))
-        elif self._suffix != ".parquet":
+        if self._suffix in BY_COLUMN:
+            self._out = self._files.enter_context(BY_COLUMN[self._suffix](self._part, self.names))
+        else:
             raw: Any = self._files.enter_context(self._part.open("wb"))
             if self.path.name.lower().endswith(".gz"):
                 raw = self._files.enter_context(gzip.GzipFile("", "wb", 6, raw, mtime=0))
@@ -76,8 +78,6 @@ class TableWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Finish the file and put it in place, or remove the temporary one."""
         try:
-            if kind is None and self._out is None:
-                self.write(np.empty((0, len(self.names))))
             self._files.__exit__(kind, error, trace)
             if kind is None:
                 put(self._part, self.path)
@@ -93,10 +93,7 @@ class TableWriter:
 
     def write_columns(self, columns: Sequence[NDArray[Any]]) -> None:
         """Write n rows given as k columns, each of shape (n,): numbers or texts."""
-        if self._suffix == ".parquet":
-            self._write_parquet(columns)
-            return
-        if self._suffix == ".mf4":
+        if self._suffix in BY_COLUMN:
             single = self._single(columns)
             self._out.write([c.astype(np.float32) if n in single else c for n, c in zip(self.names, columns, strict=True)])
             return
@@ -115,26 +112,6 @@ class TableWriter:
         """Names of the columns that are kept in single precision."""
         real = {name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"}
         return real.difference(EXACT) if self._estimates else set()
-
-    def _write_parquet(self, columns: Sequence[NDArray[Any]]) -> None:
-        import pyarrow as pa
-        from pyarrow import parquet
-
-        real = [name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"]
-        single = self._single(columns)
-        named = zip(self.names, columns, strict=True)
-        arrays = [as_arrow(c.astype(np.float32) if name in single else c) for name, c in named]
-        table = pa.table(arrays, names=list(self.names))
-        if self._out is None:
-            # Bytes of equal weight are grouped: smooth values differ in the last ones alone.
-            others: Any = [name for name in self.names if name not in real]
-            file = self._files.enter_context(self._part.open("wb"))  # the library opens no name that is not UTF-8
-            writer = parquet.ParquetWriter(
-                file, table.schema, write_page_checksum=True, compression="zstd", use_dictionary=others,
-                use_byte_stream_split=real,
-            )  # fmt: skip
-            self._out = self._files.enter_context(writer)
-        self._out.write_table(table)
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool = False) -> None:
@@ -162,6 +139,66 @@ def _texts(column: NDArray[Any]) -> list[str]:
         special = any(mark in text for mark in ',"\r\n')
         quoted.append('"' + text.replace('"', '""') + '"' if special else text)
     return quoted
+
+
+class ParquetTable(AbstractContextManager["ParquetTable"]):
+    """A Parquet file in row groups of `GROUP_ROWS`, whatever the blocks: equal rows give equal bytes, in bounded memory.
+
+    `path`: final file; `names`: of the columns.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        self._names = names
+        self._files = ExitStack()
+        self._file = self._files.enter_context(path.open("wb"))  # the library opens no name that is not UTF-8
+        self._writer: Any = None
+        self._group: list[NDArray[Any]] = []  # of each column; memory never written to costs nothing
+        self._rows = 0  # of the group, so far
+
+    def write(self, columns: Sequence[NDArray[Any]]) -> None:
+        """Write some rows; a column keeps the type of its first ones."""
+        if not self._group:
+            self._group = [np.empty(GROUP_ROWS, c.dtype if c.dtype.kind in "fiub" else np.object_) for c in columns]
+        for start, end in self._parts(len(columns[0])):
+            for group, column in zip(self._group, columns, strict=True):
+                np.copyto(group[self._rows : self._rows + end - start], column[start:end], casting="same_kind")
+            self._rows += end - start
+            if self._rows == GROUP_ROWS:
+                self._put()
+
+    def _parts(self, count: int) -> Iterator[tuple[int, int]]:
+        """Bounds of the rows that go into one group, of `count` further ones."""
+        start = 0
+        while start < count:
+            end = min(count, start + GROUP_ROWS - self._rows)
+            yield start, end
+            start = end
+
+    def _put(self) -> None:
+        """Write the group, and begin the next one."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        table = pa.table([as_arrow(column[: self._rows]) for column in self._group], names=list(self._names))
+        if self._writer is None:
+            # Bytes of equal weight are grouped: smooth values differ in the last ones alone.
+            real = [name for name, column in zip(self._names, self._group, strict=True) if column.dtype.kind == "f"]
+            others: Any = [name for name in self._names if name not in real]
+            writer = parquet.ParquetWriter(
+                self._file, table.schema, write_page_checksum=True, compression="zstd", use_dictionary=others,
+                use_byte_stream_split=real,
+            )  # fmt: skip
+            self._writer = self._files.enter_context(writer)
+        self._writer.write_table(table, GROUP_ROWS)
+        self._rows = 0
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Write the last group; nothing after an exception."""
+        with self._files:
+            if kind is None and (self._rows or self._writer is None):
+                if not self._group:
+                    self.write([np.empty(0)] * len(self._names))
+                self._put()
 
 
 class MdfTable(AbstractContextManager["MdfTable"]):
@@ -208,6 +245,10 @@ class MdfTable(AbstractContextManager["MdfTable"]):
                 self._mdf.save(self._path, overwrite=True, compression=2)
         finally:
             self._mdf.close()
+
+
+BY_COLUMN: Mapping[str, type[ParquetTable] | type[MdfTable]] = {".parquet": ParquetTable, ".mf4": MdfTable}
+"""Tables that are written as columns, by suffix."""
 
 
 def unit_of(column: str) -> str:
