@@ -127,7 +127,7 @@ class DdsClient:
         self._writer.write(raw)
         while time.perf_counter() - begin < 1.0:
             self._wait(100_000_000)
-            if any(answer[4:12] == key for answer, _ in self._reader.take()):
+            if any(answer.raw[4:12] == key for answer in self._reader.take()):
                 return time.perf_counter() - begin
         return None
 

@@ -36,6 +36,11 @@ class Inbox:
         self._waiting = self._empty()
         self._collected_ns = 0
 
+    @property
+    def holds_any(self) -> bool:
+        """Whether a message waits here, such as one fetched while others were passed on."""
+        return any(self._waiting)
+
     def collect(self) -> None:
         """Fetch new messages from the middleware.
 
