@@ -85,5 +85,5 @@ def page(cases: Mapping[str, Diagnosis]) -> str:
         hidden = [n for n in found.steps[-1].separability.not_visible if n.name in HIDDEN]
         lines += [f"- {n.name} cannot be seen: {n.why}" for n in hidden]
         for x in found.advice[:1]:
-            lines.append(f"- to drive next: {x.manoeuvre} ({x.minutes:.0f} min): tells {', '.join(x.separates)} apart")
+            lines.append(f"- To drive next, {x.minutes:.0f} min: {x.manoeuvre}. It tells {', '.join(x.separates)} apart.")
     return "\n".join(lines) + "\n"
