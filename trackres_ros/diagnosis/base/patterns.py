@@ -21,7 +21,7 @@ class ResidualPattern(Effect):
     """A series for each session, times a size.
 
     `shape` has the series of each session, in the order of the problem: shape (n,), about 1 where it acts; zero on hold-out laps.
-    `ahead` is the same from earlier measurements only, for the value to a live user. `size` is weight times wheel radius [Nm].
+    `ahead` is its forecast for a fitted lap that is left out, from other measurements. `size` is weight times wheel radius [Nm].
     """
 
     acts_on = WATCHED
