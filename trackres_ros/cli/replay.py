@@ -33,6 +33,11 @@ from trackres_ros.errors import encodable, one_line
 )
 @click.option("--save-vehicle", type=options.PATH, metavar="V.yaml", help="Write a vehicle file with the learned parameters.")
 @click.option(
+    "--both-sides",
+    is_flag=True,
+    help="Compute an unrecorded acceleration from the speeds before and after, and give the error, as diagnose does.",
+)
+@click.option(
     "-o",
     "--output",
     type=options.PATH,

@@ -152,6 +152,11 @@ def text(report: dict[str, Any]) -> str:
         + ", ".join(f"{part} {decimals(last[column])}" for part, column in resistance_parts(bool(belts)).items())
         + ")"
     )
+    if (compared := report.get("compared")) and compared["steps"]:
+        error, steps = decimals(compared["mean_error_nm"], 3), number_of(compared["steps"], "step")
+        lines.append(
+            f"Measured torque: mean error {error} Nm in means over {compared['step_s']:g} s ({steps}, as a diagnosis compares)"
+        )
     if "learning" in report:
         lines.append(f"Learning ({report['learning']['mode']}): {report['learning']['text']}")
         lines += [f"  {item['text']}" for item in report["learning"]["parameters"]]

@@ -97,7 +97,7 @@ class Recording:
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """All samples again, in the order of the log, at most `max_rows` at a time."""
-        order = self._order()
+        order = self.log_order()
         place = np.empty(len(order), np.intp)  # of each sample among those of its role
         for index in range(len(self.series)):
             rows = np.flatnonzero(order == index)
@@ -112,8 +112,10 @@ class Recording:
                 value[rows] = samples.value[at[rows]]
             yield SampleBlock(role, stamp_ns, arrival_ns, value)
 
-    def _order(self) -> NDArray[np.int16]:
-        """`order`; without it samples by log time, stretch by stretch between its steps back, and speed last of those at once."""
+    def log_order(self) -> NDArray[np.int16]:
+        """Index into `roles` of each sample in log order, shape (samples of all roles,): `order`; without it by log time, stretch
+        by stretch between its steps back, and speed last of those at once.
+        """
         if self.order is not None:
             return self.order
         roles = [index for index, _ in sorted(enumerate(self.series), key=lambda pair: pair[1] == "speed")]
@@ -151,7 +153,7 @@ class Recording:
             ``time_s`` and every role: the last finite value logged before the sample of speed, or at the
             same time, never a later one; NaN before the first. Speed itself is unchanged.
         """
-        order = self._order()
+        order = self.log_order()
         arrival_ns = np.empty(len(order), np.int64)
         for index, samples in enumerate(self.series.values()):
             arrival_ns[order == index] = samples.arrival_ns

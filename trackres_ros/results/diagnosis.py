@@ -19,12 +19,16 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import yaml
+
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.road_load import RoadBase
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.settings import LiveFilter
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import MissingExtraError, one_line
@@ -39,7 +43,7 @@ from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
-REPORT_FILE, VEHICLE_FILE, PAGE_FILE = "report.json", "vehicle.yaml", "report.html"
+REPORT_FILE, VEHICLE_FILE, SETTINGS_FILE, PAGE_FILE = "report.json", "vehicle.yaml", "estimator.yaml", "report.html"
 PICTURES = (
     "believed.svg", "before_after.svg", "where_*.svg", "effect_*.svg", "term_*.svg", "route.svg", "route_beside.svg",
     "held_out.svg", "noise.svg", "separability.svg",
@@ -51,7 +55,11 @@ REPLAYED = {
 }  # fmt: skip
 """What a replay computes of the channels that a diagnosis computes."""
 MOST_WARNINGS = 10  # in the text for a terminal
-DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE)
+DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE, SETTINGS_FILE)
+SETTINGS_ABOUT = (
+    "# Settings of the live filter of the acceleration, from the speeds of these recordings:\n"
+    "# for --params of trackres replay and trackres live, or as parameters of the node.\n"
+)
 
 
 class DiagnosisResult:
@@ -170,7 +178,7 @@ class DiagnosisResult:
         with file_set():
             file = place / REPORT_FILE
             write(file, (json.dumps(self._content, indent=2, allow_nan=False) + "\n").encode())
-            written = (file, *self._write_vehicle(place))
+            written = (file, *self._write_vehicle(place), *self._write_settings(place))
             if page:
                 try:
                     written += self._write_page(place)
@@ -178,10 +186,30 @@ class DiagnosisResult:
                     warnings.warn(f"no page: {error}", stacklevel=2)
             earlier = place / PAGE_FILE
             if earlier.is_file() and "<title>Diagnosis of " in earlier.read_text(encoding="utf-8", errors="replace"):
-                for old in {earlier, *(picture for name in PICTURES for picture in place.glob(name))}.difference(written):
+                pictures = (picture for name in PICTURES for picture in place.glob(name))
+                for old in {earlier, *place.glob(SETTINGS_FILE), *pictures}.difference(written):
                     remove(old)
         self.written = written
         return place
+
+    @property
+    def live_filter(self) -> dict[str, float]:
+        """Settings of the live filter of the acceleration, by name, for `params` of `replay`; empty where it was recorded.
+
+        They are medians over the recordings, from the noise and the jerk that make their speeds most likely.
+        """
+        fitted = [s.live_filter for s in self.diagnosis.gated.sessions if s.live_filter]
+        if not fitted or isinstance(self.diagnosis.base, OwnBase):  # a replay runs no model of the user's own
+            return {}
+        medians = np.median(np.array(fitted), axis=0)
+        return {name: float(figures(value, 3)) for name, value in zip(LiveFilter._fields, medians.tolist(), strict=True)}
+
+    def _write_settings(self, place: Path) -> list[Path]:
+        if not self.live_filter:
+            return []
+        file = place / SETTINGS_FILE
+        write(file, (SETTINGS_ABOUT + yaml.safe_dump(self.live_filter, sort_keys=False)).encode())
+        return [file]
 
     def _write_page(self, place: Path) -> tuple[Path, ...]:
         from trackres_ros.diagnosis.report.page import provenance, write_page
@@ -221,7 +249,9 @@ class DiagnosisResult:
         less = [text for c, text in REPLAYED.items() if c in needed and any(c in s.computed for s in d.gated.sessions)]
         if not less:
             return []
-        return [f"Not all inputs were recorded. A replay computes {', '.join(less)}, so its error is larger than this one."]
+        fitted = f"--params {SETTINGS_FILE} fits its filter to these speeds; " if self.live_filter else ""
+        both = f" For the acceleration, {fitted}--both-sides uses all speeds, as here." if REPLAYED["accel"] in less else ""
+        return [f"Not all inputs were recorded. A replay computes {', '.join(less)}, so its error is larger than this one.{both}"]
 
     def _repr_html_(self) -> str:
         rows = []

@@ -74,32 +74,40 @@ def load_base(
     vehicle = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
     if isinstance(vehicle, RoadVehicle):
         return _road(vehicle)
-    track, loads = vehicle, vehicle.nominal_loads().tolist()
-    known = GateSettings(
-        track.weight,
-        track.chassis.max_speed,
-        track.chassis.ambient,
-        False,
-        motor_ratio=track.chassis.motor_ratio,
-        has_belt=True,
-        axles={axle.name: {track.assemblies[i].name: loads[i] for i in track.assemblies_of(axle.name)} for axle in track.axles},
-    )
-    return LoadedBase(TrackBase(track), track.title, known, track.surroundings, track.route, track.source)
+    base = TrackBase(vehicle)
+    return LoadedBase(base, vehicle.title, gate_settings(vehicle), vehicle.surroundings, vehicle.route, vehicle.source)
 
 
 def _road(road: RoadVehicle) -> LoadedBase:
-    base = RoadBase(road)
-    known = GateSettings(
-        base.facts.weight,
-        road.values["max_speed"],
-        road.values["ambient"],
-        road.friction_brakes or (False if base.rolls else None),  # a sliding machine has none
-        torque_scale=base.torque_scale,
-        torque_share=road.torque_share,
-        is_vehicle=base.rolls,
-        track_width=road.values.get("track_width"),
+    return LoadedBase(RoadBase(road), road.title, gate_settings(road), road.surroundings, road.route, road.source)
+
+
+def gate_settings(vehicle: Vehicle | RoadVehicle) -> GateSettings:
+    """Facts of a vehicle for the checks of its recordings."""
+    if isinstance(vehicle, RoadVehicle):
+        road = RoadBase(vehicle)
+        return GateSettings(
+            road.facts.weight,
+            vehicle.values["max_speed"],
+            vehicle.values["ambient"],
+            vehicle.friction_brakes or (False if road.rolls else None),  # a sliding machine has none
+            torque_scale=road.torque_scale,
+            torque_share=vehicle.torque_share,
+            is_vehicle=road.rolls,
+            track_width=vehicle.values.get("track_width"),
+        )
+    loads = vehicle.nominal_loads().tolist()
+    return GateSettings(
+        vehicle.weight,
+        vehicle.chassis.max_speed,
+        vehicle.chassis.ambient,
+        False,
+        motor_ratio=vehicle.chassis.motor_ratio,
+        has_belt=True,
+        axles={
+            axle.name: {vehicle.assemblies[i].name: loads[i] for i in vehicle.assemblies_of(axle.name)} for axle in vehicle.axles
+        },
     )
-    return LoadedBase(base, road.title, known, road.surroundings, road.route, road.source)
 
 
 def _check_as_in_its_file(vehicle: Vehicle) -> None:

@@ -141,7 +141,8 @@ class _Resampled(_Admitted):
         return float(self.session.used.sum()) * self.session.step
 
 
-def _step(recordings: Sequence[Recording], settings: GateSettings) -> float:
+def step_of(recordings: Sequence[Recording], settings: GateSettings) -> float:
+    """Common step of recordings of a vehicle [s], see `step_for`."""
     return step_for(recordings, slowest_speed=settings.slowest, quick=QUICK if settings.is_vehicle else STEADY)
 
 
@@ -152,7 +153,7 @@ def _shortest_s(step: float, settings: GateSettings) -> float:
 
 def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
     logged, recording = recording, replace(recording, order=None).without(hide)
-    shortest_s = _shortest_s(_step([recording], settings), settings)
+    shortest_s = _shortest_s(step_of([recording], settings), settings)
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
     check_compared(recording, shortest_s)
@@ -162,7 +163,7 @@ def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings)
 
 def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings: GateSettings) -> tuple[float, list[_Admitted]]:
     """Common step [s], and the recordings that suit it: those with far slower sampling are excluded."""
-    own = {one.name: _step([one.recording], settings) for one in admitted}
+    own = {one.name: step_of([one.recording], settings) for one in admitted}
     steps = sorted((own[one.name], duration_s(one.recording.series)) for one in admitted)
     so_far = np.cumsum([seconds for _, seconds in steps])
 
@@ -177,7 +178,7 @@ def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings
         return one
 
     suited = each_usable(admitted, suits, refused)
-    return _step([one.recording for one in suited], settings), suited
+    return step_of([one.recording for one in suited], settings), suited
 
 
 def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resampled:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,10 +27,11 @@ from trackres_ros.diagnosis.prepare.sampling import (
     read_off,
 )
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask, Way
-from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings, pace
+from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings, LiveFilter, pace
 from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smooth_speed
 from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, base_role
@@ -139,7 +141,9 @@ class _Grid:
 
 @dataclass(frozen=True, eq=False)
 class _Speed:
-    """Samples of the speed, its means, the steps with a known value, acceleration with its noise, and odometer speed."""
+    """Samples of the speed, its means, the steps with a known value, acceleration with its noise, odometer speed, and the live
+    filter of an unrecorded acceleration.
+    """
 
     at: Array
     raw: Array
@@ -148,6 +152,7 @@ class _Speed:
     accel: Array
     accel_noise: float
     by_way: Array | None
+    live: LiveFilter | None
 
 
 def resample(
@@ -208,6 +213,7 @@ def resample(
         passengers=passengers,
         payload=payload,
         bindings=recording.bindings,
+        live_filter=speed.live,
         way=_way(grid, speed) if "position" in grid.given else None,
     )
     scale = pace(step)
@@ -224,19 +230,56 @@ def resample(
 def _speed(grid: _Grid) -> _Speed:
     """Speed, and acceleration as measured or derived from it."""
     at, raw = grid.samples("speed")
-    scale = pace(grid.step)
-    unit = grid.settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # scales speed and noise to a vehicle's
-    smoothed = smooth_speed(at / scale, raw / unit, grid.edges / scale, LONGEST_HOLD_S)
-    at_edges = unit * smoothed.speed if smoothed else np.interp(grid.edges, at, raw)
+    smoothed = smoothed_motion(at, raw, grid.edges, grid.step, grid.settings.slowest)
     mean, known = means(at, raw, grid.edges)
-    accel, accel_noise = np.diff(at_edges) / grid.step, unit * smoothed.typical_change_std / grid.step if smoothed else 0.0
+    accel, accel_noise = np.diff(smoothed.speed) / grid.step, smoothed.change_std / grid.step
     by_way = np.diff(np.interp(grid.edges, *grid.samples("distance"))) / grid.step if grid.has("distance") else None
     measured = grid.held("accel", np.nan) if grid.has("accel") else None
     grid.notes.extend(check_speed_unit(grid.name, grid.bindings, mean, accel, measured, by_way))
     if measured is not None:
         mean_accel, there = means(*grid.samples("accel"), grid.edges)
         accel, accel_noise = np.where(there, mean_accel, accel), 0.0
-    return _Speed(at, raw, mean, known, accel, accel_noise, by_way)
+    return _Speed(at, raw, mean, known, accel, accel_noise, by_way, smoothed.live if measured is None else None)
+
+
+class SmoothedMotion(NamedTuple):
+    """Speed [m/s] and acceleration [m/s^2] at chosen times, the typical error of a change of the speed between two [m/s], and the
+    live filter of such speeds.
+    """
+
+    speed: Array
+    accel: Array
+    change_std: float
+    live: LiveFilter | None = None
+
+
+def smoothed_motion(at: Array, shown: Array, times: Array, step: float, slowest: float) -> SmoothedMotion:
+    """Motion at some rising `times` [s] from all speeds `shown` [m/s] before and after; along lines between slow samples.
+
+    The smoother's constants are a vehicle's: `step` [s] and the `slowest` speed [m/s] scale a quick machine to one.
+    """
+    scale = pace(step)
+    unit = slowest / SLOWEST_MPS if scale < 1.0 else 1.0
+    smoothed = smooth_speed(at / scale, shown / unit, times / scale, LONGEST_HOLD_S)
+    if smoothed is None:
+        return SmoothedMotion(np.interp(times, at, shown), np.interp(times, at, np.gradient(shown, at)), 0.0)
+    accel = unit / scale * smoothed.accel
+    live = _live_filter(accel, unit * smoothed.noise, unit / scale**1.5 * smoothed.jerk)
+    return SmoothedMotion(unit * smoothed.speed, accel, unit * smoothed.typical_change_std, live)
+
+
+def _live_filter(accel: Array, noise: float, jerk: float) -> LiveFilter | None:
+    """Singer's acceleration with the spread of the smoothed one [m/s^2] and with its jerk [m/s^2/sqrt(s)]: jerk^2 = 2 std^2/time.
+
+    `noise`: standard deviation of a speed [m/s]. None where nothing moves.
+    """
+    moving = accel[np.isfinite(accel) & (accel != 0.0)]
+    if not len(moving):
+        return None
+    std = float(np.sqrt(np.mean(moving**2)))
+    wanted = LiveFilter(noise, std, 2.0 * (std / jerk) ** 2)
+    limits = {one.name: one.metadata for one in fields(Settings)}
+    return LiveFilter(*(float(np.clip(x, limits[name]["low"], limits[name]["high"])) for name, x in wanted._asdict().items()))
 
 
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.settings import pace
+from trackres_ros.diagnosis.prepare.settings import LiveFilter, pace
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text.names import told_apart
@@ -115,6 +115,7 @@ class DriveSession:
     torque_by_place: Array = field(default_factory=lambda: np.empty(0))  # against travel [Nm]
     way: Way | None = None  # positions within its steps
     bindings: Mapping[str, TopicBinding] = field(default_factory=dict)  # how each role was read
+    live_filter: LiveFilter | None = None  # that fits its speeds; None where the acceleration is recorded, or for slow samples
 
     def __post_init__(self) -> None:
         for name, default in NOT_RECORDED.items():

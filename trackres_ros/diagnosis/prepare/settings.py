@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,14 @@ def pace(step: float) -> float:
     It scales the built-in times of the diagnosis (length of a piece, of a long gap).
     """
     return min(1.0, step / STEP_S)
+
+
+class LiveFilter(NamedTuple):
+    """Settings of the live filter of the acceleration that fit a recording's speeds, named as in the estimator's `Settings`."""
+
+    speed_std_mps: float
+    acceleration_std: float
+    acceleration_time_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,7 @@ class SmoothedSpeed:
     """Smoothed speed at chosen times."""
 
     speed: Array  # at those times [m/s], shape (n,)
+    accel: Array  # at those times [m/s^2], shape (n,); 0 at rest, nan over gaps
     change_std: Array  # of the change's error to the next [m/s], shape (n - 1,); 0 at rest, nan over gaps
     jerk: float  # density [m/s^2/sqrt(s)]
     noise: float  # standard deviation of a sample [m/s]
@@ -102,12 +103,13 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
     speed[grid.within] = states[~grid.sample, 0]
     after = np.clip(np.searchsorted(at, times, side="right"), 1, len(at) - 1)
     own = np.where(rest[after] & rest[after - 1], 0.0, np.nan)
-    own[grid.within] = states[~grid.sample, 2]
+    accel = own.copy()
+    own[grid.within], accel[grid.within] = states[~grid.sample, 2], states[~grid.sample, 1]
     change = own[1:] + own[:-1]
     joint = np.full(len(times), np.nan)
     joint[grid.within] = variances[~grid.sample]
     change = np.where(np.isfinite(joint[:-1]), joint[:-1], change)
-    return SmoothedSpeed(speed, np.sqrt(np.maximum(change, 0.0)), jerk, noise, step)
+    return SmoothedSpeed(speed, accel, np.sqrt(np.maximum(change, 0.0)), jerk, noise, step)
 
 
 def without_repeats(shown: Array) -> Mask:

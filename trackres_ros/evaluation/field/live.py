@@ -92,10 +92,16 @@ def live_errors(drives: Drives, folder: Path) -> list[LiveError]:
     """
     report = folder / "report"
     run_command("diagnose", *drives.first, "--vehicle", drives.vehicle, "--topics", drives.topics, "-o", report)
-    written, around = report / "vehicle.yaml", report / "surroundings.yaml"
+    written, around, settings = (report / name for name in ("vehicle.yaml", "surroundings.yaml", "estimator.yaml"))
     runs: list[tuple[str, list[str | Path]]] = [("the shipped vehicle file", [drives.vehicle]), ("vehicle.yaml", [written])]
     if around.is_file():
         runs.append(("vehicle.yaml and surroundings.yaml", [written, "--surroundings", around]))
+    if settings.is_file():
+        what, files = runs[-1]
+        runs += [
+            (f"{what}, with estimator.yaml", [*files, "--params", settings]),
+            (f"{what}, with `--both-sides` (offline)", [*files, "--both-sides"]),
+        ]
     found = []
     for what, files in runs:
         left = np.concatenate([_left(drives, rest, files, folder / "replay.csv") for rest in drives.rest])
@@ -135,8 +141,8 @@ def live_page(data: Path) -> list[str]:
         "## What was found, live",
         "",
         "The diagnosis uses some drives. `trackres replay` then runs other drives with the files that it wrote, step by step as "
-        "the live node does. A replay has no speed smoothed from both sides, and no acceleration except that of its own "
-        "filter. The commands for the bus:",
+        "the live node does. Its acceleration is that of its own filter, with the settings of estimator.yaml where it is named; "
+        "with `--both-sides` it is that of the diagnosis. The commands for the bus:",
         "",
         "    trackres diagnose mission_first.csv --vehicle ztbus_hess19 --topics ztbus -o report",
         "    trackres replay mission_rest.csv --vehicle report/vehicle.yaml --surroundings report/surroundings.yaml "
