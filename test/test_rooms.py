@@ -47,6 +47,7 @@ def test_a_circle_is_found_and_named(rooms):
 @pytest.mark.parametrize("module", ["api.replaying", "api.simulating", "cli.replay", "cli.vehicle", "node.application"])
 def test_replay_and_live_import_no_diagnosis(rooms, module):
     needed = rooms.module_needs() | {"": set()}  # the front door loads a name when it is used
+    needed["api.both_sides"] = set()  # loaded where it is asked for
     assert not {other for other in rooms.reached(module, needed) if other.startswith("diagnosis")}
 
 

@@ -14,10 +14,8 @@ from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_pa
 from trackres_ros.errors import InputError, one_line
 
 if TYPE_CHECKING:
-    from trackres_ros.diagnosis.prepare.both_sides import ComparedTorque
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.replay import ReplayResult
-    from trackres_ros.vehicle import AnyVehicle
 
 AFTER_TIME_OFF = (
     "its times begin before the end of the state, so it goes on as after {:g} s off. That is its standing time (stood), or 0 s "
@@ -63,8 +61,8 @@ def replay(
     save_vehicle
         Vehicle file to write at the end, with the learned parameters. Without any, none is written, and the result says why.
     both_sides
-        Compute an unrecorded acceleration from the speeds before and after each moment, as `diagnose` does and no live node can;
-        and give the mean error [Nm] as `diagnose` compares it. The recording is held in memory.
+        Compute an unrecorded acceleration from the speeds before and after each moment, as `diagnose` does and no live node can.
+        The result has the mean error [Nm] as `diagnose` compares it. The recording is held in memory.
     output
         File to write during the replay, in the format of `ReplayResult.save`. It replaces an older one at the end, together with
         the state and the vehicle file. Its rows are then not kept. With a bag, memory does
@@ -131,7 +129,9 @@ def replay(
     described, compared = as_vehicle(vehicle), None
     source = in_memory or KeptSource(opened, keep=file is None or file.suffix.lower() != BAG_SUFFIX)
     if both_sides:
-        source, compared = _with_both_sides(in_memory or Recording.from_source(opened), described)
+        from trackres_ros.api.both_sides import with_both_sides
+
+        source, compared = with_both_sides(in_memory or Recording.from_source(opened), described)
     settings = settings_for(make_parameters(given).settings(), opened.topics, source.roles)
     learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
     inputs = input_files(mapping, *paths, *files_of(described), params)
@@ -153,6 +153,7 @@ def replay(
             go_on_from(before, session, learner, learned_before, unlearned_s)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         done = run(source, estimator, write if compared is None else compared.before(write), session, progress, learner)
+        done = done if compared is None else replace(done, compared=compared.as_dict())
         written = [one for one in (file, state) if one is not None]
         if state is not None:
             saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
@@ -166,19 +167,6 @@ def replay(
     findings = tuple(replace(one, first_time_s=one.first_time_s - done.late_s) for one in findings)
     rows = kept if file is None else None
     notes = source.notes if off_s is None else (*source.notes, AFTER_TIME_OFF.format(off_s))
-    result = ReplayResult(done, rows, title, source.name, notes, findings, file, [*inputs, before], compared)
+    result = ReplayResult(done, rows, title, source.name, notes, findings, file, [*inputs, before])
     result.written = tuple(written)
     return result
-
-
-def _with_both_sides(recording: Recording, vehicle: AnyVehicle) -> tuple[Recording, ComparedTorque | None]:
-    """The recording with its acceleration, and the steps that a diagnosis compares; none where it would refuse, with a note."""
-    from trackres_ros.diagnosis.base.loading import gate_settings
-    from trackres_ros.diagnosis.prepare.both_sides import ComparedTorque, with_acceleration
-
-    facts = gate_settings(vehicle)
-    source = with_acceleration(recording, facts)
-    try:
-        return source, ComparedTorque.of(recording, facts)
-    except InputError as error:
-        return replace(source, notes=(*source.notes, f"no error as a diagnosis has it: {error}")), None

@@ -109,6 +109,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
         "drive": drive,
         "resistance_torque_nm": {"first": first_nm, "largest": drive["largest_resistance_nm"], "last": last_nm},
         "last": last,
+        **({} if result.compared is None else {"compared": dict(result.compared)}),
         **learned,
     }
 

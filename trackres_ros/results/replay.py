@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import listed, panel, paragraph
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import AnyVehicle
-
-if TYPE_CHECKING:
-    from trackres_ros.diagnosis.prepare.both_sides import ComparedTorque
 
 MOST_UNFOLDED = 4
 TIMES = ("time_s", "stamp_ns")
@@ -65,13 +62,12 @@ class ReplayResult(SeriesResult):
         findings: Sequence[Finding],
         output: Path | None = None,
         inputs: Sequence[str | PathLike[str] | None] = (),
-        compared: ComparedTorque | None = None,
     ) -> None:
         self.title, self.name, self.notes, self.findings, self.output = title, name, tuple(notes), tuple(findings), output
         self.session: Session = replayed.session
         self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.totals.duration_s
         self.written: tuple[Path, ...] = ()
-        self._replayed, self._kept, self._inputs, self._compared = replayed, kept, inputs, compared
+        self._replayed, self._kept, self._inputs = replayed, kept, inputs
 
     @property
     def estimator(self) -> Estimator:
@@ -178,8 +174,7 @@ class ReplayResult(SeriesResult):
         dict
             Input, defects, and the last estimate.
         """
-        compared = {} if self._compared is None else {"compared": self._compared.as_dict()}
-        return {**summary(self._replayed, self.name, self.notes, self.findings), **compared}
+        return summary(self._replayed, self.name, self.notes, self.findings)
 
     def __repr__(self) -> str:
         return text(self.as_dict())
