@@ -19,6 +19,6 @@ def with_both_sides(recording: Recording, vehicle: AnyVehicle) -> tuple[Recordin
     facts = gate_settings(vehicle)
     source = with_acceleration(recording, facts)
     try:
-        return source, ComparedTorque.of(recording, facts)
+        return source, ComparedTorque(recording, facts)
     except InputError as error:
         return replace(source, notes=(*source.notes, f"no error as a diagnosis has it: {error}")), None

@@ -8,15 +8,14 @@ does: in means over its steps, in the steps that it compares.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.gate import gate, step_of
 from trackres_ros.diagnosis.prepare.resample import smoothed_motion
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession
-from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.session from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.estimate import Steps
@@ -54,24 +53,14 @@ def with_acceleration(recording: Recording, settings: GateSettings) -> Recording
     )
 
 
-@dataclass(frozen=True, eq=False)
 class ComparedTorque:
     """Residual torque of a replay in the steps that a diagnosis compares."""
 
-    session: DriveSession
-    start_ns: int
-    _sum: Array = field(init=False, repr=False)  # of the residuals in each step [Nm]
-    _number: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        for name in ("_sum", "_number"):
-            object.__setattr__(self, name, np.zeros(len(self.session)))
-
-    @classmethod
-    def of(cls, recording: Recording, settings: GateSettings) -> ComparedTorque:
-        """The steps of a recording. Raises InputError where a diagnosis would refuse it, with the reason."""
-        (session,) = gate([recording], settings).sessions
-        return cls(session, stamped(recording).start_ns)
+    def __init__(self, recording: Recording, settings: GateSettings) -> None:
+        """Take the steps of a recording. Raises InputError where a diagnosis would refuse it, with the reason."""
+        (self._session,) = gate([recording], settings).sessions
+        self._start_ns = stamped(recording).start_ns
+        self._sum, self._number = np.zeros((2, len(self._session)))  # of the residuals in each step [Nm]
 
     def before(self, write: Callable[[Steps], None]) -> Callable[[Steps], None]:
         """What takes rows of a replay, and writes them then."""
@@ -84,18 +73,14 @@ class ComparedTorque:
 
     def _add(self, steps: Steps) -> None:
         residual = steps.rows[:, Results.residual_nm]
-        step = ((steps.stamp_ns - self.start_ns) / (self.session.step * SECOND_NS)).astype(int)
-        inside = np.isfinite(residual) & (step >= 0) & (step < len(self.session))
+        step = np.floor((steps.stamp_ns - self._start_ns) / (self._session.step * SECOND_NS)).astype(int)
+        inside = np.isfinite(residual) & (step >= 0) & (step < len(self._session))
         np.add.at(self._sum, step[inside], residual[inside])
         np.add.at(self._number, step[inside], 1.0)
 
-    @property
-    def error_nm(self) -> float:
-        """Mean absolute residual of the steps' means [Nm]; nan without any."""
-        compared = self.session.used & (self._number > 0.0)
-        return float(np.abs(self._sum[compared] / self._number[compared]).mean()) if compared.any() else float("nan")
-
     def as_dict(self) -> dict[str, Any]:
-        """The error, the length of a step and the number of steps compared, ready for JSON."""
-        number = int((self.session.used & (self._number > 0.0)).sum())
-        return {"mean_error_nm": self.error_nm if number else None, "step_s": self.session.step, "steps": number}
+        """Mean absolute residual of the steps' means [Nm], the length of a step and the number of steps, ready for JSON."""
+        compared = self._session.used & (self._number > 0.0)
+        means = self._sum[compared] / self._number[compared]
+        error = float(np.abs(means).mean()) if compared.any() else None
+        return {"mean_error_nm": error, "step_s": self._session.step, "steps": int(compared.sum())}
