@@ -15,7 +15,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.gate import gate, step_of
 from trackres_ros.diagnosis.prepare.resample import smoothed_motion
-from trackres_ros.diagnosis.prepare.session from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.estimate import Steps
