@@ -204,6 +204,16 @@ def test_a_name_on_a_bound_is_at_best_suspected(by_gain):
     assert (one.on_bounds, one.grade, confirmed) == (("error",), SUSPECTED, False)
 
 
+def test_a_name_whose_size_changes_is_suspected():
+    def growing(session, _):
+        late = np.where(session.time > session.time.mean(), 1.0, -1.0)
+        return 1.0 + (GAIN - 1.0) * (1.0 + 0.7 * late)
+
+    one = graded(judging(driven(growing, of=machine()), {}), named()["torque_gain"])[0]["torque_gain"]
+    assert (one.improvement.grade, one.grade) == (CONFIRMED, SUSPECTED)
+    assert one.fault == "has no constant size: it is larger late in a drive than early"
+
+
 def wave(session, _):
     return LEVEL_NM * np.sin(session.time / 20.0)
 
