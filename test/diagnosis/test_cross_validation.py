@@ -3,19 +3,22 @@
 
 """The laps and recordings left out that score explanations: how sure a gain is, and on how many occasions."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 from worlds import NOISE_NM, driven, fit_with, machine, named, series, validation_of
 
+from trackres_ros.diagnosis.base.own import OwnBase
 from trackres_ros.diagnosis.inference.fitting import fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.search.cross_validation import FOLDS, correlation_length
 from trackres_ros.diagnosis.selection.visibility import base_columns
 
-GAIN, LEVEL_NM = 1.1, 200.0
+GAIN, FAR_GAIN, LEVEL_NM = 1.1, 1.3, 200.0
 NORMAL_975 = 1.96  # standard deviations of a two-sided 95 % interval
 
 
@@ -69,6 +72,60 @@ def test_what_is_expected_of_a_fold_is_that_of_a_fit_without_it(scaled, scores):
     np.testing.assert_allclose(score.expected[held_out], whole[held_out])
 
 
+def without(found, left_out):
+    """Torques expected without rows: least squares of the others within the bounds, with the weights and priors of the fit."""
+    free, columns, root = found.free, base_columns(found), np.sqrt(found.weights)
+    low, high, nominal, std = (np.array([getattr(f, name) for f in free]) for name in ("low", "high", "nominal", "std"))
+    white = np.concatenate(found.problem.white(found.problem.split(columns), found.noises))
+    rows = np.isfinite(root) & ~left_out
+    x = np.concatenate(((white * root[:, np.newaxis])[rows], np.diag(1.0 / std)))
+    y = np.concatenate(((np.concatenate(found.white) * root)[rows], (nominal - found.point) / std))
+    step = lsq_linear(x * std, y, ((low - found.point) / std, (high - found.point) / std), method="bvls", tol=1e-12).x
+    return [p.torque + c @ (std * step) for p, c in zip(found.predicted, found.problem.split(columns), strict=True)]
+
+
+@pytest.mark.parametrize("gain", [1.0, GAIN, FAR_GAIN])
+def test_a_step_without_laps_is_least_squares_in_the_bounds(gain):
+    """Of a base that the drive pulls within its range, to its edge, and beyond; and so without each recording."""
+    found = driven(gain, of=machine(), count=3)
+    validation = validation_of(found)
+    of_laps, recording = validation.rows(found.problem)
+    score, fold_of = validation.score(found), validation._of(validation._fold)
+    expected = validation._of([p.torque for p in found.predicted])
+    for fold in range(FOLDS):
+        at = fold_of == fold
+        expected[at] = validation._of(without(found, of_laps == fold))[at]
+    np.testing.assert_allclose(score.expected, expected, rtol=1e-5)
+    unseen = validation._of([without(found, recording == i)[i] for i in range(3)])
+    assert score.unseen == pytest.approx(np.abs(validation.measured - unseen).mean(), rel=1e-5)
+
+
+def test_a_series_is_known_to_a_fold_by_its_forecast():
+    """And to held-out laps as it is."""
+
+    def comes_and_goes(session, _):
+        return LEVEL_NM * np.sign(np.sin(session.time / 6.0))
+
+    plain = driven(of=machine(), adds=comes_and_goes)
+    validation, term = validation_of(plain), series(plain, comes_and_goes, 1.0)
+    found, half = fit_with(plain, term), copy.copy(term)
+    half.ahead = tuple(0.5 * x for x in term.ahead)
+    with_half = replace(found, effects=tuple(replace(active, effect=half) for active in found.effects))
+    whole, less = (validation.score(one).expected for one in (found, with_half))
+    adds = validation._of(found.contribution(term.name))
+    assert np.abs(adds).max() > 0.9 * LEVEL_NM
+    fitted = validation._of(validation._fold) >= 0
+    np.testing.assert_allclose((whole - less)[fitted], 0.5 * adds[fitted], atol=0.01 * LEVEL_NM)  # the sensor's delay smooths it
+    np.testing.assert_array_equal(whole[~fitted], less[~fitted])
+
+
+def test_a_series_of_zeros_changes_nothing():
+    plain = driven(of=machine())
+    nothing = fit_with(plain, series(plain, lambda s, _: np.zeros(len(s)), 1.0))
+    found, expected = (validation_of(plain).score(one).expected for one in (nothing, fit_with(plain)))
+    np.testing.assert_allclose(found, expected, atol=0.1 * NOISE_NM)
+
+
 def test_every_fitted_sample_is_of_one_fold_and_no_other_is(scaled):
     plain, _, validation = scaled
     for session, mask, fold in zip(plain.problem.sessions, plain.problem.masks, validation._fold, strict=True):
@@ -78,6 +135,19 @@ def test_every_fitted_sample_is_of_one_fold_and_no_other_is(scaled):
         assert all(len(of) == 1 for of in of_lap.values())
         assert set().union(*of_lap.values()) == set(range(4))
     assert len(validation.measured) == sum(int(s.used.sum()) for s in plain.problem.sessions)
+
+
+def test_measured_belts_are_never_left_out():
+    """A fold is laps of torque; the belt temperatures of these laps stay in the fit."""
+    found = driven(belt_noise=0.5)
+    of_laps, recording = validation_of(found).rows(found.problem)
+    begin = 0
+    for segment in found.problem.segments:
+        rows = slice(begin, begin + len(segment.measured))
+        assert (recording[rows] == segment.session).all()
+        assert set(of_laps[rows][segment.mask].tolist()) == ({-1} if segment.kind == "belt" else set(range(FOLDS)))
+        begin = rows.stop
+    assert {g.kind for g in found.problem.segments} == {"torque", "belt"}
 
 
 def test_a_score_sums_what_is_left_of_each_piece(scaled, scores):
@@ -193,18 +263,46 @@ def test_pieces_of_one_slow_error_are_one_occasion(scaled):
     assert (np.diff(of_slow) >= 0).all()  # neighbours, in the order of time
 
 
+def test_a_quick_machine_has_occasions_as_much_shorter():
+    """Steps of a quarter of a second: as many samples and pieces make one occasion."""
+    for of in (None, lambda s, _: LEVEL_NM * np.sin(s.time / 100.0)):
+        found = driven(of=machine(), adds=of)
+        quicker = tuple(replace(s, step=0.25 * s.step, time=0.25 * s.time) for s in found.problem.sessions)
+        quick = replace(found, problem=replace(found.problem, sessions=quicker))
+        usual, other = (validation_of(f).score(f, base_columns(found)) for f in (found, quick))
+        np.testing.assert_array_equal(other.occasion, usual.occasion)
+        np.testing.assert_array_equal(other.density, usual.density)
+
+
+def test_a_constant_error_makes_no_pieces_alike():
+    found = driven(of=machine(), adds=lambda s, _: np.full(len(s), 5.0 * LEVEL_NM))
+    score = validation_of(found).score(found)
+    assert score.level.mean() > LEVEL_NM
+    assert len(np.unique(score.occasion)) > 0.9 * len(score.occasion)
+
+
 def test_a_correlation_length_is_that_of_an_autoregression():
     shocks = np.random.default_rng(5).normal(size=40_000)
     for phi in (0.0, 0.5, 0.9):
         x = lfilter([1.0], [1.0, -phi], shocks)
         assert correlation_length([x[:20_000], x[20_000:]]) == pytest.approx((1.0 + phi) / (1.0 - phi), rel=0.15, abs=0.1)
     assert correlation_length([np.zeros(10)]) == 1.0
+    # Of a constant n long, the autocorrelation falls from 1 to 0 over n samples.
+    assert correlation_length([np.ones(50)]) == pytest.approx(50.0)
 
 
 @pytest.mark.parametrize(("share", "falls"), [(0.96, False), (0.94, True)])
 def test_levels_fall_from_a_twentieth_on(scaled, scores, share, falls):
     _, _, validation = scaled
     assert validation.level_falls(scores[0], replace(scores[0], level=share * scores[0].level)) == falls
+
+
+def test_levels_weigh_by_their_samples(scaled, scores):
+    validation = copy.copy(scaled[2])
+    validation._count = np.array([90, 10])
+    before = replace(scores[0], level=np.array([1.0, -1.0]))
+    for level, falls in (([0.9, -1.3], True), ([1.1, 0.1], False)):
+        assert validation.level_falls(before, replace(before, level=np.array(level))) == falls
 
 
 def test_shares_of_laps_drawn_anew_add_up_to_one(scaled, scores):
@@ -227,3 +325,14 @@ def test_beyond_a_base_nothing_of_its_parameters_is_left(scaled):
         assert np.linalg.norm(rest(own)) < 1e-6 * np.linalg.norm(column) + 1e-9
     adds = true.contribution("torque_gain")
     assert 0.0 < np.linalg.norm(rest(adds)) < np.linalg.norm(validation._of(adds))
+
+
+def test_a_parameter_without_influence_takes_nothing_away():
+    """Its column is zero, and no direction of what lies beyond a base."""
+    model = machine().model
+    with_idle = OwnBase(replace(model, parameters=model.parameters | {"idle": (1.0, 0.5, 1.5, "1")}))
+    found, same = driven(GAIN, of=machine()), driven(GAIN, of=with_idle)
+    assert np.linalg.matrix_rank(base_columns(same)) == len(found.free) == len(same.free) - 1
+    added = [np.sin(s.time / 31.0) for s in found.problem.sessions]
+    rests = [validation_of(one).beyond(one)(added) for one in (found, same)]
+    np.testing.assert_allclose(*rests, atol=1e-3)

@@ -15,10 +15,11 @@ from worlds import driven, explained, form, graded, judging, machine, named, ser
 
 from trackres_ros.diagnosis.base.patterns import ClockTerm
 from trackres_ros.diagnosis.empirical.finders import Term
-from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of, _competes
+from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, Chosen, _class_of, _competes
 from trackres_ros.diagnosis.search.explanations import Explanation
+from trackres_ros.diagnosis.selection.grade import ONLY_BETWEEN
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
-from trackres_ros.effects.learned import AMBIENT, SPEED, STEP, Corner
+from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, VARIABLES, Corner
 
 GAIN, LEVEL_NM, SIZE_NM = 1.1, 200.0, 150.0
 
@@ -120,6 +121,36 @@ def test_a_name_stands_without_the_forms_beside_it(alone, monkeypatch):
     assert not Choice._unsteady(choice, known["a"], "a")
 
 
+def chosen_beside(own, candidates, cost=3.0, members=()):
+    """A chosen term `own`, and the candidates of the round without it."""
+    candidates = [SimpleNamespace(**{"is_name": True, "matters": True, "effect": None, **c}) for c in (own, *candidates)]
+    step = SimpleNamespace(cost=cost, chosen=candidates[0], candidates=candidates, members=members)
+    return Chosen(SimpleNamespace(candidates={own["name"]: candidates[0]}), {}, None, {own["name"]: step}, None, (), {})
+
+
+@pytest.mark.parametrize(
+    ("level", "rival", "instead"),
+    [
+        (20.0, {"level": 9.9}, ""), (20.0, {"level": 10.1}, "b"), (4.0, {"level": 2.5}, ""), (4.0, {"level": 3.5}, "b"),
+        (20.0, {"level": 15.0, "is_name": False}, ""), (20.0, {"level": 15.0, "matters": False}, ""),
+    ],
+)  # fmt: skip
+def test_a_name_in_place_gains_half_as_much_and_its_cost(level, rival, instead):
+    others = [{"name": "c", "level": 1.0}, {"name": "b", **rival}]
+    assert chosen_beside({"name": "a", "level": level}, others).instead_of("a") == instead
+    if instead:
+        assert chosen_beside({"name": "a", "level": level}, [*others, {"name": "d", "level": 16.0}]).instead_of("a") == "d"
+
+
+def test_a_form_is_like_those_over_other_variables_in_its_class():
+    forms = {"x": Corner(SPEED, STEP), "y": Corner(AMBIENT, STEP), "z": Corner(SPEED, ABOVE)}
+    own, *others = ({"name": name, "level": 5.0, "effect": effect} for name, effect in forms.items())
+    assert chosen_beside(own, others, members=("x", "y", "z")).variables_like("x") == (VARIABLES[AMBIENT].text,)
+    assert chosen_beside(own, others, members=("x", "z")).variables_like("x") == ()
+    name = {"name": "x", "level": 5.0, "effect": named()["torque_gain"]}
+    assert chosen_beside(name, others, members=("x", "y")).variables_like("x") == ()
+
+
 # On drives
 
 
@@ -204,6 +235,16 @@ def test_a_name_on_a_bound_is_at_best_suspected(by_gain):
     assert (one.on_bounds, one.grade, confirmed) == (("error",), SUSPECTED, False)
 
 
+def test_a_name_whose_size_changes_is_suspected():
+    def growing(session, _):
+        late = np.where(session.time > session.time.mean(), 1.0, -1.0)
+        return 1.0 + (GAIN - 1.0) * (1.0 + 0.7 * late)
+
+    one = graded(judging(driven(growing, of=machine()), {}), named()["torque_gain"])[0]["torque_gain"]
+    assert (one.improvement.grade, one.grade) == (CONFIRMED, SUSPECTED)
+    assert one.fault == "has no constant size: it is larger late in a drive than early"
+
+
 def wave(session, _):
     return LEVEL_NM * np.sin(session.time / 20.0)
 
@@ -238,6 +279,19 @@ def test_a_term_helps_in_most_recordings_in_which_it_acts():
     assert half.fault == "helps in 2 of the 4 recordings in which it acts"
     assert helping(3, 0.6).confirmed
     assert helping(2, 0.0).confirmed  # where it does not act it need not help
+
+
+@pytest.mark.parametrize(("count", "grade"), [(3, SUSPECTED), (6, CONFIRMED)])
+def test_what_differs_between_few_recordings_is_suspected(count, grade):
+    """Other things may differ between three; between six, every third of which has it, hardly."""
+
+    def in_every_third(session, number):
+        return np.full(len(session), SIZE_NM * (number % 3 == 1))
+
+    found = driven(of=machine(), adds=in_every_third, count=count)
+    one = graded(judging(found, {}), series(found, in_every_third))[0]["series"]
+    assert (one.improvement.grade, one.grade) == (CONFIRMED, grade)
+    assert one.fault == (f"{ONLY_BETWEEN} 3 recordings, as other things may" if count == 3 else "")
 
 
 def judged_with(of, explanation, name, **changed):

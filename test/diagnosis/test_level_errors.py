@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import t as student
-from worlds import NOISE_NM, driven, moving_means, scored
+from worlds import NOISE_NM, driven, fit_with, machine, moving_means, named, scored
 
 from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels, log_likelihood
 from trackres_ros.diagnosis.selection.visibility import base_columns
@@ -29,6 +29,12 @@ def stepped():
 
 
 @pytest.fixture(scope="module")
+def explained(stepped):
+    """The same drives with an effect in the fit, whose priors are no unit of its scale."""
+    return fit_with(stepped, named()["torque_gain"])
+
+
+@pytest.fixture(scope="module")
 def own(stepped):
     return base_columns(stepped)
 
@@ -40,7 +46,7 @@ def levels(stepped, own):
 
 def as_candidate(levels, found, of, low=-math.inf, high=math.inf):
     rows = np.concatenate([of(s, i) * np.sign(s.speed) for i, s in enumerate(found.problem.sessions)])
-    return Amplitudes(levels.means(rows)[:, np.newaxis], np.array([low]), np.array([high]))
+    return Amplitudes(levels.means(rows[:, np.newaxis]), np.array([low]), np.array([high]))
 
 
 def by_force(found, own, extra):
@@ -79,11 +85,14 @@ def by_force(found, own, extra):
     return float(np.mean(gains))
 
 
-def test_a_gain_is_that_of_fits_without_each_fold(stepped, own, levels):
-    for of in (step, lambda s, _: 50.0 * np.cos(s.time / 40.0), lambda s, i: np.full(len(s), 80.0 * (i == 1))):
-        extra = np.concatenate([of(s, i) * np.sign(s.speed) for i, s in enumerate(stepped.problem.sessions)])
-        expected = by_force(stepped, own, extra)
-        assert levels.gain(as_candidate(levels, stepped, of)) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+@pytest.mark.parametrize("of", [step, lambda s, _: 50.0 * np.cos(s.time / 40.0), lambda s, i: np.full(len(s), 80.0 * (i == 1))])
+def test_a_gain_is_that_of_fits_without_each_fold(stepped, explained, of):
+    for found in (stepped, explained):
+        own, known = base_columns(found), scored(found)
+        extra = np.concatenate([of(s, i) * np.sign(s.speed) for i, s in enumerate(found.problem.sessions)])
+        levels = Levels(found, own, known)
+        expected = by_force(found, own, extra)
+        assert levels.gain(as_candidate(levels, found, of)) == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
 def test_what_was_hidden_gains_most_and_with_its_size(stepped, levels):
@@ -136,6 +145,15 @@ def test_every_block_is_left_out_once_each_way(levels):
         np.testing.assert_array_equal(folds.sum(axis=0), 1)
     assert len(levels._recordings) == COUNT
     assert all(np.isfinite(error).all() for error in levels.nothing)
+
+
+@pytest.mark.parametrize(("laps", "left_out"), [(2, 0), (4, 2)])
+def test_the_only_piece_of_a_drive_is_not_left_out(laps, left_out):
+    """Without it there would be nothing to fit; of two pieces, each is predicted by the other."""
+    found = driven(of=machine(), laps=laps, count=1)
+    levels = Levels(found, base_columns(found), scored(found))
+    assert len(levels._pieces) == left_out
+    assert np.isfinite(levels.nothing.pieces).all() == (left_out > 0)
 
 
 def test_the_fall_of_a_column_is_that_of_the_errors_without_it(stepped, levels):
@@ -194,6 +212,61 @@ def test_a_change_along_a_term_has_its_size_and_its_deviation(stepped, levels):
     grown = Levels(stepped, base_columns(stepped), scored(stepped))
     grown.residual = grown.residual + 0.3 * grown.means(adds * over)
     assert grown.change_of(adds, adds * over, 60.0)[0] == pytest.approx(changed + 0.3, abs=0.05)
+
+
+def by_least_squares(x, y, stds, means, weight=1.0):
+    """Values of columns with priors, by the rows that these add; blocks of some weights."""
+    root = np.sqrt(np.broadcast_to(weight, len(y)))
+    rows = np.concatenate((root[:, np.newaxis] * x, np.diag(1.0 / stds)))
+    return np.linalg.lstsq(rows, np.concatenate((root * y, means / stds)), rcond=None)[0]
+
+
+def test_a_change_and_its_deviation_are_those_by_force(explained):
+    """Values by least squares with Huber's weights; the deviation is that of sums over clusters, further blocks cut off."""
+    levels, own = Levels(explained, base_columns(explained), scored(explained)), base_columns(explained)
+    sessions = explained.problem.sessions
+    levels.residual = levels.residual + np.where(np.arange(levels.blocks) % 17 == 5, 6.0, 0.0)
+    adds = np.concatenate([step(s, 0) * np.sign(s.speed) for s in sessions])
+    more = adds * np.concatenate([np.sin(s.time / 23.0) for s in sessions])
+    x = np.column_stack([levels.means(own), levels.means(adds), levels.means(more)])
+    stds = np.array([*(f.std for f in explained.free), 1e9, 1e9])
+    means = np.array([*(f.nominal - value for f, value in zip(explained.free, explained.point, strict=True)), 0.0, 0.0])
+    weight = np.ones(levels.blocks)
+    for _ in range(3):
+        values = by_least_squares(x, levels.residual, stds, means, weight)
+        weight = 1.0 / np.maximum(1.0, np.abs(levels.residual - x @ values) / 1.5)
+    left = np.clip(levels.residual - x @ values, -4.0, 4.0)
+    unit = np.minimum(stds, 1e3)
+    inverse = np.linalg.inv((x.T @ x + np.diag(stds**-2.0)) * np.outer(unit, unit)) * np.outer(unit, unit)
+    together = {}
+    for at, recording, row, error in zip(levels.time, levels.recording, x, left, strict=True):
+        together[recording, at // 60.0] = together.get((recording, at // 60.0), 0.0) + row * error
+    deviation = inverse @ np.array(list(together.values())).T
+    assert len(together) < levels.blocks / 3.0
+    assert np.abs(left).max() == 4.0
+    assert levels.change_of(adds, more, 60.0) == pytest.approx((values[-1], np.sqrt((deviation[-1] ** 2).sum())), rel=1e-3)
+
+
+def test_beyond_the_base_is_what_its_priors_leave(explained):
+    levels = Levels(explained, base_columns(explained), scored(explained))
+    own, stds = levels.means(base_columns(explained)), np.array([f.std for f in explained.free])
+    columns = np.random.default_rng(7).normal(size=(levels.blocks, 2)) + 0.1 * own[:, :2] * stds[:2]
+    for column, left in zip(columns.T, levels.beyond(columns).T, strict=True):
+        expected = column - own @ by_least_squares(own, column, stds, np.zeros(len(stds)))
+        np.testing.assert_allclose(left, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_blocks_of_a_quick_machine_are_as_much_shorter(stepped, own, levels):
+    """Steps of a quarter of a second make blocks of as many samples, and pieces of as many blocks."""
+    quicker = [replace(s, step=0.25 * s.step, time=0.25 * s.time) for s in stepped.problem.sessions]
+    quick = Levels(replace(stepped, problem=replace(stepped.problem, sessions=tuple(quicker))), own, scored(stepped))
+    np.testing.assert_array_equal(quick.time, 0.25 * levels.time)
+    np.testing.assert_array_equal(quick.residual, levels.residual)
+    np.testing.assert_array_equal(quick.nothing.pieces, levels.nothing.pieces)
+
+
+def test_no_columns_have_no_block_means(levels, own):
+    assert levels.means(np.empty((len(own), 0))).shape == (levels.blocks, 0)
 
 
 def test_a_log_likelihood_falls_as_errors_grow():

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from worlds import driven, named, scored
+from worlds import driven, form, machine, named, scored
 
-from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposal, Proposals, Proposer, _begin
+from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposal, Proposals, Proposer, _begin, _stronger
 from trackres_ros.diagnosis.selection.candidate import same_variable
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity
 from trackres_ros.effects.effect import Active, Parameter
-from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch
+from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch, sized
 
 COLD_NM, COLD_DEGC = 300.0, 3.0
 LATE_S = 0.6
@@ -60,6 +60,15 @@ def test_a_slow_step_in_a_random_walk_is_first_by_its_level(cold):
     assert first.fast < 0.2 * first.level
 
 
+def test_a_form_at_a_found_threshold_has_the_size_of_the_vehicle():
+    found = driven(of=machine(), adds=lambda s, _: COLD_NM * (np.abs(s.speed) > 6.0))
+    proposed = Proposer(found, {}, scored(found)).proposals(found).every["step_of_speed"].effect
+    facts = machine().facts
+    of_vehicle = sized(Corner(SPEED, STEP), facts.weight * facts.radius)
+    sizes = [[q for q in effect.parameters if q.off is not None] for effect in (proposed, of_vehicle, Corner(SPEED, STEP))]
+    assert sizes[0] == sizes[1] != sizes[2]
+
+
 def test_a_delay_is_proposed_by_the_whitened_residual(delayed):
     _, proposals = delayed
     assert rank(proposals, "delay", "fast") == 0
@@ -86,9 +95,14 @@ def test_nothing_is_proposed_twice_nor_what_is_there_already(delayed):
     assert len(names) == len(set(names))
     assert all(name == p.effect.name for name, p in proposals.every.items())
     with_it = replace(found, effects=(Active(named()["delay"], {"time": LATE_S}),))
+    over_speed = form(Corner(SPEED, STEP))
+    assert any(same_variable(p.effect, over_speed) for p in proposals.every.values())
+    with_it = replace(with_it, effects=(*with_it.effects, Active(over_speed, {q.name: q.start for q in over_speed.parameters})))
     again = Proposer(found, {name: named()[name] for name in ("delay", "warmup")}, scored(found)).proposals(with_it)
     assert "delay" not in again.every
     assert "warmup" in again.every
+    assert not any(same_variable(p.effect, over_speed) for p in again.every.values())
+    assert any(isinstance(p.effect, Curve | Corner) for p in again.every.values())  # over another variable
 
 
 def test_each_start_is_within_bounds_and_not_at_zero(cold, delayed):
@@ -117,6 +131,47 @@ def test_a_fit_never_starts_at_zero_where_shape_has_no_effect(moved, size):
     assert _begin(seen, np.array([moved])) == {"size": pytest.approx(size)}
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "moved", "sizes"),
+    [
+        (0.0, 100.0, [-0.02], [0.5]), (0.0, 100.0, [0.02], [0.5]), (-100.0, 0.0, [0.02], [-0.5]), (-0.5, 0.5, [0.02], [0.5]),
+        (-0.5, 0.5, [-0.02], [-0.5]), (-100.0, 100.0, [0.02, -0.01], [0.2, -0.1]),
+    ],
+)  # fmt: skip
+def test_a_start_is_on_the_side_that_bounds_allow(low, high, moved, sizes):
+    """Of two sizes one may be near zero: the other one shows the shape."""
+    names = [f"size_{i}" for i in range(len(moved))]
+    effect = SimpleNamespace(parameters=tuple(Parameter(n, "Nm", low, high, 10.0, "of it", off=0.0) for n in names))
+    seen = EffectSensitivity(effect, {}, np.empty(0), 0.8, 5.0, 0.0, np.empty(0))
+    assert _begin(seen, np.array(moved)) == pytest.approx(dict(zip(names, sizes, strict=True)))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_of_two_starts_the_one_that_gains_more_is_fitted(turned):
+    """In either list it has the gain of the better one."""
+    slow, fast = Proposal(None, {"at": 1.0}, None, 5.0, 1.0), Proposal(None, {"at": 2.0}, None, 2.0, 9.0)
+    found = _stronger(fast, slow) if turned else _stronger(slow, fast)
+    assert (found.start["at"], found.level, found.fast) == (2.0, 5.0, 9.0)
+
+
+def test_derivatives_are_those_of_sizes_and_not_of_a_shape():
+    parameters = [
+        Parameter(n, "Nm", 0.0, 9.0, 1.0, "of it", off=off) for n, off in (("one", 0.0), ("shape", None), ("other", 0.0))
+    ]
+    effect = SimpleNamespace(name="any", parameters=tuple(parameters))
+    seen = EffectSensitivity(effect, {}, np.array([[1.0, 2.0], [3.0, 4.0]]), 0.8, 5.0, 0.0, np.empty(0))
+    found = Proposal(effect, {}, seen, 1.0, 1.0).derivatives
+    assert {key: column.tolist() for key, column in found.items()} == {("any", "one"): [1.0, 3.0], ("any", "other"): [2.0, 4.0]}
+
+
+def test_where_nothing_is_visible_nothing_is_proposed():
+    """A single effect that gains something has no rivals that do so by chance."""
+    assert Proposals(None, {}, None).best(()) == ()
+    one = Proposal(SimpleNamespace(name="one"), {}, None, 0.1, -2.0)
+    assert Proposals(None, {"one": one}, None).best(()) == (one,)
+    assert Proposals(None, {"one": replace(one, level=0.0)}, None).best(()) == ()
+
+
 def test_nothing_hidden_proposes_next_to_nothing():
     found = driven(count=3)
     names = {name: named()[name] for name in ("delay", "warmup", "stribeck", "mullins")}
@@ -128,7 +183,7 @@ def test_nothing_hidden_proposes_next_to_nothing():
 def test_what_is_left_out_is_not_proposed_again():
     names = [f"effect_{i}" for i in range(BEST + 2)]
     every = {n: Proposal(SimpleNamespace(name=n), {}, None, 50.0 - i, 0.0) for i, n in enumerate(names)}
-    proposals = Proposals(every=every)
+    proposals = Proposals(None, every, None)
     assert [p.effect.name for p in proposals.best(())][:BEST] == names[:BEST]
     assert [p.effect.name for p in proposals.best({names[0]})][:BEST] == names[1 : BEST + 1]
 

@@ -63,7 +63,7 @@ class CrossValidation:
         self._count = np.bincount(self._pieces)
         self._begin = self._of([s.time for s in sessions])[first]
         self._session = self._of([np.full(len(s), i) for i, s in enumerate(sessions)])[first]
-        self._step, self._rng = sessions[0].step, rng
+        self._rng = rng
         self._draws: dict[int, Array] = {}
 
     def score(self, found: Fit, columns: Array | None = None) -> Score:
@@ -71,16 +71,15 @@ class CrossValidation:
         problem = found.problem
         columns = base_columns(found) if columns is None else columns
         white = np.concatenate(problem.white(problem.split(columns), found.noises))
-        weights = np.nan_to_num(found.weights)
+        weights = np.nan_to_num(found.weights)  # zero where unused, as the residuals and derivatives
         slopes = weights * np.nan_to_num(np.concatenate(found.white))
-        valid = np.isfinite(white).all(axis=1) & (weights > 0.0)
         scale = np.array([f.scale for f in found.free])
-        x = np.where(valid[:, np.newaxis], np.nan_to_num(white) * scale, 0.0)
-        prior = np.diag([(f.scale / f.std) ** 2 if np.isfinite(f.std) else 0.0 for f in found.free])
+        x = np.nan_to_num(white) * scale
+        prior = np.diag([(f.scale / f.std) ** 2 for f in found.free])
         whole = (x * weights[:, np.newaxis]).T @ x + prior
         nominal = np.array([f.nominal for f in found.free])
         # Zero at an optimum within the bounds; a parameter at a bound is pushed against it.
-        push = x.T @ slopes + np.diag(prior) * np.nan_to_num((nominal - found.point) / scale)
+        push = x.T @ slopes + np.diag(prior) * ((nominal - found.point) / scale)
         ridge = 1e-9 * max(float(np.trace(whole)), 1e-300) / len(whole) * np.eye(len(whole))
         low, high = ((np.array([getattr(f, side) for f in found.free]) - found.point) / scale for side in ("low", "high"))
         of_laps, session = self.rows(problem)
@@ -117,8 +116,9 @@ class CrossValidation:
             density.append(np.where(np.isfinite(e), noise.log_density(np.nan_to_num(e)), 0.0))
         errors = self._of(error)
         deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self.scored, strict=True)]
-        alike_s = correlation_length(deviations) * self._step
-        own = alike_s > PIECE_S * problem.sessions[0].pace
+        drive = problem.sessions[0]  # all have its step
+        alike_s = correlation_length(deviations) * drive.step
+        own = alike_s > PIECE_S * drive.pace
         occasion = np.stack([self._session, self._begin // alike_s if own else np.arange(len(self._begin))])
         return Score(
             self._sum(self._of(density)), self._sum(np.abs(errors)), self._sum(errors**2),
@@ -215,9 +215,7 @@ class CrossValidation:
 
 def correlation_length(series: Sequence[Array]) -> float:
     """Correlation length of series in samples: twice the integral of their autocorrelation, up to its end."""
-    power = np.zeros(2 ** int(np.ceil(np.log2(2 * max(map(len, series))))))
-    for x in series:
-        power[: len(power) // 2 + 1] += np.abs(np.fft.rfft(x, len(power))) ** 2
-    product = np.fft.irfft(power[: len(power) // 2 + 1])
-    ends = np.flatnonzero(product <= 0.0)
-    return float(1.0 + 2.0 * product[1 : ends[0] if len(ends) else None].sum() / max(product[0], 1e-300))
+    size = 2 ** int(np.ceil(np.log2(2 * max(map(len, series)))))
+    product = np.fft.irfft(sum(np.abs(np.fft.rfft(x, size)) ** 2 for x in series))
+    until_end = np.logical_and.accumulate(product > 0.0)[1:]
+    return float(1.0 + 2.0 * product[1:][until_end].sum() / max(product[0], 1e-300))

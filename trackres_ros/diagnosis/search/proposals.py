@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,9 +62,9 @@ class Proposal:
 class Proposals:
     """The proposals for one explanation, and how many terms they were chosen from."""
 
-    own: Array = field(default_factory=lambda: np.empty((0, 0)))  # derivatives of the fit's own parameters
-    every: Mapping[str, Proposal] = field(default_factory=dict)  # by name
-    separability: Separability = field(default_factory=lambda: Separability((), (), (), np.empty((0, 0))))
+    own: Array  # derivatives of the fit's own parameters
+    every: Mapping[str, Proposal]  # by name
+    separability: Separability
 
     def best(self, left_out: Collection[str]) -> tuple[Proposal, ...]:
         """The best of each list, without some names, and what is tied with one of them."""

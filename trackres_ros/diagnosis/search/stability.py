@@ -28,17 +28,16 @@ CONDITIONS = {"late in a drive": "early", "with hot belts": "cold", "fast": "slo
 
 def unstable(fit: Fit, name: str, used: Sequence[Mask]) -> list[str]:
     """Where the size of an effect surely differs, in words after its name; at most one."""
-    levels = Levels(fit, base_columns(fit), used)
+    levels, known = Levels(fit, base_columns(fit), used), np.concatenate(list(used))
     adds = np.concatenate(fit.contribution(name))
-    worst, found = 0.0, []
+    worst, found = LEAST, []
     for (there, here), over in zip(CONDITIONS.items(), _conditions(fit), strict=True):
-        known = over[np.concatenate(list(used))]
-        if not np.isfinite(known).all() or not np.ptp(known) > 0.0:
+        if not np.ptp(over[known]) > 0.0:  # nan where a belt temperature is unknown
             continue
-        scaled = np.clip((over - known.mean()) / known.std(), -2.0, 2.0)
-        change, std = levels.change_of(adds, adds * np.nan_to_num(scaled), CLUSTER_S)
+        changing = adds * np.clip((over - over[known].mean()) / over[known].std(), -2.0, 2.0)
+        change, std = levels.change_of(adds, changing, CLUSTER_S)
         surely = abs(change) - SURELY * std
-        if surely > max(LEAST, worst) and levels.falls(adds * np.nan_to_num(scaled)) > LEAST_FALL:
+        if surely > worst and levels.falls(changing) > LEAST_FALL:
             worst, way = surely, "larger" if change > 0.0 else "smaller"
             found = [f"has no constant size: it is {way} {there} than {here}"]
     return found
@@ -47,7 +46,7 @@ def unstable(fit: Fit, name: str, used: Sequence[Mask]) -> list[str]:
 def _conditions(fit: Fit) -> list[Array]:
     """Variables of the `CONDITIONS`, all sessions concatenated."""
     sessions = fit.problem.sessions
-    late = [np.where(s.time > s.time[len(s) // 2], 1.0, -1.0) for s in sessions]
+    late = [(s.time > s.time[len(s) // 2]).astype(np.float64) for s in sessions]
     recording = [np.full(len(s), float(i)) for i, s in enumerate(sessions)]
     belts = [p.belt for p in fit.predicted] if fit.problem.base.has_belt else [np.full(len(s), math.nan) for s in sessions]
     return [np.concatenate(x) for x in (late, belts, [np.abs(s.speed) for s in sessions], recording)]

@@ -84,8 +84,7 @@ class Levels:
         unique, self._block = np.unique(np.concatenate(keys, axis=1), axis=1, return_inverse=True)
         self._block = self._block.ravel()
         self._count = np.bincount(self._block[self._used], minlength=unique.shape[1])
-        whole = np.bincount(self._block, minlength=unique.shape[1])
-        self._full = (self._count >= LEAST_FILLED * whole) & (self._count > 0)
+        self._full = self._count >= LEAST_FILLED * np.bincount(self._block)
         segments = [problem.segments[i] for i in unique[0, self._full]]
         self._kind = np.array([self._kinds.index(g.kind) for g in segments])
         self.recording = np.array([g.session for g in segments])
@@ -152,7 +151,7 @@ class Levels:
         x = np.column_stack([self._own, extra])
         prior = np.diag(np.append(self._prior**2, np.full(count, PRIOR**2)) + RIDGE)
         pull = np.append(self._prior * self._pull, np.zeros(count))
-        weight, values = used.astype(float), np.zeros((len(used), x.shape[1]))
+        weight = used.astype(float)
         for _ in range(TURNS):
             values = _least_squares(x, self.residual[np.newaxis], weight, prior, pull)
             if candidate is not None:
@@ -189,7 +188,6 @@ class Levels:
         prior = np.diag(np.append(self._prior**2, [0.0, 0.0]) + RIDGE)
         pull = np.append(self._prior * self._pull, [0.0, 0.0])
         weight = np.ones((1, self.blocks))
-        values = np.zeros((1, x.shape[1]))
         for _ in range(TURNS):
             values = _least_squares(x, self.residual[np.newaxis], weight, prior, pull)
             weight = 1.0 / np.maximum(1.0, np.abs(self.residual - values @ x.T) / HUBER)
