@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from trackres_ros.model import contact, hysteresis
 from trackres_ros.model.belt import bending_moment_of_height
 from trackres_ros.model.hysteresis import HARMONICS, METHODS, RainflowCount, Spectral
+from trackres_ros.model.interpolation import thinned
+from trackres_ros.model.loss_table import HARMONICS_EACH, TABLE_HARMONICS, log_speeds
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.strain_history import Profile, along_belt, build_loop, indentation_amplitudes
+from trackres_ros.model.strain_history import Profile, along_belt, build_loop, indentation_amplitudes, through_thickness
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.belt_bulk import wrapped_radius
@@ -189,7 +191,7 @@ def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle, track):
     nodes, weights = np.polynomial.legendre.leggauss(500)
     strain = contact.indentation(nodes * half, half, radius) / track.belt.thickness
     exact = 2.0 / length * half * np.cos(2 * np.pi / length * np.outer(n, nodes * half)) @ (weights * strain)
-    ours = indentation_amplitudes(half, radius, track.belt.thickness, length, len(n))
+    ours = indentation_amplitudes(half, radius, track.belt.thickness, length, n)
     assert float((n * ours**2).sum() / (n * exact**2).sum()) == pytest.approx(1.0, abs=1e-3)
 
 
@@ -204,6 +206,30 @@ def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle, track):
     shipped, doubled = (Spectral(track, rubber, count).loss_force(*at) for count in (HARMONICS, 2 * HARMONICS))
     assert np.abs(doubled.total / shipped.total - 1.0).max() < 1e-3
     assert np.abs(doubled.bending / shipped.bending - 1.0).max() < 1e-3
+
+
+def test_a_thinned_table_method_has_the_loss_of_all_harmonics(vehicle, track):
+    random, rubber, loads = np.random.default_rng(2), RubberModel(vehicle.rubber), load_range(vehicle, track.name)
+    speed = 10.0 ** (random.uniform(*log_speeds(rubber), 100) - rubber.log_shift(20.0))
+    at, nodes = (speed, 20.0, random.uniform(loads.low, loads.high, 100)), thinned(TABLE_HARMONICS, HARMONICS_EACH)
+    few, every = (Spectral(track, rubber, TABLE_HARMONICS, some).loss_force(*at) for some in (nodes, None))
+    assert len(nodes) < TABLE_HARMONICS / 5
+    assert np.abs(few.total / every.total - 1.0).max() < 2e-5
+
+
+def test_pulses_of_unequal_wheels_add_by_their_phases(triangular, compound):
+    """The transform of the strain of all wheels at once, of which no two carry the same."""
+    beam = replace(triangular.beams, split=0.4, own_weight_split=0.4)
+    beam = replace(beam, front=replace(beam.front, split=0.45), rear=replace(beam.rear, split=0.7))
+    track, rubber, speed, load_n = replace(triangular, beams=beam), RubberModel(compound), 5.0, 60e3
+    model, at = Spectral(track, rubber, 512), np.arange(1 << 15) / (1 << 15) * triangular.belt.loop_length
+    half = model.contacts(speed, 20.0, load_n).half_length
+    assert len(set(np.round(half, 6))) == len(half)
+    amplitudes = 2.0 * np.abs(np.fft.rfft(through_thickness(model.loop, half, at)))[1:513] / len(at)
+    n = model.harmonics
+    lost = np.pi * n * amplitudes**2 @ rubber.loss_modulus(n * speed / track.belt.loop_length, 20.0)
+    section = track.road_wheels.contact_length * track.belt.thickness * compound.layer_stiffening
+    assert float(model.loss_force(speed, 20.0, load_n).indentation) == pytest.approx(section * lost, rel=2e-3)
 
 
 @cache

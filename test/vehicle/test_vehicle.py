@@ -118,6 +118,24 @@ def test_variants_are_the_vehicle_with_its_methods():
     assert variants(base)({}).parameters == base.parameters
 
 
+def test_a_variant_keeps_nothing_of_the_one_before():
+    make, moved = variants(load("xgd24d")), {THICKNESS: 0.03, "rubber.heat_capacity": 2000.0}
+    for overrides in (moved, {"rubber.heat_capacity": 1900.0}, {}, moved):
+        found, expected = make(overrides), load("xgd24d", overrides)
+        assert found.parameters == expected.parameters
+        assert found.tracks == expected.tracks
+
+
+def test_wheels_of_one_name_keep_their_own_values_in_a_variant(content, loaded):
+    wheels = content["tracks"]["triangular"]["wrapped_wheels"]
+    idlers = [wheel for wheel in wheels if wheel["kind"] != "sprocket"]
+    idlers[1]["name"] = idlers[0]["name"]
+    idlers[1]["radius"] = {**idlers[1]["radius"], "value": idlers[0]["radius"]["value"] + 0.005}
+    base = loaded(content)
+    make = variants(base)
+    assert [make({}).tracks["triangular"].wrapped_wheels for _ in range(2)] == [base.tracks["triangular"].wrapped_wheels] * 2
+
+
 # The rubber file
 
 SWEEP = "T_degC,E_storage_MPa_10Hz,E_loss_MPa_10Hz\n-50,700,300\n0,14,2.5\n50,8,1\n100,7,0.6\n"

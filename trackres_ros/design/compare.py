@@ -24,6 +24,7 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.coverage import OVERSPEED, beyond, beyond_data
 from trackres_ros.model.operating_point import INACTIVE, explain_road, left_out_at, vehicle_state
+from trackres_ros.model.track import track_models
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
@@ -291,12 +292,12 @@ def _plain(value: float) -> float | None:
 
 
 def _grid(asked: ComparisonRequest, vehicle: Vehicle, name: str, advance: Callable[[float], None]) -> dict[str, Any]:
-    weight = asked.weights_n[0] or vehicle.weight
+    weight, models = asked.weights_n[0] or vehicle.weight, track_models(vehicle)
     torque, coefficient = np.empty((2, len(asked.belts_degc), len(asked.speeds_kmh)))
     for i, degc in enumerate(asked.belts_degc):
         for j, kmh in enumerate(asked.speeds_kmh):
             belts = [degc] * len(vehicle.assemblies)
-            found = vehicle_state(vehicle, kmh / KMH_PER_MPS, belts, asked.ambients_degc[0], weight)
+            found = vehicle_state(vehicle, kmh / KMH_PER_MPS, belts, asked.ambients_degc[0], weight, models=models)
             torque[i, j], coefficient[i, j] = found.torque["resistance"], found.force / weight
             advance(1)
     return {"vehicle": name, "weight_n": weight, "torque_nm": torque.tolist(), "coefficient": coefficient.tolist()}

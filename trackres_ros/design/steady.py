@@ -9,14 +9,14 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from trackres_ros.model import resistance
 from trackres_ros.model.coverage import beyond_data, check_speed
+from trackres_ros.model.interpolation import MonotoneCubic
 from trackres_ros.model.operating_point import DRIVE_PASSES, VehicleState, vehicle_state
 from trackres_ros.model.thermal import ThermalNetwork, film_coefficient
-from trackres_ros.model.track import track_model
+from trackres_ros.model.track import track_models
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class SteadyAssembly:
     track: str
     names: tuple[str, ...]
     radius: float
-    course: PchipInterpolator  # logarithm of the loss [N] over the belt temperature
+    course: MonotoneCubic  # logarithm of the loss [N] over the belt temperature
     # loss with the belt at the air's temperature, bearing friction and air drag [N]
     cold_loss: float
     bearing: float
@@ -101,7 +101,7 @@ class Held:
             radius, film = here.radius * kind.radius, here.film * kind.film
             cooled = kind.network.share_outside(film) * film
 
-            def loss(belt: float, course: PchipInterpolator = kind.course, factor: float = here.loss) -> float:
+            def loss(belt: float, course: MonotoneCubic = kind.course, factor: float = here.loss) -> float:
                 return factor * float(np.exp(course(belt)))
 
             def excess(belt: float, loss: Callable[[float], float] = loss, cooled: float = cooled) -> float:
@@ -167,40 +167,38 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
     """A vehicle without its effects at one speed; see `steady`."""
     chassis, nominal = vehicle.chassis, vehicle.nominal_loads()
     loads = nominal if weight is None else weight * nominal / nominal.sum()
-    wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
+    drag_each = resistance.wind_force(speed, 1.0, chassis.air_density) / loads.sum()  # for a load of 1 N, as the next
+    bearing_each = resistance.bearing_force(speed, 1.0, 1.0)
+    drag, bearing = drag_each * chassis.drag_coefficient * chassis.frontal_area, bearing_each * chassis.bearing_friction
     way = float(resistance.direction(speed))
     belts = ambient + WARMEST_K * np.linspace(0.0, 1.0, NODES) ** 2  # densest where the loss is steep
-    kinds: dict[tuple[str, float], SteadyAssembly] = {}
+    names: dict[tuple[str, float], list[str]] = {}
     for assembly, load in zip(vehicle.assemblies, loads, strict=True):
-        known = kinds.get((assembly.track, float(load)))
-        if known is not None:
-            kinds[assembly.track, float(load)] = replace(known, names=(*known.names, assembly.name))
-            continue
-        model = track_model(vehicle, assembly.track)
+        names.setdefault((assembly.track, float(load)), []).append(assembly.name)
+    kinds: dict[tuple[str, float], SteadyAssembly] = {}
+    for track, model in track_models(vehicle).items():
+        of_track = np.array([load for name, load in names if name == track])
         radius, network = model.track.sprocket_radius, model.network
-        bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
-        drag = wind * load / loads.sum()
-        bearing_each = float(resistance.bearing_force(speed, load, 1.0))
-        drag_each = float(resistance.wind_force(speed, 1.0, chassis.air_density)) * load / loads.sum()
-        drive: Array = np.zeros(NODES)
+        by_torque, drive = model.loss.by_torque(speed, belts[:, np.newaxis], of_track), np.zeros((NODES, len(of_track)))
         for _ in range(DRIVE_PASSES):
-            loss = np.asarray(model.loss.loss_force(speed, belts, load, drive).total)
-            drive = radius * (loss * way + bearing + drag)
+            loss = by_torque.at(drive).total
+            drive = radius * (loss * way + (bearing + drag) * of_track)
         film = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
-        course = PchipInterpolator(belts, np.log(loss))
-        forces = float(loss[0]), bearing, float(drag), bearing_each, float(drag_each)
-        of = SteadyAssembly(assembly.track, (assembly.name,), radius, course, *forces, film, network)
-        kinds[assembly.track, float(load)] = of
-    return Held(speed, ambient, tuple(kinds.values()))
+        for load, course in zip(of_track.tolist(), loss.T, strict=True):
+            forces = float(course[0]), load * bearing, load * drag, load * bearing_each, load * drag_each
+            joined, alike = MonotoneCubic(belts, np.log(course)), tuple(names[track, load])
+            kinds[track, load] = SteadyAssembly(track, alike, radius, joined, *forces, film, network)
+    return Held(speed, ambient, tuple(kinds[kind] for kind in names))
 
 
 def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None, off: FileErrors) -> Steady:
     kinds = [(one.track, float(load)) for one, load in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)]
     whole = vehicle.weight if weight is None else weight
     losses = {name: off.loss for name in vehicle.tracks if off.track in ("", name)}
+    models = track_models(vehicle)
 
     def at(belts: Mapping[tuple[str, float], float]) -> VehicleState:
-        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, whole, losses)
+        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, whole, losses, models)
 
     def excess(kind: tuple[str, float], degc: float) -> float:
         own = at({**belts, kind: degc}).assemblies[kinds.index(kind)]

@@ -54,20 +54,27 @@ def half_length_for_force(force: ArrayLike, modulus: ArrayLike, radius: float, l
     linear in a, converges from the small-contact solution in a few passes for any load.
     """
     force, modulus = np.broadcast_arrays(np.asarray(force, float), np.asarray(modulus, float))
-    stiffness = modulus * length / thickness
-    largest = LARGEST_HALF_LENGTH * radius
-    target = np.cbrt(force)
-    a = np.minimum(np.cbrt(1.5 * radius * force / stiffness), largest)
+    a = _small_half_length(force, modulus, radius, length, thickness)
     for _ in range(NEWTON_PASSES):
-        carried = np.maximum(contact_force(a, modulus, radius, length, thickness), 1e-300)
-        slope = stiffness * 2.0 * a * a / np.sqrt(radius**2 - a * a)
-        root = np.cbrt(carried)
-        with np.errstate(invalid="ignore"):
-            step = np.where(a > 0, (target - root) * 3.0 * root * root / np.maximum(slope, 1e-300), 0.0)
-        a = np.clip(a + step, 0.0, largest)
-        if np.all(np.abs(step) <= NEWTON_TOLERANCE * radius):
+        before, a = a, _nearer_half_length(a, force, modulus, radius, length, thickness)
+        if np.all(np.abs(a - before) <= NEWTON_TOLERANCE * radius):
             break
     return np.asarray(a)
+
+
+def _small_half_length(force: Array, modulus: Array, radius: float, length: float, thickness: float) -> Array:
+    """Half length [m] of a small contact, no longer than the largest."""
+    return np.minimum(np.cbrt(1.5 * radius * force / (modulus * length / thickness)), LARGEST_HALF_LENGTH * radius)
+
+
+def _nearer_half_length(a: Array, force: Array, modulus: Array, radius: float, length: float, thickness: float) -> Array:
+    """Half length [m] after a step of Newton's method."""
+    carried = np.maximum(contact_force(a, modulus, radius, length, thickness), 1e-300)
+    slope = modulus * length / thickness * 2.0 * a * a / np.sqrt(radius**2 - a * a)
+    root = np.cbrt(carried)
+    with np.errstate(invalid="ignore"):
+        step = np.where(a > 0, (np.cbrt(force) - root) * 3.0 * root * root / np.maximum(slope, 1e-300), 0.0)
+    return np.clip(a + step, 0.0, LARGEST_HALF_LENGTH * radius)
 
 
 def solve_contact(
@@ -81,14 +88,17 @@ def solve_contact(
         Wheel load [N] and speed [m/s], broadcast.
     modulus_at
         abs(E*) [Pa] at frequencies [Hz] of the same shape. The frequency of a passage is v / (2a).
+
+    Notes
+    -----
+    Each pass takes the modulus at the last half length and one step of Newton's method, so both converge together.
     """
     force, speed = np.broadcast_arrays(np.asarray(force, float), np.abs(np.asarray(speed, float)))
     modulus = modulus_at(np.maximum(speed, 1e-9) / (0.1 * radius))
-    a = half_length_for_force(force, modulus, radius, length, thickness)
+    a = _small_half_length(force, modulus, radius, length, thickness)
     for _ in range(MODULUS_PASSES):
-        frequency = speed / np.maximum(2.0 * a, 1e-12)
-        modulus = modulus_at(frequency)
-        before, a = a, half_length_for_force(force, modulus, radius, length, thickness)
+        modulus = modulus_at(speed / np.maximum(2.0 * a, 1e-12))
+        before, a = a, _nearer_half_length(a, force, modulus, radius, length, thickness)
         if np.all(np.abs(a - before) <= MODULUS_TOLERANCE * a):
             break
     return a, speed / np.maximum(2.0 * a, 1e-12), modulus

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +16,14 @@ from numpy.typing import ArrayLike
 from trackres_ros.arrays import Array
 from trackres_ros.model import belt as belt_model
 from trackres_ros.model import contact, rainflow
+from trackres_ros.model.interpolation import cubic_weights
 from trackres_ros.model.loads import beam_shares, wheel_loads
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.strain_history import Loop, along_belt, build_loop, indentation_amplitudes
+from trackres_ros.model.strain_history import Complex, Loop, along_belt, build_loop, indentation_amplitudes, phases
 from trackres_ros.vehicle import Track
 
 HARMONICS = 4096  # doubling them moves the loss by less than 0.1 % (test_hysteresis.py)
-POINTS_AT_ONCE = 8  # of a vectorised evaluation, so that its arrays stay in the processor's cache
+VALUES_AT_ONCE = 1 << 14  # points times harmonics of a vectorised evaluation, so that its arrays stay in the processor's cache
 BACK_AT_BASE = 0.1  # of a cycle's range: this near to its lesser extreme a passage is over
 SLOWEST_SPEED = 1e-9  # m/s; the loss per metre of travel tends to a limit at rest
 
@@ -37,6 +40,24 @@ class LossForce(NamedTuple):
     def total(self) -> Array:
         """Sum of all causes [N]."""
         return np.asarray(self.indentation + self.bending + self.tension + self.drive)
+
+
+@dataclass(frozen=True, eq=False)
+class LossByTorque:
+    """Loss at some speeds, belt temperatures and loads as a function of the torque on the sprocket, which alone may then change.
+
+    Indentation and bending [N] do not depend on it; `drive` [N] takes the torque [Nm], broadcast with them.
+    """
+
+    indentation: Array
+    bending: Array
+    drive: Callable[[ArrayLike], Array]
+
+    def at(self, drive_torque: ArrayLike) -> LossForce:
+        """Loss per metre of travel [N] at a torque [Nm]."""
+        drive = self.drive(drive_torque)
+        indentation, bending = (np.broadcast_to(part, drive.shape) for part in (self.indentation, self.bending))
+        return LossForce(indentation, bending, np.zeros_like(bending), drive)
 
 
 class Contact(NamedTuple):
@@ -64,11 +85,15 @@ class LossMethod(ABC):
         self.track = track
         self.rubber = rubber
         self.loop: Loop = build_loop(track)
+        # road wheels under the same load have the same contact: the first of each kind, and the kind of each wheel
+        shares = np.stack([beam_shares(track), beam_shares(track, own_weight=True)]).round(12)
+        first, kind = np.unique(shares, axis=1, return_index=True, return_inverse=True)[1:]
+        self._first, self._kind = first, np.ravel(kind)
 
     def contacts(self, speed: ArrayLike, belt_degc: ArrayLike, load: ArrayLike) -> Contact:
         """Contact under each road wheel at speeds [m/s], temperatures [degC] and assembly loads [N], broadcast."""
         wheels, thickness = self.track.road_wheels, self.track.belt.thickness
-        loads = wheel_loads(self.track, load)
+        loads = wheel_loads(self.track, load)[..., self._first]
         v, t = np.broadcast_arrays(*(np.asarray(x, float)[..., np.newaxis] for x in (speed, belt_degc)))
         shape = np.broadcast_shapes(loads.shape, v.shape)
         v = np.maximum(np.abs(np.broadcast_to(v, shape)), SLOWEST_SPEED)
@@ -80,7 +105,8 @@ class LossMethod(ABC):
             wheels.contact_length,
             thickness,
         )
-        return Contact(half, contact.largest_strain(half, wheels.radius, thickness), frequency, modulus)
+        of_kinds = Contact(half, contact.largest_strain(half, wheels.radius, thickness), frequency, modulus)
+        return Contact(*(part[..., self._kind] for part in of_kinds))
 
     def drive_strain(self, speed: ArrayLike, belt_degc: ArrayLike, drive_torque: ArrayLike) -> Array:
         """Strain of the whole drive force, M_D/(R_D E_S A), equation (23)."""
@@ -97,19 +123,22 @@ class LossMethod(ABC):
             Speed [m/s], belt temperature [degC], load on the assembly with its own weight [N] and torque on its sprocket
             [Nm]; arrays broadcast. The sign of the speed does not matter: reverse mirrors forward.
         """
-        given = np.broadcast_arrays(*(np.asarray(x, float) for x in (speed, belt_degc, load, drive_torque)))
-        v, t, g, m = (np.ravel(x) for x in given)
+        return self.by_torque(speed, belt_degc, load).at(drive_torque)
+
+    def by_torque(self, speed: ArrayLike, belt_degc: ArrayLike, load: ArrayLike) -> LossByTorque:
+        """Loss as a function of the torque on the sprocket; see `loss_force`."""
+        v, t, g = np.broadcast_arrays(*(np.asarray(x, float) for x in (speed, belt_degc, load)))
         v = np.maximum(np.abs(v), SLOWEST_SPEED)
-        half, strain = self.contacts(v, t, g).half_length, self.drive_strain(v, t, m)
-        parts = np.empty((4, v.size))
-        for start in range(0, v.size, POINTS_AT_ONCE):
-            block = slice(start, start + POINTS_AT_ONCE)
-            parts[:, block] = self._loss(v[block], t[block], half[block], strain[block])
-        return LossForce(*(part.reshape(given[0].shape) for part in parts))
+        indentation, bending, by_strain = self._by_strain(v, t, self.contacts(v, t, g).half_length)
+        strain_per_torque = self.drive_strain(v, t, 1.0)
+        return LossByTorque(indentation, bending, lambda torque: by_strain(np.asarray(torque, float) * strain_per_torque))
 
     @abstractmethod
-    def _loss(self, speed: Array, belt_degc: Array, half_length: Array, drive_strain: Array) -> tuple[Array, ...]:
-        """Indentation, bending, tension and drive [N] at points of shape (points,); half lengths [m] of (points, wheels)."""
+    def _by_strain(self, speed: Array, belt_degc: Array, half_length: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
+        """Indentation and bending [N], and what the strain of the whole drive force adds [N], as a function of it, broadcast.
+
+        Speeds and temperatures are of one shape, half lengths [m] of (..., wheels).
+        """
 
 
 class Spectral(LossMethod):
@@ -117,43 +146,50 @@ class Spectral(LossMethod):
 
     name = "spectral"
 
-    def __init__(self, track: Track, rubber: RubberModel, harmonics: int = HARMONICS) -> None:
+    def __init__(self, track: Track, rubber: RubberModel, harmonics: int = HARMONICS, nodes: Array | None = None) -> None:
+        """`nodes`: numbers of the harmonics that are evaluated, by default all; pulse and modulus at others are interpolated."""
         super().__init__(track, rubber)
-        self.harmonics = np.arange(1, harmonics + 1, dtype=float)
-        curvature = self.loop.curvature.amplitudes(self.harmonics)
-        drive = self.loop.drive.amplitudes(self.harmonics)
-        weight = np.pi * self.harmonics
-        self._bending = weight * np.abs(curvature) ** 2
-        self._drive = weight * np.abs(drive) ** 2
-        self._coupling = weight * 2.0 * np.real(np.conj(curvature) * drive)
-        q = 2.0 * np.pi * self.harmonics / self.loop.length
-        phases = np.exp(-1j * np.outer(self.loop.wheel_positions, q))
-        shares = np.stack([beam_shares(track), beam_shares(track, own_weight=True)]).round(12)
-        first, group = np.unique(shares, axis=1, return_index=True, return_inverse=True)[1:]
-        group = np.ravel(group)
-        # wheels under the same load have the same pulse: one representative and the sum of their phases
-        self._alike = [(int(wheel), phases[group == k].sum(axis=0)) for k, wheel in enumerate(first)]
+        each = np.arange(1, harmonics + 1, dtype=float)
+        self.harmonics = each if nodes is None else nodes
+        curvature, drive = self.loop.curvature.amplitudes(each), self.loop.drive.amplitudes(each)
+        of_wheels = phases(self.loop.wheel_positions, self.loop.length, each)
+        pulses = [of_wheels[self._kind == kind].sum(axis=0) for kind in range(len(self._first))]
+        spread = None if nodes is None else cubic_weights(nodes, each)
 
-    def _loss(self, speed: Array, belt_degc: Array, half_length: Array, drive_strain: Array) -> tuple[Array, ...]:
+        def weights(one: Complex, other: Complex) -> Array:
+            found = np.pi * each * np.real(np.conj(one) * other)
+            return found if spread is None else found @ spread
+
+        self._bending, self._drive = weights(curvature, curvature), weights(drive, drive)
+        self._coupling = 2.0 * weights(curvature, drive)
+        kinds = range(len(pulses))
+        self._pulses = [(i, j, (1.0 + (i < j)) * weights(pulses[i], pulses[j])) for i in kinds for j in kinds if i <= j]
+
+    def _by_strain(self, speed: Array, belt_degc: Array, half_length: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
+        v, t, half = speed.ravel(), belt_degc.ravel(), half_length.reshape(-1, half_length.shape[-1])[:, self._first]
+        parts = np.empty((4, v.size))
+        at_once = max(1, VALUES_AT_ONCE // len(self.harmonics))
+        for start in range(0, v.size, at_once):
+            block = slice(start, start + at_once)
+            parts[:, block] = self._parts(v[block], t[block], half[block])
+        indentation, bending, coupling, alone = parts.reshape(4, *speed.shape)
+        return indentation, bending, lambda strain: strain * (coupling + strain * alone)
+
+    def _parts(self, speed: Array, belt_degc: Array, half_length: Array) -> tuple[Array, ...]:
+        """Indentation and bending [N]; the drive's loss by its strain (coupled to bending) and by its square; shape (points,)."""
         belt, wheels = self.track.belt, self.track.road_wheels
-        (speeds, temperatures), at = np.unique([speed, belt_degc], axis=1, return_inverse=True)  # those of many loads are alike
-        frequency = speeds[:, np.newaxis] * self.harmonics / self.loop.length
-        loss = self.rubber.loss_modulus(frequency, temperatures[:, np.newaxis])[np.ravel(at)]
-        width, moment = belt.width, [belt_model.bending_moment_of_height(belt, order) for order in range(3)]
-        bending = width * moment[2] * (loss @ self._bending)
-        coupling, alone = drive_strain * moment[1] * (loss @ self._coupling), drive_strain**2 * moment[0] * (loss @ self._drive)
-        drive = width * (coupling + alone)
-        real, imaginary = np.zeros(loss.shape), np.zeros(loss.shape)
-        for wheel, phase in self._alike:
-            pulse = indentation_amplitudes(
-                half_length[:, wheel], wheels.radius, belt.thickness, self.loop.length, len(self.harmonics)
-            )
-            real += pulse * phase.real
-            imaginary += pulse * phase.imag
+        states, of = np.unique(speed + 1j * belt_degc, return_inverse=True)  # those of many loads are alike
+        frequency = states.real[:, np.newaxis] * self.harmonics / self.loop.length
+        loss = self.rubber.loss_modulus(frequency, states.imag[:, np.newaxis])[of]
+        pulses = [
+            indentation_amplitudes(half, wheels.radius, belt.thickness, self.loop.length, self.harmonics)
+            for half in half_length.T
+        ]
         section = wheels.contact_length * belt.thickness * self.rubber.rubber.layer_stiffening
-        power = (real * real + imaginary * imaginary) * self.harmonics
-        indentation = section * np.pi * np.einsum("pn,pn->p", power, loss)
-        return indentation, bending, np.zeros_like(bending), drive
+        power = [(pulses[i] * pulses[j] * loss) @ weights for i, j, weights in self._pulses]
+        area, first, second = (belt.width * belt_model.bending_moment_of_height(belt, order) for order in range(3))
+        bending, coupling, alone = second * (loss @ self._bending), first * (loss @ self._coupling), area * (loss @ self._drive)
+        return section * np.sum(power, axis=0), bending, coupling, alone
 
 
 class RainflowCount(LossMethod):
@@ -178,19 +214,22 @@ class RainflowCount(LossMethod):
         self._corners = np.unique(np.concatenate([self.loop.curvature.position, self.loop.drive.position]))
         self._bending_energy = self._along_energy(0.0)
 
-    def _loss(self, speed: Array, belt_degc: Array, half_length: Array, drive_strain: Array) -> tuple[Array, ...]:
+    def _by_strain(self, speed: Array, belt_degc: Array, half_length: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
         section = self.track.road_wheels.contact_length * self.track.belt.thickness * self.rubber.rubber.layer_stiffening
-        indentation = np.array(
-            [
-                section * float(self._lost(self._energy(self.indentation_cycles(a)), v, t))
-                for a, v, t in zip(half_length, speed, belt_degc, strict=True)
-            ]
-        )
+        indentation = np.empty(speed.shape)
+        for i in np.ndindex(speed.shape):
+            indentation[i] = section * self._lost(self._energy(self.indentation_cycles(half_length[i])), speed[i], belt_degc[i])
         bending = self._lost(self._bending_energy, speed, belt_degc)
-        both = bending.copy()
-        for i in np.flatnonzero(drive_strain):
-            both[i] = self._lost(self._along_energy(drive_strain[i]), speed[i], belt_degc[i])
-        return indentation, bending, np.zeros_like(bending), both - bending
+
+        def added(strain: Array) -> Array:
+            strain, v, t, alone = np.broadcast_arrays(strain, speed, belt_degc, bending)
+            both = np.array(alone)
+            for i in np.argwhere(strain):
+                at = tuple(i)
+                both[at] = self._lost(self._along_energy(strain[at]), v[at], t[at])
+            return np.asarray(both - alone)
+
+        return indentation, bending, added
 
     def _along_energy(self, drive_strain: float) -> tuple[Array, Array]:
         """Passages and energies, see `_energy`, of the strain along the belt, integrated over height and width."""

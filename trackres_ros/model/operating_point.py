@@ -21,7 +21,7 @@ from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.loads import wheel_loads
 from trackres_ros.model.resistance import ON_WHEELS, RESISTANCE_PARTS
 from trackres_ros.model.thermal import film_coefficient, surface_temperature
-from trackres_ros.model.track import TrackModel, steady_tension, track_model
+from trackres_ros.model.track import TrackModel, steady_tension, track_models
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import AnyVehicle, Chassis, RoadVehicle, Vehicle
 
@@ -122,16 +122,16 @@ class VehicleState:
 
 def vehicle_state(
     vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float,
-    loss_factors: Mapping[str, float] | None = None,
+    loss_factors: Mapping[str, float] | None = None, models: Mapping[str, TrackModel] | None = None,
 ) -> VehicleState:  # fmt: skip
     """A vehicle with its effects at a speed [m/s], with the belt temperature of each assembly; see `explain`.
 
-    `loss_factors`: on the loss of kinds of track, by name.
+    `loss_factors`: on the loss of kinds of track, by name; `models`: of these kinds, if several states of the vehicle share them.
     """
     nominal = vehicle.nominal_loads()
     loads = weight * nominal / nominal.sum()
     kinds = [(a.track, float(load), degc) for a, load, degc in zip(vehicle.assemblies, loads, belts_degc, strict=True)]
-    models = {name: track_model(vehicle, name) for name in vehicle.tracks}
+    of_tracks = models or track_models(vehicle)
     factors = dict.fromkeys(vehicle.tracks, 1.0) | dict(loss_factors or {})
     usable, left_out = _effects(vehicle)
     belts = np.array(belts_degc)
@@ -141,7 +141,7 @@ def vehicle_state(
     for _ in range(DRIVE_PASSES):
         alike = {
             (track, load, degc): _assembly_state(
-                vehicle.chassis, at, degc, terms._replace(loss_factor=factors[track] * terms.loss_factor), models[track], load
+                vehicle.chassis, at, degc, terms._replace(loss_factor=factors[track] * terms.loss_factor), of_tracks[track], load
             )
             for track, load, degc in set(kinds)
         }
@@ -177,9 +177,9 @@ def _assembly_state(
     loss_factor = float(effects.loss_factor) * math.exp(-effects.softening * (belt_degc - SOFTENING_FROM_DEGC))
     radius, network = model.track.sprocket_radius, model.network
     bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
-    drive = 0.0
+    by_torque, drive = model.loss.by_torque(speed, belt_degc, load), 0.0
     for _ in range(DRIVE_PASSES):
-        loss = model.loss.loss_force(speed, belt_degc, load, drive)
+        loss = by_torque.at(drive)
         total = float(loss.total) * loss_factor
         drive = radius * (total * direction + bearing + wind * load / at.weight)
     slope = network.film_slope * float(effects.film_slope_factor)

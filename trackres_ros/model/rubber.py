@@ -6,18 +6,14 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.kernels.marks import kernel
+from trackres_ros.model.interpolation import MonotoneCubic
 from trackres_ros.vehicle import Rubber
-
-if TYPE_CHECKING:
-    from scipy.interpolate import PchipInterpolator
-
 
 REFERENCE_ABOVE_TG = 50.0  # K: the shift function is 1 at Tg + 50, equation (4)
 
@@ -51,12 +47,12 @@ class RubberModel:
         self.rubber = rubber
 
     @cached_property
-    def _log_storage(self) -> PchipInterpolator:
-        return _joined(self.rubber.sweep_degc, self.rubber.storage_pa)
+    def _log_storage(self) -> MonotoneCubic:
+        return MonotoneCubic(self.rubber.sweep_degc, np.log(self.rubber.storage_pa))
 
     @cached_property
-    def _log_loss(self) -> PchipInterpolator:
-        return _joined(self.rubber.sweep_degc, self.rubber.loss_pa * self.rubber.loss_modulus_scale)
+    def _log_loss(self) -> MonotoneCubic:
+        return MonotoneCubic(self.rubber.sweep_degc, np.log(self.rubber.loss_pa * self.rubber.loss_modulus_scale))
 
     def log_shift(self, belt_degc: ArrayLike) -> Array:
         """log10 a_T at temperatures [degC], same shape."""
@@ -96,10 +92,3 @@ class RubberModel:
         equivalent = self.equivalent_temperature(self.reduced(frequency, belt_degc))
         moduli = np.exp(self._log_storage(equivalent)), np.exp(self._log_loss(equivalent))
         return np.asarray(np.hypot(*moduli) * self.rubber.layer_stiffening)
-
-
-def _joined(belt_degc: Array, modulus: Array) -> PchipInterpolator:
-    """Logarithm of a modulus over the sweep. scipy takes half a second to load; an estimate with cached tables needs none."""
-    from scipy.interpolate import PchipInterpolator
-
-    return PchipInterpolator(belt_degc, np.log(modulus))

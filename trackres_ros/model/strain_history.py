@@ -45,7 +45,7 @@ class Profile:
         rise = np.diff(np.append(y, y[0])) / np.diff(np.append(s, s[0] + self.length))
         jumps = rise - np.roll(rise, 1)
         q = 2.0 * np.pi * harmonics / self.length
-        return np.asarray(-2.0 / (self.length * q**2) * (np.exp(-1j * np.outer(q, s)) @ jumps))
+        return np.asarray(-2.0 / (self.length * q**2) * (jumps @ phases(s, self.length, harmonics)))
 
 
 @dataclass(frozen=True)
@@ -114,23 +114,34 @@ def _drive(sprocket: tuple[float, float, float], ground_run: float, length: floa
     return Profile(position, np.array([0.0, 1.0, 1.0, 0.0])[first], length)
 
 
-def indentation_amplitudes(half_length: ArrayLike, radius: float, thickness: float, loop_length: float, harmonics: int) -> Array:
-    """Real amplitudes A_n of the strain pulse of one contact centred at position 0, shape (..., harmonics).
+def phases(position: Array, length: float, harmonics: Array) -> Complex:
+    """Factors exp(-2 pi i n s / L) of positions s [m] and numbers n of harmonics, shape (positions, harmonics)."""
+    sine, cosine = _multiples(2.0 * np.pi / length * position[:, np.newaxis], harmonics)
+    return cosine - 1j * sine
+
+
+def indentation_amplitudes(
+    half_length: ArrayLike, radius: float, thickness: float, loop_length: float, harmonics: Array
+) -> Array:
+    """Real amplitudes A_n of the strain pulse of one contact centred at position 0, shape (..., harmonics), of numbers n.
 
     The arc of the wheel is taken to fourth order in x/R, (a^2-x^2)/(2R) + (a^4-x^4)/(8R^3), whose transform is closed,
     and scaled to the exact depth.
     """
     a = np.asarray(half_length, float)[..., np.newaxis]
     angle = 2.0 * np.pi / loop_length * a
-    parabola, quartic = pulse_transforms(angle * np.arange(1, harmonics + 1), *_multiples(angle, harmonics))
+    parabola, quartic = pulse_transforms(angle * harmonics, *_multiples(angle, harmonics))
     depth = a**2 / (2 * radius) + a**4 / (8 * radius**3)
     exact = radius - np.sqrt(radius**2 - a**2)
     scale = 2.0 / (loop_length * thickness) * exact / depth
     return np.asarray(scale * a**3 / (2 * radius) * parabola + scale * a**5 / (8 * radius**3) * quartic)
 
 
-def _multiples(angle: Array, count: int) -> tuple[Array, Array]:
-    """Sine and cosine of 1 to `count` times an angle, of shape (..., 1): by the addition theorem from a few."""
+def _multiples(angle: Array, harmonics: Array) -> tuple[Array, Array]:
+    """Sine and cosine of multiples of an angle, of shape (..., 1); of all from 1 on by the addition theorem from a few."""
+    count = len(harmonics)
+    if count < harmonics[-1]:
+        return np.sin(angle * harmonics), np.cos(angle * harmonics)
     few = angle * np.arange(1, ANGLES + 1)
     many = (angle * np.arange(0, count, ANGLES))[..., np.newaxis]
     sine, cosine = np.sin(few)[..., np.newaxis, :], np.cos(few)[..., np.newaxis, :]

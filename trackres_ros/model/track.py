@@ -46,6 +46,11 @@ def track_model(vehicle: Vehicle, track_name: str) -> TrackModel:
     return TrackModel(track, rubber, METHODS[vehicle.hysteresis](track, rubber), belt_network(vehicle, track_name))
 
 
+def track_models(vehicle: Vehicle) -> dict[str, TrackModel]:
+    """Models of all kinds of track, by name."""
+    return {name: track_model(vehicle, name) for name in vehicle.tracks}
+
+
 def belt_network(vehicle: Vehicle, track_name: str) -> ThermalNetwork:
     """Thermal constants of the belt of one kind of track, with the resistance inside it that effects of the vehicle add."""
     of_effects = parting_resistance(vehicle.active, vehicle_constants(vehicle))

@@ -41,7 +41,7 @@ from trackres_ros.vehicle.description import (
     Vehicle,
     WrappedWheel,
 )
-from trackres_ros.vehicle.reading import ValueReader, read_disturbance
+from trackres_ros.vehicle.reading import Known, ValueReader, read_disturbance
 
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")
@@ -75,9 +75,9 @@ def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | 
 
 def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
     """A function that makes the same vehicle with other values, by path; it reads the file only once, and effects stay."""
-    content = {key: value for key, value in read_yaml(vehicle.source).items() if key not in EFFECT_KEYS}
+    content, known = {key: value for key, value in read_yaml(vehicle.source).items() if key not in EFFECT_KEYS}, Known()
     return lambda overrides: replace(
-        build(vehicle.source, content, overrides),
+        build(vehicle.source, content, overrides, known),
         hysteresis=vehicle.hysteresis,
         thermal=vehicle.thermal,
         effects=vehicle.effects,
@@ -86,9 +86,11 @@ def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
     )
 
 
-def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None) -> Vehicle:
-    """Check the content of a vehicle file and assemble its description; see `load`."""
-    reader = ValueReader(path, overrides)
+def build(
+    path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None, known: Known | None = None
+) -> Vehicle:
+    """Check the content of a vehicle file and assemble its description; see `load` and `ValueReader`."""
+    reader = ValueReader(path, overrides, known)
     if isinstance(content.get("road_load"), dict):
         raise InputError(str(path), "a vehicle of the base model road_load, which has no belts", "a track vehicle")
     reader.keys(content, "", TOP_KEYS, (*EFFECT_KEYS, DISTURBANCE))
@@ -149,7 +151,9 @@ def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
         path = shipped
     if not (is_there(path) and path.is_file()):
         raise InputError(reader.where("rubber.file"), str(path), "a readable CSV with a temperature sweep, relative to this file")
-    sweep_degc, storage_pa, loss_pa = read_rubber_sweep(path)
+    if path not in reader.known.sweeps:
+        reader.known.sweeps[path] = read_rubber_sweep(path)
+    sweep_degc, storage_pa, loss_pa = reader.known.sweeps[path]
     return Rubber(sweep_degc, storage_pa, loss_pa, **values), path
 
 

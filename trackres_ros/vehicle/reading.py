@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from trackres_ros import checks
+from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import Disturbance, Drift, Quantity, QuantityLimits, Spells
@@ -21,11 +23,23 @@ FLAGS = ("P", "L", "A", FITTED)
 FORMS: Mapping[str, type[Spells | Drift]] = {kind.form: kind for kind in (Spells, Drift)}
 
 
-class ValueReader:
-    """Reads values from one nested mapping, records each quantity by its path, and refuses invalid ones."""
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What several vehicles of one content have in common, once it is read and checked."""
 
-    def __init__(self, path: Path, overrides: Mapping[str, float] | None = None) -> None:
+    quantities: dict[str, tuple[Any, Quantity]] = field(default_factory=dict)  # by path, each with its entry in the content
+    sweeps: dict[Path, tuple[Array, Array, Array]] = field(default_factory=dict)  # of rubber files
+
+
+class ValueReader:
+    """Reads values from one nested mapping, records each quantity by its path, and refuses invalid ones.
+
+    `known`: shared by readers of one content, so that each checks only what an override changes.
+    """
+
+    def __init__(self, path: Path, overrides: Mapping[str, float] | None = None, known: Known | None = None) -> None:
         self.path = path
+        self.known = Known() if known is None else known
         self.parameters: dict[str, Quantity] = {}
         self._overrides = dict(overrides or {})
 
@@ -88,6 +102,15 @@ class ValueReader:
         return value if isinstance(value, tuple) else (value,)
 
     def _quantity(self, given: Any, key: str, limits: QuantityLimits) -> Quantity:
+        entry, quantity = self.known.quantities.get(key, (None, None))
+        if quantity is None or entry is not given or key in self._overrides:
+            quantity = self._checked(given, key, limits)
+            if key not in self._overrides:
+                self.known.quantities[key] = given, quantity
+        self.parameters[key] = quantity
+        return quantity
+
+    def _checked(self, given: Any, key: str, limits: QuantityLimits) -> Quantity:
         entry = self.keys(given, key, QUANTITY_KEYS)
         if entry["unit"] != limits.unit:
             raise InputError(self.where(f"{key}.unit"), entry["unit"], f"{limits.unit}", "convert the value to this unit")
@@ -107,9 +130,7 @@ class ValueReader:
                 value = self._number(raw, key, limits.low, limits.high, limits.unit)
             else:
                 value = self._number(raw, f"{key}.value", low, high, limits.unit)
-        quantity = Quantity(value, limits.unit, flag, low, high, reason)
-        self.parameters[key] = quantity
-        return quantity
+        return Quantity(value, limits.unit, flag, low, high, reason)
 
     def _number(self, given: Any, key: str, low: float, high: float, unit: str) -> float:
         remedy = "correct the value, or widen its range if you trust the value"
