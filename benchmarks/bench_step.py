@@ -1,146 +1,195 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One step of four assemblies against one message to another process and back, and growth of memory."""
+"""A new speed for four belts under four loads. The rival is a bare step in C, `bare_step.c`, with the same belt temperatures and
+torque. It has no guards, uncertainty or other outputs. `handle` and its rival are called from Python, the exported step and
+its rival from C. "Caches evicted" has a walk over 64 MB between two steps, as other work on the processor would cause.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import json
-import os
-import resource
+import subprocess
 import sys
+import sysconfig
+import tempfile
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
+from itertools import starmap
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
-from measuring import START_NS, at_most, child, uneven_loads
+from measuring import HERE, START_NS, Row, c_compiler, child, compared, uneven_loads
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.entry_points import COMPILED
-from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.vehicle import load
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.export.c_source import CSource, in_c
+from trackres_ros.export.parts import Parts
+from trackres_ros.kernels.compiler import FLAGS
+from trackres_ros.units import GRAVITY, STANDSTILL_MPS
+from trackres_ros.vehicle import AnyVehicle, load
 
-STEPS = 5_000
-STEPS_A_ROUND = 50  # between as many messages
-LONG_RUN = 1_000_000
-WARM_UP = 1_000
+Call = Callable[..., Any]
+
+STEPS, EVICTED, ROUNDS = 100_000, 300, 5
+SMALL = {"steps": 100, "evicted": 2}
+BALLAST, LINE = 64 << 20, 64  # bytes
 STEP_NS = 10_000_000
-
-KINDS = ("handle", "step")
-TARGETS = {
-    **{f"compiled: {kind}, median over median round trip": at_most(1 / 10) for kind in KINDS},
-    **{f"compiled: {kind}, p99 over median round trip": at_most(1 / 3) for kind in KINDS},
-    **{f"compiled: {kind}, p99 over p99 round trip": at_most(1 / 3) for kind in KINDS},
-    **{f"interpreted: {kind}, median over median round trip": at_most(1 / 10) for kind in KINDS},
-    "a million messages: resident memory, growth [kB]": at_most(1024),
-}
+TARGET = 2.0
+AGREES = 1e-3  # of the torque: the two take the acceleration in other ways
+FOR_EXPORT = ("-std=c99", "-O2", "-ffp-contract=off")
 
 
-def _speed(n: int) -> float:
-    return 10.0 + 0.01 * (n % 7)
+def measured(vehicle: AnyVehicle, folder: Path, steps: int, evicted: int) -> tuple[dict[str, float], np.ndarray]:
+    """Export a vehicle into a folder and time it there: time of translation [s] and size of the code [kB]; the printed times."""
+    estimator = Estimator(vehicle)
+    begin = time.perf_counter()
+    source = CSource(Parts(estimator), vehicle.title, ("benchmark",))
+    files = source.files()
+    facts = {"translated in [s]": time.perf_counter() - begin}
+    folder.mkdir(exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    subprocess.run(["cc", *FOR_EXPORT, "-c", "trackres.c", "-o", "step.o"], cwd=folder, check=True)
+    sizes = subprocess.run(["size", "step.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    text_bytes, data_bytes = (int(word) for word in sizes.splitlines()[1].split()[:2])
+    tables = sum(8 * array.size for _, array in source.translator.tables.values() if hasattr(array, "size"))
+    facts["code [kB]"] = (text_bytes + data_bytes - tables) / 1e3
+    loads = zip(estimator.assemblies, uneven_loads(estimator).tolist(), strict=True)
+    set_loads = " ".join(f"inputs.{in_c(source.inputs[f'load/{name}'])} = {newton!r};" for name, newton in loads)
+    (folder / "bare_vehicle.h").write_text(bare_vehicle(estimator))
+    command = ["cc", *FOR_EXPORT, f"-DSET_LOADS={set_loads}", str(HERE / "step_times.c"), "step.o", "-I.", "-o", "program", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+    out = subprocess.run(["./program", str(steps), str(evicted)], cwd=folder, check=True, capture_output=True, text=True).stdout
+    return facts, np.array([line.split() for line in out.splitlines()], float)
 
 
-def _session(estimator: Estimator) -> Session:
+def bare_vehicle(estimator: Estimator) -> str:
+    """Tables and constants of a vehicle with belts and the lumped thermal model, in C."""
+    k, number, of = estimator.constants, estimator.constants.number, at.Assembly
+    numbers = {
+        "FIRST_X": number.first_x,
+        "STEP_X": number.step_x,
+        "GLASS_TRANSITION": number.glass_transition,
+        "WLF_C1": number.wlf_c1,
+        "WLF_C2": number.wlf_c2,
+        "FRICTION": number.bearing_friction,
+        "DRAG": 0.5 * number.air_density * number.drag_area,
+        "INERTIA": number.rotating_mass_factor / GRAVITY,
+        "STANDSTILL": STANDSTILL_MPS,
+        "AMBIENT": estimator.vehicle.chassis.ambient,
+    }
+    columns = ("first_log_load", "step_log_load", "capacity", "area", "film_offset", "film_slope", "radius")
+    arrays = {name.upper(): k.assembly[:, getattr(of, name)] for name in columns}
+    arrays |= {"LOAD": uneven_loads(estimator), "LOSS": k.loss, "DRIVE": k.drive}
+    lines = [f"enum {{ BELTS = {len(k.assembly)}, ROWS = {k.loss.shape[1]}, COLUMNS = {k.loss.shape[2]} }};"]
+    lines += [f"#define {name} {float(value)!r}" for name, value in numbers.items()]
+    lines.append(f"static const int TABLE[] = {_braces(k.assembly[:, of.table].astype(int))};")
+    for name, array in arrays.items():
+        shape = "".join(f"[{length}]" for length in array.shape)
+        lines.append(f"static const double {name}{shape} = {_braces(array)};")
+    return "\n".join(lines) + "\n"
+
+
+def _braces(array: np.ndarray) -> str:
+    return json.dumps(array.tolist()).replace("[", "{").replace("]", "}")
+
+
+def bare_module(estimator: Estimator, folder: Path) -> ModuleType:
+    """The bare step as a module of Python, compiled with the flags of our kernels."""
+    (folder / "bare_vehicle.h").write_text(bare_vehicle(estimator))
+    path = folder / "bare.abi3.so"
+    include = sysconfig.get_paths()["include"]
+    command = [
+        "cc",
+        *FLAGS,
+        "-DFOR_PYTHON",
+        str(HERE / "bare_step.c"),
+        "-I.",
+        f"-I{include}",
+        "-shared",
+        "-fPIC",
+        "-o",
+        path.name,
+        "-lm",
+    ]
+    subprocess.run(command, cwd=folder, check=True)
+    spec = importlib.util.spec_from_file_location("bare", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(str(path))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def from_python(steps: int, evicted: int) -> dict[str, list[list[float]]]:
+    """Times of `Session.handle` and of the bare step [s]: a step of each round of a tight loop, and of single evicted steps."""
+    estimator = Estimator(load("xgd24d"))
     session = estimator.session()
     for name, newton in zip(estimator.assemblies, uneven_loads(estimator), strict=True):
         session.handle(session.channel(f"load/{name}"), START_NS, START_NS, float(newton))
-    return session
+    with tempfile.TemporaryDirectory() as folder:
+        step = bare_module(estimator, Path(folder)).step
+    messages, times = 0, {"warm": [], "evicted": []}
+
+    def given(count: int) -> list[tuple[Call, Sequence[tuple[Any, ...]]]]:
+        """Each function with its arguments for the next messages."""
+        nonlocal messages
+        numbers = range(messages + 1, messages + count + 1)
+        messages += count
+        stamps, speeds = [START_NS + n * STEP_NS for n in numbers], [10.0 + 0.01 * (n % 7) for n in numbers]
+        ours = [(at.SPEED, stamp, stamp, speed) for stamp, speed in zip(stamps, speeds, strict=True)]
+        return [(session.handle, ours), (step, [(speed, STEP_NS * 1e-9) for speed in speeds])]
+
+    for _ in range(ROUNDS):
+        times["warm"].append([_loop(*one) / steps for one in given(steps)])
+    ballast = np.zeros(BALLAST, np.uint8)
+    for _ in range(evicted):
+        times["evicted"].append([_evicted(ballast, call, arguments[0]) for call, arguments in given(1)])
+    (handle, ours), (_, bare) = given(1)
+    _check(handle(*ours[0])["resistance_torque_nm"], step(*bare[0]))
+    return times
 
 
-def steppers() -> dict[str, Callable[[int], None]]:
-    """Takes the n-th speed: through `Session.handle`, with its guards, and by `Estimator.step`."""
-    estimator = Estimator(load("xgd24d"))
-    session = _session(estimator)
-    loads = uneven_loads(estimator)
-    state = estimator.cold_start(estimator.inputs(_speed(0), load=loads, ambient=15.0))
-    inputs = [estimator.inputs(_speed(n), load=loads, ambient=15.0) for n in range(7)]
-
-    def handle(n: int) -> None:
-        stamp = START_NS + n * STEP_NS
-        if session.handle(at.SPEED, stamp, stamp, _speed(n)) is None:
-            raise RuntimeError("a speed was not accepted")
-
-    def step(n: int) -> None:
-        nonlocal state
-        state, _ = estimator.step(state, inputs[n % 7], 0.01)
-
-    return {"handle": handle, "step": step}
+def _loop(call: Call, arguments: Sequence[tuple[Any, ...]]) -> float:
+    begin = time.perf_counter()
+    deque(starmap(call, arguments), maxlen=0)
+    return time.perf_counter() - begin
 
 
-def measure(steps: int) -> dict[str, float]:
-    """Ratios of steps to round trips in this process; empty where the middleware is missing."""
-    try:
-        from dds_echo import Echo
-    except ImportError:
-        return {}
-    rivals = steppers()
-    times: dict[str, list[float]] = {kind: [] for kind in (*rivals, "round trip")}
-    with Echo() as echo:
-        for n in range(1, min(WARM_UP, steps) + 1):
-            for rival in rivals.values():
-                rival(n)
-            echo.round_trip(float(n))
-        for begin in range(0, steps, STEPS_A_ROUND):
-            rounds = range(WARM_UP + begin + 1, WARM_UP + begin + min(STEPS_A_ROUND, steps - begin) + 1)
-            for kind, rival in rivals.items():
-                for n in rounds:
-                    before = time.perf_counter()
-                    rival(n)
-                    times[kind].append(time.perf_counter() - before)
-            times["round trip"].extend(echo.round_trip(float(n)) for n in rounds)
-    quantiles = {kind: np.percentile(values, [50.0, 99.0]) * 1e6 for kind, values in times.items()}
-    trip, slow_trip = quantiles.pop("round trip")
-    result = {"round trip, median [us]": trip, "round trip, p99 [us]": slow_trip}
-    for kind, (median, slow) in quantiles.items():
-        result[f"{kind}, median [us]"] = median
-        result[f"{kind}, p99 [us]"] = slow
-        result[f"{kind}, median over median round trip"] = median / trip
-        result[f"{kind}, p99 over median round trip"] = slow / trip
-        result[f"{kind}, p99 over p99 round trip"] = slow / slow_trip
-    return {name: float(value) for name, value in result.items()}
+def _evicted(ballast: np.ndarray, call: Call, arguments: tuple[Any, ...]) -> float:
+    ballast[::LINE] += 1
+    begin = time.perf_counter()
+    call(*arguments)
+    return time.perf_counter() - begin
 
 
-def growth(messages: int) -> dict[str, float]:
-    """Growth of this process's resident memory over many messages [kB], after a tenth of them."""
-    estimator = Estimator(load("xgd24d"))
-    session = _session(estimator)
-
-    def feed(first: int, count: int) -> None:
-        for n in range(first, first + count):
-            stamp = START_NS + n * STEP_NS
-            session.handle(at.SPEED, stamp, stamp, _speed(n))
-
-    feed(1, max(messages // 10, WARM_UP))
-    before = resident_kb()
-    feed(1 + max(messages // 10, WARM_UP), messages)
-    return {"resident": resident_kb() - before}
+def _check(ours: float, bare: float) -> None:
+    """Raises RuntimeError if the two did not compute the same."""
+    if abs(ours / bare - 1.0) > AGREES:
+        raise RuntimeError(f"the bare step computes another torque: {bare:g} instead of {ours:g} Nm")
 
 
-def resident_kb() -> float:
-    """Resident memory of this process now [kB]; the kernel's file for it is Linux's own."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1024.0
+def run(steps: int = STEPS, evicted: int = EVICTED) -> list[Row]:
+    """Measure both pairs, so many steps in each of some rounds; empty without a C compiler."""
+    if c_compiler() is None:
+        return []
+    with tempfile.TemporaryDirectory() as folder:
+        _, table = measured(load("xgd24d"), Path(folder), 10 * steps, evicted)
+    _check(*table[-1])
+    of_c = {"warm": table[: len(table) - evicted - 1], "evicted": table[len(table) - evicted - 1 : -1]}
+    of_python = child([__file__, str(steps), str(evicted)]).json()
+    titles = {"warm": "in a loop", "evicted": "caches evicted"}
+    return [
+        compared(f"{what}, {titles[kind]} [us]", *np.transpose(rows[kind]).tolist(), TARGET, 1e6)
+        for what, rows in (("`handle`", of_python), ("exported step", of_c))
+        for kind in titles
+    ]
 
 
-def run(steps: int = STEPS, messages: int = LONG_RUN) -> dict[str, float]:
-    """Measure steps against as many messages there and back, and growth over `messages`, each in a process of its own.
-
-    Without `cyclonedds` there are no rows that compare.
-    """
-    result: dict[str, float] = {}
-    kinds = {"compiled": {}, "interpreted": {"TRACKRES_INTERPRETED": "1"}} if COMPILED.compiled else {"interpreted": {}}
-    for kind, environment in kinds.items():
-        measured = child([__file__, "measure", str(steps)], environment).json()
-        if not measured:
-            print("cyclonedds is not installed: no round trip to compare a step with (pip install cyclonedds)", file=sys.stderr)
-            break
-        result |= {f"{kind}: {name}": value for name, value in measured.items()}
-    grown = child([__file__, "growth", str(messages)]).json()
-    result["a million messages: resident memory, growth [kB]"] = grown["resident"]
-    return result
-
-
-if __name__ == "__main__":  # one of the processes that `run` starts
-    print(json.dumps({"measure": measure, "growth": growth}[sys.argv[1]](int(sys.argv[2]))), flush=True)
-    os._exit(0)  # the middleware's threads need no goodbye
+if __name__ == "__main__":  # the process of Python that `run` starts
+    print(json.dumps(from_python(int(sys.argv[1]), int(sys.argv[2]))))

@@ -1,134 +1,77 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The middleware to compare with: a message to another process and back, by Cyclone DDS on the loopback interface.
+"""The bare echo of the live node: a process that answers each speed with a torque of the same stamp, by Cyclone DDS.
 
-The message is a std_msgs/Float64 by its DDS type. Both sides wait in a listener, and the echo writes back in it: no queue,
-no executor, no node on top, so the round trip is the shortest that a program in Python sees.
-Needs the PyPI package `cyclonedds`; `python benchmarks/dds_echo.py DOMAIN` is the other process.
+`dds_echo.py` answers in the middleware's own listener with prepared bytes: no queue and nothing on top of it.
+`dds_echo.py RATE_HZ` answers the newest speed at a rate, as the node does by default.
 """
 
 from __future__ import annotations
 
-import subprocess
 import sys
-import threading
 import time
-from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from cyclonedds.core import Listener, Policy, Qos
-from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float64
-from cyclonedds.pub import DataWriter
+from cyclonedds._clayer import ddspy_take
+from cyclonedds.core import Listener
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
-from cyclonedds.util import duration
 
-DOMAIN = 187  # of the benchmark alone
-CONFIGURATION = """<CycloneDDS><Domain>
-<General><AllowMulticast>false</AllowMulticast>
-<Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery>
-</Domain></CycloneDDS>"""
-QUALITY = Qos(
-    Policy.Reliability.Reliable(duration(seconds=1)),
-    Policy.History.KeepLast(10),
-    Policy.DataRepresentation(use_cdrv0_representation=True),
-)
-ANSWER_S = 2.0  # a message not back by then is lost
-DISCOVERY_S = 20.0
+from trackres_ros.node.dds.participant import EVERY_SAMPLE, Participant, serialized
+from trackres_ros.node.dds.wire import idl_struct, qos, typestore
+from trackres_ros.node.endpoints import Quality
+
+SPEED, TORQUE = "/vehicle/speed", "/trackres/feedforward_torque"
+TWIST, WRENCH = "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/WrenchStamped"
+STAMP = slice(4, 12)  # in the bytes of either message
 
 
-@dataclass
-class Float64(IdlStruct, typename="std_msgs::msg::dds_::Float64_"):
-    """The message."""
+def prepared() -> bytearray:
+    """The bytes of a torque."""
+    types = typestore().types
+    header = types["std_msgs/msg/Header"](stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id="")
+    zero = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
+    wrench = types["geometry_msgs/msg/Wrench"](force=zero, torque=zero)
+    return bytearray(serialized(types[WRENCH](header=header, wrench=wrench), WRENCH))
 
-    data: float64
 
+class Answering(Listener):
+    """Answers each speed, or without `at_once` keeps its stamp for `answer`."""
 
-class _Taken(Listener):
-    """Calls a function with each message that arrives."""
-
-    def __init__(self, call: Any) -> None:
+    def __init__(self, writer: Any, at_once: bool) -> None:
         super().__init__()
-        self._call = call
+        self._writer, self._at_once, self._raw, self._any = writer, at_once, prepared(), False
 
     def on_data_available(self, reader: Any) -> None:
-        for message in reader.take(10):
-            self._call(message)
+        """Called by the middleware."""
+        for message, _ in ddspy_take(reader._ref, EVERY_SAMPLE, 100):
+            self._raw[STAMP] = message[STAMP]
+            self._any = True
+            if self._at_once:
+                self._writer.write(bytes(self._raw))
 
-
-class End:
-    """One side: a writer on one topic and a reader on the other."""
-
-    def __init__(self, domain: int, out: str, back: str, call: Any) -> None:
-        self._domain = Domain(domain, CONFIGURATION)
-        self._participant = DomainParticipant(domain)
-        self.writer = DataWriter(self._participant, Topic(self._participant, out, Float64), qos=QUALITY)
-        self._listener = _Taken(call)
-        topic = Topic(self._participant, back, Float64)
-        self._reader = DataReader(self._participant, topic, qos=QUALITY, listener=self._listener)
-
-
-class Echo:
-    """Starts the other process and sends it messages; ends it when the `with` block ends."""
-
-    def __init__(self, domain: int = DOMAIN) -> None:
-        self._back = threading.Event()
-        self._end = End(domain, "rt/benchmark/out", "rt/benchmark/back", lambda _: self._back.set())
-        self._other = subprocess.Popen([sys.executable, __file__, str(domain)], stdin=subprocess.PIPE)
-
-    def __enter__(self) -> Self:
-        until = time.monotonic() + DISCOVERY_S
-        while time.monotonic() < until:
-            self._back.clear()
-            self._end.writer.write(Float64(data=0.0))
-            if self._back.wait(0.1):
-                time.sleep(0.5)  # answers to earlier ones
-                return self
-        self._stop()
-        raise RuntimeError(f"the other process did not answer within {DISCOVERY_S:g} s")
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._stop()
-
-    def _stop(self) -> None:
-        assert self._other.stdin is not None
-        self._other.stdin.close()  # it reads until then
-        self._other.wait(10.0)
-
-    def round_trip(self, value: float) -> float:
-        """Time of one message to the other process and back [s].
-
-        Raises
-        ------
-        RuntimeError
-            If it is lost.
-        """
-        self._back.clear()
-        begin = time.perf_counter()
-        self._end.writer.write(Float64(data=value))
-        if not self._back.wait(ANSWER_S):
-            raise RuntimeError(f"no answer within {ANSWER_S:g} s")
-        return time.perf_counter() - begin
+    def answer(self) -> None:
+        """Answer the newest speed, if there was one."""
+        if self._any:
+            self._writer.write(bytes(self._raw))
 
 
 def main() -> None:
-    """Be the other process: answer until standard input ends."""
-    ready = threading.Event()
-    sides: list[End] = []
-
-    def answer(message: Float64) -> None:
-        ready.wait()
-        sides[0].writer.write(message)
-
-    sides.append(End(int(sys.argv[1]), "rt/benchmark/back", "rt/benchmark/out", answer))
-    ready.set()
-    sys.stdin.read()
+    """Answer until interrupted."""
+    rate_hz = float(sys.argv[1]) if len(sys.argv) > 1 else 0.0
+    participant = Participant("echo", "/")
+    listener = Answering(participant.writer(TORQUE, WRENCH, Quality(True, 10, 0.0)), rate_hz == 0.0)
+    topic = Topic(participant.entity, f"rt{SPEED}", idl_struct(TWIST))
+    reader = DataReader(participant.subscriber, topic, qos=qos(Quality(False, 100, 0.0), b""), listener=listener)
+    due = time.monotonic()
+    while reader:
+        if rate_hz == 0.0:
+            time.sleep(60.0)
+            continue
+        due = max(due + 1.0 / rate_hz, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
+        listener.answer()
 
 
 if __name__ == "__main__":

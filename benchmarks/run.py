@@ -12,19 +12,14 @@ import re
 import sys
 from importlib import metadata
 
-import bench_controller
 import bench_diagnosis
-import bench_export
-import bench_fleet
-import bench_learning
+import bench_engine
 import bench_live
+import bench_memory
 import bench_reading
-import bench_recording
-import bench_route
+import bench_replay
 import bench_step
-import bench_table
-import bench_ways
-from measuring import ROOT, Target
+from measuring import ROOT, Row
 
 sys.path.append(str(ROOT / "tools"))
 from marks import write_page
@@ -32,35 +27,37 @@ from marks import write_page
 PAGE = "docs/performance.md"
 PACKAGES = ("numpy", "scipy", "rosbags", "cyclonedds")
 BENCHMARKS = {
-    "One step": bench_step,
-    "On a route": bench_route,
-    "A whole recording": bench_recording,
-    "Reading and replay": bench_reading,
-    "Loss table and start": bench_table,
-    "The diagnosis": bench_diagnosis,
-    "A fleet": bench_fleet,
+    "Replay": bench_replay,
+    "A step": bench_step,
     "The live node": bench_live,
-    "The step as C": bench_export,
-    "The step in a controller": bench_controller,
-    "Learning": bench_learning,
-    "Ways that were tried": bench_ways,
+    "Diagnosis": bench_diagnosis,
+    "Two workers": bench_engine,
+    "Memory of a replay": bench_memory,
+    "Reading": bench_reading,
 }
+HEAD = ["| | Measured | Rival | Ratio | Target |", "|---|---|---|---|---|"]
 
 
-def formatted(value: float) -> str:
-    """A number with three figures, or all before the point."""
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+def formatted(value: float | None) -> str:
+    """A number with three figures, or all before the point; empty for None."""
+    return "" if value is None else f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def rows(results: dict[str, float], targets: dict[str, Target]) -> list[str]:
-    """Rows of a Markdown table; a target whose number is missing is said to be not measured."""
-    lines = ["| What | Measured | Target | Met |", "|---|---|---|---|"]
-    for name, value in results.items():
-        target = targets.get(name)
-        met = "" if target is None else "yes" if target.met(value) else "**no**"
-        lines.append(f"| {name} | {formatted(value)} | {target or ''} | {met} |")
-    lines += [f"| {name} | not measured | {target} | |" for name, target in targets.items() if name not in results]
+def table(rows: list[Row]) -> list[str]:
+    """Lines of a Markdown table; a missed target is bold."""
+    lines = list(HEAD)
+    for row in rows:
+        target = formatted(row.target)
+        cells = (row.name, *map(formatted, (row.measured, row.rival, row.ratio)), f"**{target}**" if row.missed else target)
+        lines.append(f"| {' | '.join(cells)} |")
     return lines
+
+
+def section(title: str, rows: list[Row]) -> str:
+    """A part of the page: a table, and what it is of."""
+    return "\n".join(
+        [f"## {title}", "", *(table(rows) if rows else ["Not measured."]), "", (BENCHMARKS[title].__doc__ or "").strip()]
+    )
 
 
 def machine() -> str:
@@ -87,6 +84,7 @@ def main(arguments: list[str]) -> int:
     """Run the benchmarks of some titles, or all; print them and write the page, in which the others stay as they are."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("titles", nargs="*", metavar="TITLE", help=f"one of: {', '.join(BENCHMARKS)}; all without any")
+    parser.add_argument("--small", action="store_true", help="tiny sizes, to see that all runs; leaves the page as it is")
     parser.add_argument("--print", action="store_true", dest="only_print", help="print the numbers, and leave the page as it is")
     given = parser.parse_args(arguments)
     titles = given.titles
@@ -97,17 +95,16 @@ def main(arguments: list[str]) -> int:
     for title in titles or list(BENCHMARKS):
         module = BENCHMARKS[title]
         print(f"{title} ...", file=sys.stderr, flush=True)
-        results = module.run()
-        sections[title] = "\n".join([f"## {title}", "", (module.__doc__ or "").strip(), "", *rows(results, module.TARGETS)])
+        sections[title] = section(title, module.run(**module.SMALL if given.small else {}))
         print(sections[title], flush=True)
-    if given.only_print:
+    if given.only_print or given.small:
         return 0
     ordered = [sections[title] for title in BENCHMARKS if title in sections]
     missed = [
         f"- {title}: {line.split(' | ')[0].removeprefix('| ')}"
         for title in BENCHMARKS
         for line in sections.get(title, "").splitlines()
-        if "**no**" in line
+        if line.startswith("| ") and "**" in line
     ]
     parts = {"load": f"{load_before:.1f}", "sections": "\n\n".join(ordered), "missed": "\n".join(missed) or "None."}
     write_page(PAGE, machine=machine(), **parts)

@@ -19,7 +19,7 @@ for needed in ("rosbags", "mcap", "attrs"):
 def decisions(repository, monkeypatch):
     monkeypatch.syspath_prepend(str(repository / "benchmarks"))
     yield importlib.import_module("decisions")
-    for name in ("decisions", "measuring", "bench_export"):
+    for name in ("decisions", "measuring", "bench_step"):
         sys.modules.pop(name, None)
 
 
@@ -56,7 +56,7 @@ def test_the_library_of_the_page_is_smaller_packed(decisions):
 def test_the_translation_has_all_functions_and_casadi_runs_fewer(decisions):
     if not shutil.which("cc"):
         pytest.skip("no C compiler is installed")
-    found = decisions.export(steps=100, rounds=1)
+    found = decisions.export(steps=100)
     assert found["translated: functions"] > 50.0
     assert found.get("CasADi: functions that run on its symbols as they are", 0.0) < found["translated: functions"]
 

@@ -15,7 +15,7 @@ from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.node.notices import LIVE_KINDS
 from trackres_ros.node.report import COMPARISON_KEYS, DISTURBANCE_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
 
-GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md", "docs/controller.md"]
+GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md"]
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
 
 PROOF_SEEDS = ("<!-- both -->", "<!-- /both -->"), ("### The runs on this page", "## Own truth")

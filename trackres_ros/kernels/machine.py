@@ -17,7 +17,7 @@ ROOMS = ("model", "estimator", "effects", "kernels", "route", "diagnosis/prepare
 FILES = ("units.py", "evaluation/sealed/belt_heat.py")
 """Sources of compiled code, and of constants, which become part of it."""
 NAME = "trackres_ros.kernels.built"
-SLOWER = 100  # times that a step in plain Python takes longer, see docs/performance.md
+SLOWER = 100  # times that a step in plain Python takes longer, at least: 450 us against 1.5 us of `Session.handle`
 BUILD = "tools/kernels"
 
 _log = logging.getLogger("trackres")
