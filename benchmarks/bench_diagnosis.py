@@ -1,9 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Three drives of 20 minutes at 10 Hz, with an effect that the vehicle file lacks. A diagnosis is the command `trackres diagnose
-drive_1.csv drive_2.csv drive_3.csv --vehicle xgd24d -o report`, with page and pictures. Memory for each hour is the growth of
-the peak to three drives of an hour.
+"""Three drives of 20 minutes at 10 Hz, with an effect that the vehicle file lacks. A diagnosis is the command `trackres
+diagnose`, with page and pictures. Memory for each hour is the growth of the peak to three drives of an hour.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ def run(repeats: int = 3, minutes: float = 20.0) -> list[Row]:
         alone("fit of three drives [ms]", 1e3 * statistics.median(fits)),
         alone("diagnosis [s]", statistics.median(one.wall_s for one in ended), TARGET_S),
         alone("its peak memory [MB]", 1e-6 * peak),
-        alone("memory for each hour of driving [MB]", 1e-6 * (longer - peak) / added_h),
+        alone("memory for each hour [MB]", 1e-6 * (longer - peak) / added_h),
     ]
 
 

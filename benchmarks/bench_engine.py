@@ -12,7 +12,7 @@ from pathlib import Path
 
 from measuring import Row, child, compared, of_home, trackres
 
-REPEATS = 3
+REPEATS = 2
 SMALL = {"repeats": 1, "points": 2, "vehicles": 1, "days": 2, "minutes": 3.0}
 TARGET = 0.56  # 1.8 times as fast
 ONE_PROCESS = """

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """The node on Cyclone DDS, with four belts under four loads. The rival is a bare echo, `dds_echo.py`: a process that answers
-each speed with one torque of the same stamp. At the default rate it answers the newest speed at 50 Hz, as the node does. It
-is started so for the rows of start and share, too. The node publishes eight more topics. Shares are of a core.
+each speed with one torque of the same stamp. At the default rate it answers the newest speed at 50 Hz, as the node does. So
+it does for start and shares. The node publishes eight more topics. Latency is from speed to torque, start is from the command
+to the first torque, and shares are of a core. Memory is resident.
 """
 
 from __future__ import annotations
@@ -209,8 +210,8 @@ def run(messages: int = MESSAGES, rounds: int = ROUNDS, share_s: float = SHARE_S
             at_rate = [*echo, str(HZ)]
             on_each = [*node, "-p", "output_rate_hz:=0.0"]
             return [
-                *_latency(client, f"speed to torque, default {HZ:g} Hz", (node, at_rate), messages, rounds),
-                *_latency(client, "speed to torque, for each message", (on_each, echo), messages, rounds),
+                *_latency(client, f"latency at {HZ:g} Hz", (node, at_rate), messages, rounds),
+                *_latency(client, "latency on each message", (on_each, echo), messages, rounds),
                 _started(client, (node, at_rate), starts),
                 *_shares(client, (node, at_rate), share_s, rounds),
             ]
@@ -241,7 +242,7 @@ def _started(client: Client, commands: Commands, starts: int) -> Row:
             with running(command, client):
                 client.first_answer()
                 of.append(time.monotonic() - begin)
-    return compared("start to first torque [s]", *times, START_TARGET)
+    return compared("start [s]", *times, START_TARGET)
 
 
 def _shares(client: Client, commands: Commands, share_s: float, rounds: int) -> list[Row]:
@@ -262,5 +263,5 @@ def _shares(client: Client, commands: Commands, share_s: float, rounds: int) -> 
     return [
         compared("share, idle [%]", *idle, SHARE_TARGET),
         compared(f"share at {HZ:g} Hz [%]", *busy, SHARE_TARGET),
-        alone(f"resident memory at {HZ:g} Hz [MB]", statistics.median(memory), MEMORY_TARGET_MB),
+        alone(f"memory at {HZ:g} Hz [MB]", statistics.median(memory), MEMORY_TARGET_MB),
     ]

@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Wall time of `trackres replay` of the sample recording, with the table and picture that it writes by default. The rival is a
-plain script, `plain_replay.py`. It reads the same bag with rosbags, steps the exported C, and writes the same table and
-picture. In its first run it compiles that C, where `trackres` builds loss tables.
+"""Wall time of `trackres replay` of the sample recording. The rival is a plain script, `plain_replay.py`. It reads the same bag
+with rosbags, steps the exported C, and writes the same table and picture. Its first run compiles that C, ours builds loss
+tables.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def run(repeats: int = REPEATS, laps: int = 3) -> list[Row]:
         _check(folder / "sample_replay.parquet", plain_out)
     return [
         compared(title, *zip(*times[of], strict=True), TARGET)
-        for of, title in (("first", "first run, in an empty home [s]"), ("again", "next run [s]"))
+        for of, title in (("first", "first run, empty home [s]"), ("again", "next run [s]"))
     ]
 
 

@@ -3,7 +3,7 @@
 
 """A new speed for four belts under four loads. The rival is a bare step in C, `bare_step.c`, with the same belt temperatures and
 torque. It has no guards, uncertainty or other outputs. `handle` and its rival are called from Python, the exported step and
-its rival from C. "Caches evicted" has a walk over 64 MB between two steps, as other work on the processor would cause.
+its rival from C. "Caches evicted" has a walk over 64 MB between two steps, as on a busy processor.
 """
 
 from __future__ import annotations

@@ -60,6 +60,17 @@ def section(title: str, rows: list[Row]) -> str:
     )
 
 
+def missed(sections: dict[str, str]) -> str:
+    """The rows of missed targets, a line for each section."""
+    lines = []
+    for title, text in sections.items():
+        bold = [line.split(" | ")[0] for line in text.splitlines() if line.startswith("| ") and "**" in line]
+        names = [cell.removeprefix("| ").rpartition(" [")[0] for cell in bold]
+        if names:
+            lines.append(f"- {title}: {'; '.join(names)}")
+    return "\n".join(lines) or "None."
+
+
 def machine() -> str:
     """Cores and versions, in one sentence."""
     versions = [f"Python {platform.python_version()}"]
@@ -100,13 +111,7 @@ def main(arguments: list[str]) -> int:
     if given.only_print or given.small:
         return 0
     ordered = [sections[title] for title in BENCHMARKS if title in sections]
-    missed = [
-        f"- {title}: {line.split(' | ')[0].removeprefix('| ')}"
-        for title in BENCHMARKS
-        for line in sections.get(title, "").splitlines()
-        if line.startswith("| ") and "**" in line
-    ]
-    parts = {"load": f"{load_before:.1f}", "sections": "\n\n".join(ordered), "missed": "\n".join(missed) or "None."}
+    parts = {"load": f"{load_before:.1f}", "sections": "\n\n".join(ordered), "missed": missed(sections)}
     write_page(PAGE, machine=machine(), **parts)
     return 0
 
