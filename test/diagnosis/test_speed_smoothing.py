@@ -273,7 +273,7 @@ def coarse(recording, step=0.05, seed=13):
 
 def unsmoothed(at, shown, times, _):
     change = np.zeros(len(times) - 1)
-    return SmoothedSpeed(np.interp(times, at, shown), change, 1.0, 0.0, 0.0)
+    return SmoothedSpeed(np.interp(times, at, shown), np.zeros(len(times)), change, 1.0, 0.0, 0.0)
 
 
 def test_the_order_of_a_recordings_parts_changes_nothing(recorded, loaded):

@@ -57,8 +57,8 @@ REPLAYED = {
 MOST_WARNINGS = 10  # in the text for a terminal
 DATA_FILES = (REPORT_FILE, VEHICLE_FILE, SURROUNDINGS_FILE, SETTINGS_FILE)
 SETTINGS_ABOUT = (
-    "# Settings of the live filter of the acceleration, from the speeds of these recordings:\n"
-    "# for --params of trackres replay and trackres live, or as parameters of the node.\n"
+    "# Settings of the live filter of the acceleration, from the speeds of these recordings.\n"
+    "# They are for --params of trackres replay and trackres live, or parameters of the node.\n"
 )
 
 
