@@ -68,7 +68,7 @@ def test_a_replay_reproduces_the_errors_of_a_diagnosis(drive, session, report):
     base = load_base(report / "vehicle.yaml").base
     (predicted,) = base.predict([session], base.nominal, ())
     expected = np.abs(session.torque - predicted.torque)[session.used].mean()
-    found = tr.replay(drive, report / "vehicle.yaml", both_sides=True).as_dict()["compared"]
+    found = tr.replay(drive, report / "vehicle.yaml", both_sides=True).as_dict()["comparison"]
     assert found["step_s"] == session.step
     assert found["steps"] == session.used.sum()
     assert found["mean_error_nm"] == pytest.approx(expected, rel=0.03)
@@ -118,10 +118,18 @@ def test_a_recorded_acceleration_is_kept_with_a_note(tmp_path, xgd24d):
     np.testing.assert_allclose(result["accel_mps2"], accel, atol=1e-6)
 
 
+def test_a_role_without_a_sample_is_no_recorded_acceleration(tmp_path):
+    at, _, shown = singer(0.01, 0.5, 3.0, np.random.default_rng(11), seconds=60.0)
+    empty = table(tmp_path, at, shown, accel_mps2=np.full(len(at), np.nan))
+    found = with_acceleration(tr.read(empty), load_base("xgd24d").known)
+    assert np.isfinite(found.series["accel"].value).sum() > 0.9 * len(at)
+    assert GIVEN not in found.notes
+
+
 def test_without_a_torque_it_says_why_no_error_is_compared(tmp_path, xgd24d):
     at, _, shown = singer(0.01, 0.5, 3.0, np.random.default_rng(13), seconds=200.0)
     result = tr.replay(table(tmp_path, at, shown), xgd24d, both_sides=True)
-    assert "compared" not in result.as_dict()
+    assert "comparison" not in result.as_dict()
     assert any("no error as a diagnosis has it" in note and "torque" in note for note in result.notes)
 
 

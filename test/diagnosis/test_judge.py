@@ -283,7 +283,7 @@ def test_a_term_helps_in_most_recordings_in_which_it_acts():
 
 @pytest.mark.parametrize(("count", "grade"), [(3, SUSPECTED), (6, CONFIRMED)])
 def test_what_differs_between_few_recordings_is_suspected(count, grade):
-    """Other things may differ between three; between six, every third of which has it, hardly."""
+    """Other things may differ between three drives too. Between six, of which every third has it, they hardly do."""
 
     def in_every_third(session, number):
         return np.full(len(session), SIZE_NM * (number % 3 == 1))

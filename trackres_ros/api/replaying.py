@@ -126,12 +126,12 @@ def replay(
     mapping = in_memory.topics if in_memory else as_topics(topics)
     given = params if isinstance(params, Mapping) else read_parameters(None if params is None else checks.path(params, "params"))
     opened = in_memory or open_source(paths, mapping)
-    described, compared = as_vehicle(vehicle), None
+    described, comparison = as_vehicle(vehicle), None
     source = in_memory or KeptSource(opened, keep=file is None or file.suffix.lower() != BAG_SUFFIX)
     if both_sides:
         from trackres_ros.api.both_sides import with_both_sides
 
-        source, compared = with_both_sides(in_memory or Recording.from_source(opened), described)
+        source, comparison = with_both_sides(in_memory or Recording.from_source(opened), described)
     settings = settings_for(make_parameters(given).settings(), opened.topics, source.roles)
     learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
     inputs = input_files(mapping, *paths, *files_of(described), params)
@@ -152,8 +152,8 @@ def replay(
             session, off_s, learned_before, unlearned_s = resumed(source, estimator, before)
             go_on_from(before, session, learner, learned_before, unlearned_s)
         write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
-        done = run(source, estimator, write if compared is None else compared.before(write), session, progress, learner)
-        done = done if compared is None else replace(done, compared=compared.as_dict())
+        done = run(source, estimator, write if comparison is None else comparison.writer(write), session, progress, learner)
+        done = done if comparison is None else replace(done, comparison=comparison.as_dict())
         written = [one for one in (file, state) if one is not None]
         if state is not None:
             saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND

@@ -57,7 +57,7 @@ class Replayed:
     late_s: float  # from the first valid speed, which may be refused, to the first row
     learner: Learner | None = None
     learned_file: LearnedFile | None = None  # that it was asked to write
-    compared: Mapping[str, Any] | None = None  # the error as a diagnosis compares it, where it was asked for
+    comparison: Mapping[str, Any] | None = None  # the error as a diagnosis compares it, where it was asked for
 
 
 def channel_indices(session: Session, roles: Sequence[str], learns: bool = False) -> NDArray[np.int16]:

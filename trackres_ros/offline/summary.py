@@ -109,7 +109,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
         "drive": drive,
         "resistance_torque_nm": {"first": first_nm, "largest": drive["largest_resistance_nm"], "last": last_nm},
         "last": last,
-        **({} if result.compared is None else {"compared": dict(result.compared)}),
+        **({} if result.comparison is None else {"comparison": dict(result.comparison)}),
         **learned,
     }
 
@@ -153,10 +153,10 @@ def text(report: dict[str, Any]) -> str:
         + ", ".join(f"{part} {decimals(last[column])}" for part, column in resistance_parts(bool(belts)).items())
         + ")"
     )
-    if (compared := report.get("compared")) and compared["steps"]:
-        error, steps = decimals(compared["mean_error_nm"], 3), number_of(compared["steps"], "step")
+    if (comparison := report.get("comparison")) and comparison["steps"]:
+        error, steps = decimals(comparison["mean_error_nm"], 3), number_of(comparison["steps"], "step")
         lines.append(
-            f"Measured torque: mean error {error} Nm in means over {compared['step_s']:g} s ({steps}, as a diagnosis compares)"
+            f"Measured torque: mean error {error} Nm in means over {comparison['step_s']:g} s ({steps}, as a diagnosis compares)"
         )
     if "learning" in report:
         lines.append(f"Learning ({report['learning']['mode']}): {report['learning']['text']}")

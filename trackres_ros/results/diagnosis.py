@@ -198,10 +198,10 @@ class DiagnosisResult:
 
         They are medians over the recordings, from the noise and the jerk that make their speeds most likely.
         """
-        fitted = [s.live_filter for s in self.diagnosis.gated.sessions if s.live_filter]
-        if not fitted or isinstance(self.diagnosis.base, OwnBase):  # a replay runs no model of the user's own
+        filters = [s.live_filter for s in self.diagnosis.gated.sessions if s.live_filter]
+        if not filters or isinstance(self.diagnosis.base, OwnBase):  # a replay runs no model of the user's own
             return {}
-        medians = np.median(np.array(fitted), axis=0)
+        medians = np.median(np.array(filters), axis=0)
         return {name: float(figures(value, 3)) for name, value in zip(LiveFilter._fields, medians.tolist(), strict=True)}
 
     def _write_settings(self, place: Path) -> list[Path]:
@@ -249,9 +249,11 @@ class DiagnosisResult:
         less = [text for c, text in REPLAYED.items() if c in needed and any(c in s.computed for s in d.gated.sessions)]
         if not less:
             return []
-        fitted = f"--params {SETTINGS_FILE} fits its filter to these speeds; " if self.live_filter else ""
-        both = f" For the acceleration, {fitted}--both-sides uses all speeds, as here." if REPLAYED["accel"] in less else ""
-        return [f"Not all inputs were recorded. A replay computes {', '.join(less)}, so its error is larger than this one.{both}"]
+        settings = f"--params {SETTINGS_FILE} fits its filter to these speeds; " if self.live_filter else ""
+        advice = f" For the acceleration, {settings}--both-sides uses all speeds, as here." if REPLAYED["accel"] in less else ""
+        return [
+            f"Not all inputs were recorded. A replay computes {', '.join(less)}, so its error is larger than this one.{advice}"
+        ]
 
     def _repr_html_(self) -> str:
         rows = []

@@ -32,24 +32,25 @@ def with_acceleration(recording: Recording, settings: GateSettings) -> Recording
 
     One with a recorded acceleration keeps that, with a note. Raises InputError for a recording without two speeds.
     """
-    if "accel" in recording.series:
+    if "accel" in recording.series and np.isfinite(recording.series["accel"].value).any():
         return replace(recording, notes=(*recording.notes, GIVEN))
-    own, speed = recording.series["speed"], stamped(recording).series["speed"]
+    recording = recording.without(["accel"])  # a role may have no sample
+    logged, speed = recording.series["speed"], stamped(recording).series["speed"]
     finite = np.flatnonzero(np.isfinite(speed.value))
-    stamps, first, each = np.unique(speed.stamp_ns[finite], return_index=True, return_inverse=True)
+    stamps, first, stamp_of = np.unique(speed.stamp_ns[finite], return_index=True, return_inverse=True)
     if len(stamps) < 2:
         raise InputError(
             recording.name, number_of(len(stamps), "usable speed"), "two or more, for an acceleration from both sides"
         )
     at = (stamps - stamps[0]) / SECOND_NS
-    accel = smoothed_motion(at, speed.value[finite][first], at, step_of([recording], settings), settings.slowest).accel[each]
-    known = np.isfinite(accel)
-    rows, order = finite[known], recording.log_order()
-    before = np.flatnonzero(order == list(recording.series).index("speed"))[rows]
+    accel = smoothed_motion(at, speed.value[finite][first], at, step_of([recording], settings), settings.slowest).accel[stamp_of]
+    finite_accel = np.isfinite(accel)
+    rows, order = finite[finite_accel], recording.log_order()
+    places = np.flatnonzero(order == list(recording.series).index("speed"))[rows]
     return replace(
         recording,
-        series={**recording.series, "accel": Series(own.stamp_ns[rows], own.arrival_ns[rows], accel[known])},
-        order=np.insert(order, before, np.int16(len(recording.series))),
+        series={**recording.series, "accel": Series(logged.stamp_ns[rows], logged.arrival_ns[rows], accel[finite_accel])},
+        order=np.insert(order, places, np.int16(len(recording.series))),
     )
 
 
@@ -62,8 +63,8 @@ class ComparedTorque:
         self._start_ns = stamped(recording).start_ns
         self._sum, self._number = np.zeros((2, len(self._session)))  # of the residuals in each step [Nm]
 
-    def before(self, write: Callable[[Steps], None]) -> Callable[[Steps], None]:
-        """What takes rows of a replay, and writes them then."""
+    def writer(self, write: Callable[[Steps], None]) -> Callable[[Steps], None]:
+        """A function that adds rows of a replay to the comparison, and writes them."""
 
         def take(steps: Steps) -> None:
             self._add(steps)
@@ -80,7 +81,7 @@ class ComparedTorque:
 
     def as_dict(self) -> dict[str, Any]:
         """Mean absolute residual of the steps' means [Nm], the length of a step and the number of steps, ready for JSON."""
-        compared = self._session.used & (self._number > 0.0)
-        means = self._sum[compared] / self._number[compared]
-        error = float(np.abs(means).mean()) if compared.any() else None
-        return {"mean_error_nm": error, "step_s": self._session.step, "steps": int(compared.sum())}
+        steps = self._session.used & (self._number > 0.0)
+        means = self._sum[steps] / self._number[steps]
+        error = float(np.abs(means).mean()) if steps.any() else None
+        return {"mean_error_nm": error, "step_s": self._session.step, "steps": int(steps.sum())}

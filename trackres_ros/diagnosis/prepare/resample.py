@@ -273,13 +273,13 @@ def _live_filter(accel: Array, noise: float, jerk: float) -> LiveFilter | None:
 
     `noise`: standard deviation of a speed [m/s]. None where nothing moves.
     """
-    moving = accel[np.isfinite(accel) & (accel != 0.0)]
-    if not len(moving):
+    changes = accel[np.isfinite(accel) & (accel != 0.0)]
+    if not len(changes):
         return None
-    std = float(np.sqrt(np.mean(moving**2)))
-    wanted = LiveFilter(noise, std, 2.0 * (std / jerk) ** 2)
+    std = float(np.sqrt(np.mean(changes**2)))
+    values = LiveFilter(noise, std, 2.0 * (std / jerk) ** 2)
     limits = {one.name: one.metadata for one in fields(Settings)}
-    return LiveFilter(*(float(np.clip(x, limits[name]["low"], limits[name]["high"])) for name, x in wanted._asdict().items()))
+    return LiveFilter(*(float(np.clip(x, limits[name]["low"], limits[name]["high"])) for name, x in values._asdict().items()))
 
 
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:
