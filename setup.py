@@ -90,7 +90,7 @@ NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
 INTERACTIVE = ["bokeh>=3.4"]
 DIAGNOSIS = ["jinja2>=3.1", "threadpoolctl>=3.1", *PLOTS]
-PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
+PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]  # for python -m proofs, in a checkout
 FLEET = [*DIAGNOSIS, *PARQUET, "dask>=2024.1", "distributed>=2024.1", "fsspec>=2023.12"]
 FLEET_TESTED = [*FLEET, "s3fs>=2023.12", "moto[s3]>=5.0", "flask>=3.0", "flask-cors>=4.0"]  # a bucket that is there, on loopback
 DESIGN = ["SALib>=1.4.7", *PLOTS]
@@ -134,7 +134,6 @@ setup(
     package_data={
         PACKAGE: ["py.typed"],
         f"{PACKAGE}.diagnosis.report": ["page.html", "page.js", "report.schema.json"],
-        f"{PACKAGE}.evaluation.sealed": ["groomer.yaml"],
         f"{PACKAGE}.export": ["templates/*"],
         f"{PACKAGE}.fleet.page": ["*.html", "*.css"],
         f"{PACKAGE}.kernels": ["templates/*"],
@@ -165,7 +164,7 @@ setup(
         "proof": PROOF,
         "fleet": FLEET,
         "design": DESIGN,
-        "all": BAGS + FORMATS + NOTEBOOK + PROOF + FLEET + DESIGN + INTERACTIVE,
+        "all": BAGS + FORMATS + NOTEBOOK + FLEET + DESIGN + INTERACTIVE,
         "test": BAGS + FORMATS + NOTEBOOK + PROOF + FLEET_TESTED + DESIGN + INTERACTIVE + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,

@@ -18,8 +18,8 @@ from measuring import Ended, Row, alone, seconds, trackres
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active, catalogue
-from trackres_ros.evaluation.synthetic import drives, write_recordings
 
 EFFECT = "viscous_bearing"
 SEED = 2

@@ -30,7 +30,7 @@ from measuring import START_NS, alternated, median_ratio
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackres_ros.arrays import Array
-from trackres_ros.building.kernel_source import all_entries, built_in
+from trackres_ros.building.kernel_source import all_entries, built
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
 from trackres_ros.diagnosis.prepare import speed_smoothing
 from trackres_ros.errors import InputError
@@ -357,8 +357,7 @@ def rows(steps: int = 200_000, repeats: int = 15) -> dict[str, float]:
             numbers[last] += 1e-3
 
     found, plain = {}, {f.__name__: f for f in (by_name, by_index)}
-    with tempfile.TemporaryDirectory() as folder:
-        module = built_in(Path(folder), plain)
+    module = built(plain)
     ways = {"plain Python": plain} | ({} if module is None else {"compiled": {name: getattr(module, name) for name in plain}})
     for way, functions in ways.items():
         count = steps if way == "compiled" else max(1, steps // 100)
@@ -409,7 +408,7 @@ def kernel(samples: int = 20_000, rounds: int = 7) -> dict[str, float]:
     builders = {"Cython": _by_cython, "Pythran": _by_pythran, "mypyc": _by_mypyc}
     found: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
-        ways: dict[str, Any] = {"ours": lambda path: built_in(path, functions)}
+        ways: dict[str, Any] = {"ours": lambda _: built(functions)}
         ways |= {
             way: partial(build, functions) for way, build in builders.items() if importlib.util.find_spec(way.replace("P", "p"))
         }

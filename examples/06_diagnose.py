@@ -10,7 +10,7 @@ import numpy as np
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import load_base
-from trackres_ros.evaluation.synthetic import drives, write_recordings
+from trackres_ros.diagnosis.synthetic import drives, write_recordings
 
 loaded, scrub, rng = load_base("xgd24d"), tr.effects.catalogue()["turning_scrub"], np.random.default_rng(1)
 with tempfile.TemporaryDirectory() as folder:

@@ -181,7 +181,14 @@ def refused():
 
 
 def _trackres(*words, cwd=None):
-    from trackres_ros.cli.main import main
+    """The command line of the package, or of `python -m proofs` where `proofs` is the first word."""
+    from trackres_ros.cli.main import cli, main
+
+    commands, program = cli, "trackres"
+    if words[:1] == ("proofs",):
+        from proofs.commands import proofs
+
+        words, commands, program = words[1:], proofs, "python -m proofs"
 
     streams, handlers = (io.StringIO(), io.StringIO()), {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
     with pytest.MonkeyPatch.context() as changed, redirect_stdout(streams[0]), redirect_stderr(streams[1]):
@@ -189,7 +196,7 @@ def _trackres(*words, cwd=None):
         if cwd:
             changed.chdir(cwd)
         with pytest.raises(SystemExit) as ended:
-            main([str(word) for word in words])
+            main([str(word) for word in words], commands, program)
     for number, handler in handlers.items():
         signal.signal(number, handler)
     return SimpleNamespace(returncode=ended.value.code, stdout=streams[0].getvalue(), stderr=streams[1].getvalue())

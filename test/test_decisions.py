@@ -69,6 +69,6 @@ def test_each_decision_is_listed_and_names_its_measurement(repository, decisions
     folder = repository / "docs" / "decisions"
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
     assert set(re.findall(r"\]\((.+?\.md)\)", (folder / "README.md").read_text())) == pages
-    command = r"`(?:python benchmarks/decisions.py (\w+)`|trackres prove )"
+    command = r"`(?:python benchmarks/decisions.py (\w+)`|python -m proofs )"
     measured = [re.search(command, (folder / page).read_text()) for page in pages - {"words.md", "size.md"}]
     assert {match.group(1) for match in measured} - {None} == set(decisions.DECISIONS)

@@ -24,6 +24,7 @@ from fleet_rows import REPORT, row
 from interrupted import interrupted
 
 import trackres_ros as tr
+from proofs.commands import proofs
 from trackres_ros.cli.main import cli
 from trackres_ros.files.resources import config_dir
 from trackres_ros.fleet.dataset import FleetDataset
@@ -37,7 +38,10 @@ pytest.importorskip("asammdf")
 pytest.importorskip("cantools")
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-SHOWN = re.compile(r"`((?:trackres|ros2) [^`\n]+)`|^\s*((?:trackres|ros2) [^`|\n]+)$", re.MULTILINE)
+SHOWN = re.compile(
+    r"`((?:trackres|ros2|python -m proofs) [^`\n]+)`|^\s*((?:trackres|ros2|python -m proofs) [^`|\n]+)$", re.MULTILINE
+)
+PROGRAMS = {"trackres": cli, "proofs": proofs}
 BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
 RUN_ELSEWHERE = ("export", "first-controller", "first-designer", "first-tester", "own-effect")
 LONGEST_S = 0.15
@@ -50,7 +54,7 @@ def shown():
     """Page and command of all that pages show; a comment behind it is not part of it."""
     for page in PAGES:
         for match in SHOWN.finditer(page.read_text(encoding="utf-8")):
-            words = shlex.split((match[1] or match[2]).strip(), comments=True)
+            words = shlex.split((match[1] or match[2]).strip().removeprefix("python -m "), comments=True)
             if words[-1] != "..." and not any(word[-1:] == "=" for word in words):
                 yield page.stem, words
 
@@ -58,7 +62,7 @@ def shown():
 def is_whole(words):
     """Whether a command is complete; else a page only mentions it."""
     command, path, rest = command_of(words)
-    if (path == ["live"] and "--vehicle" not in rest) or (path == ["prove"] and "-o" not in rest):
+    if (path == ["live"] and "--vehicle" not in rest) or (path == ["own"] and "-o" not in rest):
         return False
     try:
         command.make_context(" ".join(path), list(rest))
@@ -69,7 +73,7 @@ def is_whole(words):
 
 def command_of(words):
     """The click command of words, its path, and the words behind."""
-    command, path = cli, []
+    command, path = PROGRAMS[words[0]], []
     for word in words[1:]:
         if not isinstance(command, click.Group) or word not in command.commands:
             break
@@ -80,7 +84,7 @@ def command_of(words):
     return command, path, words[1 + len(path) :]
 
 
-COMMANDS = sorted({tuple(words) for _, words in shown() if words[0] == "trackres" and len(words) > 1})
+COMMANDS = sorted({tuple(words) for _, words in shown() if words[0] in PROGRAMS and len(words) > 1})
 RUN_HERE = {tuple(words) for page, words in shown() if page not in RUN_ELSEWHERE}
 
 
@@ -148,7 +152,7 @@ def files(tmp_path_factory):
     return folder
 
 
-NEW = {("vehicle", "new"), ("reproduce",), ("prove",), ("fleet", "sample")}
+NEW = {("vehicle", "new"), ("fleet", "sample")}
 """What makes its files itself, and wants no others in its folder."""
 AS_FAR = {"diagnose": "a measured torque", "coastdown": "coast-down", "fleet": "--vehicles"}
 """How far a command comes with these recordings, which have no torque, or in which nothing rolls out."""
@@ -162,7 +166,7 @@ def test_a_command_shown_is_not_refused(words, files, trackres, tmp_path):
         pytest.importorskip("cyclonedds")
     folder = tmp_path
     (folder / "docs").mkdir()
-    if not any(tuple(path[: len(new)]) == new for new in NEW):
+    if words[0] == "trackres" and tuple(path[:2]) not in NEW:
         folder = tmp_path / "files"
         shutil.copytree(files, folder, copy_function=os.link)  # no command changes a file in place
     for option, name in pairwise(words):
@@ -171,7 +175,7 @@ def test_a_command_shown_is_not_refused(words, files, trackres, tmp_path):
     environment = {"XDG_STATE_HOME": str(tmp_path / "state")}
     if path[0] in ("live", "play"):
         environment |= {"CYCLONEDDS_URI": peer.LOOPBACK, "ROS_DOMAIN_ID": str(peer.domain_of_worker(73))}
-    code, said = interrupted(trackres, words[1:], folder, LONGEST_S, environment)
+    code, said = interrupted(trackres, words[words[0] == "trackres" :], folder, LONGEST_S, environment)
     assert code in (0, 130) or AS_FAR.get(path[0], "\0") in said, said
 
 

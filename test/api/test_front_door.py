@@ -63,7 +63,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "diagnose.py": {"trackres_ros.files.output_files", "trackres_ros.results.diagnosis"},
     "entry.py": {"trackres_ros.files.interpreter", "trackres_ros.node.signals"},
     "export.py": {"trackres_ros.export"},
-    "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet", "trackres_ros.files.output_files"},
+    "fleet.py": {"trackres_ros.fleet", "trackres_ros.files.output_files"},
     "layouts.py": {"trackres_ros.output.layouts"},
     "live.py": {
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
@@ -74,9 +74,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "live_table.py": {"trackres_ros.node.transport", "trackres_ros.node.report", "trackres_ros.recording.roles"},
     "options.py": {"trackres_ros.api.arguments", "trackres_ros.recording.bindings"},
     "play.py": {"trackres_ros.node.dds.player"},
-    "prove.py": {"trackres_ros.evaluation", "trackres_ros.files.interpreter"},
     "replay.py": {"trackres_ros.files.output_files", "trackres_ros.recording.opening"},
-    "reproduce.py": {"trackres_ros.evaluation.reproduce"},
     "topics.py": {"trackres_ros.recording.topics_files"},
     "simulate.py": {"trackres_ros.offline.energy"},
     "vehicle.py": {"trackres_ros.offline.vehicle_files"},

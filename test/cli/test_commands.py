@@ -41,7 +41,7 @@ def sample(folder, good):
 
 def test_help_teaches_every_command(good):
     top = good("--help")
-    for command in ("simulate", "replay", "explain", "reproduce", "record-sample"):
+    for command in ("simulate", "replay", "explain", "record-sample"):
         assert command in top
         text = good(command, "--help")
         assert "trackres " + command in text
@@ -295,7 +295,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, refused, ar
     [
         (("repaly",), "did you mean replay?"),
         (("vehicle", "chek"), "did you mean check?"),
-        (("prove", "lerning"), "did you mean learning?"),
+        (("fleet", "smaple"), "did you mean sample?"),
         (("xyz",), "record-sample"),
     ],
 )

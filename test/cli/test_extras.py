@@ -31,7 +31,7 @@ for number, (modules, words) in enumerate(commands):
         main(words)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
-OPTIONAL = "rosbags pyarrow pandas xarray matplotlib jinja2 sklearn pysindy cyclonedds distributed SALib fsspec"
+OPTIONAL = "rosbags pyarrow pandas xarray matplotlib jinja2 cyclonedds distributed SALib fsspec"
 
 
 def without(blocked, commands, folder):
@@ -49,15 +49,8 @@ def without(blocked, commands, folder):
 
 
 NEEDED = [
-    (("prove", "--quick", "-o", "out"), ("sklearn", "pysindy", "matplotlib", "jinja2")),
-    (("prove", "--quick", "--json", "-o", "out"), ("sklearn",)),
-    (("prove", "paper", "-o", "out"), ("matplotlib", "jinja2")),
-    (("prove", "loop", "-o", "out"), ("matplotlib",)),
-    (("prove", "real", "--data", "here", "-o", "out"), ("matplotlib",)),
     (("fleet", "drive.csv", "--vehicle", "agri3t", "-o", "out"), ("distributed", "fsspec", "pyarrow", "jinja2")),
     (("trend", "here"), ("pyarrow",)),
-    (("prove", "fleet", "-o", "out"), ("distributed",)),
-    (("reproduce", "-o", "out"), ("matplotlib",)),
     (("sensitivity", "agri3t"), ("SALib",)),
     (("record-sample", "-o", "out.mcap"), ("rosbags",)),
     (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "-o", "out.parquet"), ("pyarrow",)),

@@ -26,10 +26,10 @@ from trackres_ros.diagnosis.selection import as_used
 from trackres_ros.diagnosis.selection.as_used import AsUsed, _kept, _Option, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.stages.prepare import LEAST_S, prepared, seconds_without_torque, without_an_offset
+from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active, Effect, Terms, catalogue
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.files.resources import config_dir
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.recording.bindings import Topics

@@ -11,8 +11,8 @@ from csv_tables import rewritten
 
 from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, NO_WORSE, REFUTED, SUSPECTED, HeldOutLaps
+from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.synthetic import drives
 
 PUMP_NM, PUMP_S = 600.0, 100.0
 

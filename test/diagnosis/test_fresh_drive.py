@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import trackres_ros as tr
-from trackres_ros.evaluation.sealed.drives import drive
-from trackres_ros.evaluation.sealed.generate import (
+from proofs.sealed.drives import drive
+from proofs.sealed.generate import (
     APART_S,
     FASTEST_MPS,
     START_S,
@@ -19,8 +19,8 @@ from trackres_ros.evaluation.sealed.generate import (
     weight_and_radius,
     write_vehicle,
 )
-from trackres_ros.evaluation.sealed.sensors import Sensors, record
-from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
+from proofs.sealed.sensors import Sensors, record
+from proofs.sealed.truth import Build, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
 MINUTES, SECOND = 8.0, 10  # of a drive; samples

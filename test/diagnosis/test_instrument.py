@@ -12,9 +12,9 @@ from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
 from trackres_ros.diagnosis.base.instrument import MOST_DELAY_S, MOST_GAIN, MOST_OFFSET_NM, instrument
 from trackres_ros.diagnosis.inference import fitting
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active
 from trackres_ros.effects.effect import REFERENCE_NM
-from trackres_ros.evaluation.synthetic import drives, write_recordings
 
 SMALL = {"delay": 0.05, "torque_gain": 0.005, "torque_offset": 20.0}
 LARGE = {"delay": 0.3, "torque_offset": 300.0, "torque_gain": 0.05}

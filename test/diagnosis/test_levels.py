@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
-from trackres_ros.evaluation.synthetic import drives
+from trackres_ros.diagnosis.synthetic import drives
 
 STEP_S = 1.0
 TRAINED, MINUTES = 3, 25.0  # the last of four drives is held out

@@ -12,11 +12,11 @@ import pytest
 import yaml
 
 from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
-from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.learning.parameters import learnables
 from trackres_ros.offline.replay import replay
 from trackres_ros.recording.samples import SampleBlock

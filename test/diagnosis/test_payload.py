@@ -24,8 +24,8 @@ from trackres_ros.diagnosis.empirical.payload import (
 from trackres_ros.diagnosis.empirical.statements import describe
 from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import catalogue
-from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 

@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.prepare.speed_smoothing import (
     without_repeats,
 )
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.evaluation.synthetic import STEP_S, TORQUE_NOISE_NM
+from trackres_ros.diagnosis.synthetic import STEP_S, TORQUE_NOISE_NM
 
 GAP_S = 2.0
 

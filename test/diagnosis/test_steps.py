@@ -27,9 +27,9 @@ from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock
 from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
 from trackres_ros.diagnosis.selection.visibility import separability
+from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.synthetic import drives
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ from csv_tables import written
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.synthetic import drives
 
 KNOWN = GateSettings(14000.0, 40.0, 15.0, False)
 CLOCK_S = 1_760_000_000

@@ -24,10 +24,10 @@ from trackres_ros.diagnosis.search.explanations import Explanation, Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.candidate import compared
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
+from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.learned import EmpiricalEffect, sized
-from trackres_ros.evaluation.synthetic import drives
 
 LAP_S, LAPS = 75.0, 8  # of each drive
 HELD_OUT_EVERY = 4  # so many laps of a drive leave one that is not fitted

@@ -5,7 +5,7 @@
 
 import pytest
 
-from trackres_ros.building.kernel_source import built_in
+from trackres_ros.building.kernel_source import built
 from trackres_ros.effects.stepping import (
     ALL_WELL,
     EXTRAPOLATED,
@@ -20,10 +20,10 @@ from trackres_ros.model.vehicle_constants import vehicle_constants
 
 
 @pytest.fixture(scope="session")
-def stepped(xgd24d, tmp_path_factory):
+def stepped(xgd24d):
     """The terms of effects, or of their table, by the step in C or in plain Python; it changes their memory."""
     facts = vehicle_constants(xgd24d)
-    module = built_in(tmp_path_factory.mktemp("step"), {"step_effects": step_effects}, "-O0")
+    module = built({"step_effects": step_effects}, "-O0")
     in_c = step_effects if module is None else module.step_effects
 
     def step(effects, at, memory=None, machine=True, dt=0.0):

@@ -18,7 +18,7 @@ import pytest
 
 import trackres_ros
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.building.kernel_source import all_entries, built_in
+from trackres_ros.building.kernel_source import all_entries, built
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.stepping import TERMS, fit_table, new_memory, new_work
 from trackres_ros.estimator import columns as at
@@ -234,10 +234,10 @@ def moved(numbers: Annotated[Array, (None, 4)], counts: IntArray):
     return row.several[1] + count.seen
 
 
-def test_a_row_names_numbers_where_they_lie(tmp_path):
+def test_a_row_names_numbers_where_they_lie():
     assert (Numbered.first, Numbered.several, Numbered.last, Numbered.columns) == (0, slice(1, 3), 3, 4)
     found = []
-    for function in (moved, built_in(tmp_path, {"moved": moved}, "-O0").moved):
+    for function in (moved, built({"moved": moved}, "-O0").moved):
         numbers, counts = np.arange(8.0).reshape(2, 4), np.array([3, 5])
         found.append((function(numbers, counts), numbers.tolist(), counts.tolist()))
     assert found == [(15.0, [[0.0, 1.0, 2.0, 3.0], [4.0, 5.0, 10.0, 2.5]], [5, 5])] * 2

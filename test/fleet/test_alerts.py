@@ -22,9 +22,9 @@ from waiting import wait_for
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
+from proofs.fleet.draw import draw_fleet, write_recording
 from trackres_ros.diagnosis import load_base
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.alerts import COLUMNS, alerts, checked_url
 from trackres_ros.fleet.changes import DAY_S
 from trackres_ros.fleet.compare import REPORT, compare, compare_text

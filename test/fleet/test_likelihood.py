@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from proofs.fleet.draw import FASTEST_MPS, VEHICLE
+from proofs.sealed.data_sheet import read_data_sheet
+from proofs.sealed.drives import drive
+from proofs.sealed.sensors import Sensors, record
+from proofs.sealed.truth import Build, simulate_truth
 from trackres_ros import read
 from trackres_ros.diagnosis.base.loading import load_base
-from trackres_ros.evaluation.fleet.draw import FASTEST_MPS, VEHICLE
-from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-from trackres_ros.evaluation.sealed.drives import drive
-from trackres_ros.evaluation.sealed.sensors import Sensors, record
-from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.fleet.likelihood import evidence, whatever_others
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
+from proofs.fleet import draw
+from proofs.fleet.draw import DAY_S, MOVES_MPS, MOVES_S, draw_fleet, write_recording
+from proofs.sealed.drives import drive
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.fleet import draw
-from trackres_ros.evaluation.fleet.draw import DAY_S, MOVES_MPS, MOVES_S, draw_fleet, write_recording
-from trackres_ros.evaluation.fleet.sample import SAMPLE_CHANGES
-from trackres_ros.evaluation.sealed.drives import drive
+from trackres_ros.fleet.sample import SAMPLE_CHANGES
 from trackres_ros.fleet.task import Task, analyse
 from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
 

@@ -85,13 +85,12 @@ def test_examples(text, shown):
 
 
 def room(path):
-    """The first two folders of a module; texts of the diagnosis and of the proof keep their own figures."""
+    """The first two folders of a module; texts of the diagnosis keep their own figures."""
     return path.relative_to(PACKAGE).parts[:-1][:2]
 
 
 REASONING = [
     ("diagnosis",), *(("diagnosis", part) for part in ("prepare", "base", "inference", "selection", "findings", "writing")),
-    ("evaluation",), ("evaluation", "sealed"), ("evaluation", "field"),
 ]  # fmt: skip
 
 

@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
-import sysconfig
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -15,7 +13,7 @@ from types import FunctionType, ModuleType
 
 from trackres_ros.effects.calls import shipped
 from trackres_ros.effects.dispatch import EffectCalls
-from trackres_ros.kernels.compiler import compiled
+from trackres_ros.kernels.compiler import loaded
 from trackres_ros.kernels.extension import Extension
 from trackres_ros.kernels.flow import translate_body
 from trackres_ros.kernels.functions import Translator
@@ -24,7 +22,7 @@ from trackres_ros.kernels.marks import ENTRIES
 
 MODULES = (
     "estimator.entry_points", "diagnosis.base.own", "diagnosis.prepare.speed_smoothing", "diagnosis.prepare.gaps",
-    "diagnosis.empirical.spells", "evaluation.sealed.belt_heat",
+    "diagnosis.empirical.spells",
 )  # fmt: skip
 """Modules with entries."""
 
@@ -49,20 +47,10 @@ def source(name: str, entries: Mapping[str, FunctionType]) -> str:
     return made.text(effects.text(), effects.prototype, list(effects.functions.values()))
 
 
-def built_in(folder: Path, entries: Mapping[str, FunctionType], *options: str) -> ModuleType | None:
-    """A module with some kernels as C, compiled into a folder, for tests and comparisons; None without a compiler."""
+def built(entries: Mapping[str, FunctionType], *options: str) -> ModuleType | None:
+    """A module with some kernels as C, compiled now, for tests and comparisons; None without a compiler."""
     name = f"of_{'_'.join(entries)}"
-    library = compiled(source(name, entries), f"-I{sysconfig.get_paths()['include']}", *options)
-    if library is None:
-        return None
-    path = folder / f"{name}.abi3.so"
-    path.write_bytes(library)
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        return None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+    return loaded(name, source(name, entries), *options)
 
 
 if __name__ == "__main__":

@@ -152,7 +152,7 @@ def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
     trackres fleet sample -o try --vehicles 20 --days 90
     trackres fleet try/recordings --vehicles try/fleet.yaml -o results
     """
-    from trackres_ros.evaluation.fleet.sample import write_sample
+    from trackres_ros.fleet.sample import write_sample
 
     watch(output)
     with ExitStack() as bars:

@@ -26,11 +26,9 @@ from trackres_ros.cli.interrupts import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.layouts import layouts_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
-from trackres_ros.cli.prove import prove_command
 from trackres_ros.cli.record_sample import record_sample_command
 from trackres_ros.cli.recover import recover_command
 from trackres_ros.cli.replay import replay_command
-from trackres_ros.cli.reproduce import reproduce_command
 from trackres_ros.cli.simulate import simulate_command
 from trackres_ros.cli.topics import topics_group
 from trackres_ros.cli.vehicle import vehicle_group
@@ -67,14 +65,12 @@ for command in (
     export_group,
     diagnose_command,
     coastdown_command,
-    prove_command,
     effects_command,
     fleet_group,
     trend_command,
     compare_command,
     sweep_command,
     sensitivity_command,
-    reproduce_command,
     record_sample_command,
     recover_command,
     vehicle_group,
@@ -84,8 +80,8 @@ for command in (
     cli.add_command(command)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; bad input ends with exit code 2 and one line that says what to do, with --json as JSON."""
+def main(arguments: Sequence[str] | None = None, commands: click.Group = cli, program: str = "trackres") -> None:
+    """Run a command line; bad input ends with exit code 2 and one line that says what to do, with --json as JSON."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the caller; progress bars and libraries expect a stream
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
@@ -94,13 +90,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     as_json = "--json" in given
     try:
         _refuse_empty(given)
-        result = cli.main(args=given, prog_name="trackres", standalone_mode=False)
+        result = commands.main(args=given, prog_name=program, standalone_mode=False)
     except click.ClickException as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: the help is the message
             click.echo(error.format_message())
             sys.exit(BAD_INPUT)
         context = getattr(error, "ctx", None)
-        path = context.command_path if context else "trackres"
+        path = context.command_path if context else program
         text = " ".join(error.format_message().split())
         _fail(InputError(path, " ".join(given), text, f"see {path} --help"), f"{text} (see {path} --help)", as_json)
     except InputError as error:

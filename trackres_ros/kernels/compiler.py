@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import subprocess
+import sysconfig
 import tempfile
 from pathlib import Path
+from types import ModuleType
 
 FROM_LIBRARY = (
     "pow", "exp", "expm1", "log", "log1p", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh",
@@ -38,3 +41,19 @@ def compiled(text: str, *options: str) -> bytes | None:
         command = [path, *FLAGS, *options, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, cwd=folder, check=False)
         return library.read_bytes() if done.returncode == 0 else None
+
+
+def loaded(name: str, text: str, *options: str) -> ModuleType | None:
+    """A module of Python from its C; None without a compiler or Python.h. Its file is gone as soon as it is loaded."""
+    library = compiled(text, f"-I{sysconfig.get_paths()['include']}", *options)
+    if library is None:
+        return None
+    with tempfile.TemporaryDirectory(prefix="trackres") as folder:
+        path = Path(folder, f"{name}.abi3.so")
+        path.write_bytes(library)
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        module = importlib.util.module_from_spec(spec)
+        assert spec.loader is not None
+        spec.loader.exec_module(module)
+    return module

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 ROOMS = ("model", "estimator", "effects", "kernels", "route", "diagnosis/prepare", "diagnosis/base", "diagnosis/empirical")
-FILES = ("units.py", "evaluation/sealed/belt_heat.py")
+FILES = ("units.py",)
 """Sources of compiled code, and of constants, which become part of it."""
 NAME = "trackres_ros.kernels.built"
 SLOWER = 100  # times that a step in plain Python takes longer, at least: 450 us against 1.5 us of `Session.handle`

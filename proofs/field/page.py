@@ -1,0 +1,217 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Writes page and pictures of the diagnosis on real recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from proofs.field.bus import bus_page
+from proofs.field.data import SECONDS_PER_H, Array
+from proofs.field.live import learned_page, live_page
+from proofs.field.run import (
+    COLD_AFTER_H,
+    COLD_S,
+    TURNING,
+    FieldTrial,
+    RepeatedRoute,
+    Start,
+    acts_early,
+    starts,
+    twice,
+)
+from proofs.field.warmth import WANTED_RANK, PooledStarts, pool, start_states, warming
+from trackres_ros.diagnosis.empirical.closest import evenly_filled
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95
+from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture
+from trackres_ros.text.numbers import decimals
+
+EARLY_S, BIN_S = 900.0, 60.0
+YAW_BINS = 16
+LEAST_SHOWN_H = 0.03  # on a logarithmic axis, for a trip that began as the one before ended
+SIGNIFICANT = 0.05
+SETTLED_STD = 1.0  # of a start state: a less certain one is not used
+
+
+def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
+    """Draw the pictures of `run.try_all` and `bus.try_bus` into a folder; the page, whose links begin with `of_pictures`."""
+    winter = tried[0]
+    route = next(t for t in tried if "twice" in t.what)
+    grass = next(t for t in tried if t.wanted == TURNING and t.hidden.startswith("nothing"))
+    begun, repeated = starts(data, winter), twice(route)
+    states = start_states(warming(tried[1].found.refitted), [SECONDS_PER_H * s.stood_h for s in begun])
+    together = pool(states, np.random.default_rng(1))
+    begun = [replace(s, state=float(x), std=float(d)) for s, x, d in zip(begun, states.alone, states.alone_std, strict=True)]
+    _draw_starts(folder / "starts.png", winter, begun, together)
+    _draw_twice(folder / "twice.png", route, repeated)
+    _draw_turning(folder / "turning.png", grass)
+    lines = [
+        "| Recordings | Concealed | Found | Mean error on held-out laps, re-fitted and with effects [Nm] | Outcome |",
+        "|---|---|---|---|---|",
+    ]
+    for t in (*tried, *of_bus):
+        named = "; ".join((*(" or ".join(members) for members in t.named), *t.described)) or t.found.verdict.status
+        mae = t.found.held_out.mae
+        lines.append(f"| {t.what} | {t.hidden} | {named} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.outcome} |")
+    lines += ["", "The verdicts, word for word:", ""]
+    lines += [f"- **{t.what}, concealed: {t.hidden}.** {t.found.verdict.sentence}" for t in (*tried, *of_bus)]
+    lines += ["", "## The car's starts, unsealed", "", *_starts(begun, together), _where(tried[1], begun), ""]
+    lines += [
+        f"![Torque that the re-fitted base lacks over the time since the start, and start states.]({of_pictures}starts.png)",
+        "",
+    ]
+    lines += bus_page(of_bus, folder, of_pictures)
+    lines += live_page(data)
+    lines += learned_page(data)
+    lines += ["## A route driven twice", "", *_twice(route, repeated), ""]
+    lines += [f"![Residuals of both drives and the slope over the distance.]({of_pictures}twice.png)", ""]
+    lines += ["## Turning on wet grass", ""]
+    lines += [f"![Measured and expected torque over the yaw rate.]({of_pictures}turning.png)"]
+    return "\n".join(lines) + "\n"
+
+
+def _starts(begun: Sequence[Start], together: PooledStarts) -> list[str]:
+    lines = [
+        "The start state of each trip is fitted to that trip alone, with a warm-up that uses the clocks. 0 is as warm as after a "
+        "drive like it, 1 is fully cold. The standard deviation comes from the same sum over the residual ten minutes and more "
+        "after a start, when nothing warms up.",
+        "",
+        "| Trip | Stood [h] | Ambient [degC] | Lacks in the first three minutes [Nm] | Start state |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {decimals(s.lacks)} | {decimals(s.state, 2)} +- {decimals(s.std, 2)} |"
+        for s in sorted(begun, key=lambda s: -s.stood_h)
+    ]
+    lacks, cold = np.array([s.lacks for s in begun]), np.array([s.cold for s in begun])
+    low, high = (f"{x / SECONDS_PER_H:.2g}" for x in (together.low_s, together.high_s))
+    return [
+        *lines,
+        "",
+        f"In the first three minutes the base lacks {np.nanmean(lacks[cold]):.0f} Nm after a night or a day "
+        f"({COLD_AFTER_H:g} h and more). After a short stop it lacks {np.nanmean(lacks[~cold]):.0f} Nm. {_ranks(begun)}",
+        "",
+        "A fit of all trips together has one time constant of cooling at rest. Its start states have a spread about the value "
+        f"for the standing time. The time constant is {together.time_constant_s / SECONDS_PER_H:.2g} h [{low}, {high}], "
+        + ("within" if together.settled else "open to one end of")
+        + f" the range tried; the spread is {together.spread:.2g}. These start states have a rank correlation of "
+        f"{together.rank_together:.2f} with the standing time, as the fit draws them towards it. Standing times given to the "
+        f"trips at random fit as well in {together.chance:.1%} of draws. Were the model true, the states fitted alone would "
+        f"reach a rank correlation of {WANTED_RANK:g} in {together.reached:.0%} of winters like this one.",
+    ]
+
+
+def _where(known: FieldTrial, begun: Sequence[Start]) -> str:
+    early = np.array([acts_early(known, i) for i in range(len(begun))])
+    cold = np.array([s.cold for s in begun])
+    return (
+        f"With the clock, but without the ambient temperature, the named effect acts for {early[cold].mean():.0f} of the first "
+        f"{COLD_S:.0f} s after a night or a day. After a short stop it acts for {early[~cold].mean():.0f} s."
+    )
+
+
+def _ranks(begun: Sequence[Start]) -> str:
+    sure = [s for s in begun if s.std < SETTLED_STD and np.isfinite(s.state)]
+    if len(sure) < 4:
+        return "Too few start states are certain enough to be ranked."
+    stood = spearmanr([s.stood_h for s in sure], [s.state for s in sure])
+    ambient = spearmanr([s.ambient for s in sure], [s.state for s in sure])
+    follow = stood.pvalue < SIGNIFICANT and stood.statistic > 0.0
+    return (
+        f"The start states of {len(sure)} trips have a standard deviation below {SETTLED_STD:g}. Their rank correlation with the "
+        f"standing time is {stood.statistic:.2f} (p = {stood.pvalue:.2g}), with the ambient temperature "
+        f"{ambient.statistic:.2f} (p = {ambient.pvalue:.2g}). "
+        + (
+            "So the start states follow the standing time."
+            if follow
+            else "So the start states do not follow the standing time, trip by trip."
+        )
+    )
+
+
+def _twice(route: FieldTrial, repeated: RepeatedRoute) -> list[str]:
+    return [
+        f"The residuals of both drives repeat over distance with a correlation of {repeated.repeats:.2f}, and follow the "
+        f"concealed slope with {repeated.follows_slope:.2f}. So they depend on the position, which need not be the grade. "
+        + ("Grade was not named." if route.outcome == "right" else "Something was named all the same.")
+    ]
+
+
+def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
+    """Mean residual of sessions over the time since their start."""
+    time, left = [], []
+    for i in sessions:
+        session = fit.problem.sessions[i]
+        at = session.used & (session.time < EARLY_S)
+        time.append(session.time[at])
+        left.append(fit.residuals[i][at])
+    place = (np.concatenate(time) / BIN_S).astype(int)
+    count = np.bincount(place, minlength=int(EARLY_S / BIN_S))
+    means = np.bincount(place, np.concatenate(left), minlength=int(EARLY_S / BIN_S)) / np.maximum(count, 1)
+    return np.asarray((np.arange(len(means)) + 0.5) * BIN_S / 60.0), np.where(count > 0, means, np.nan)
+
+
+def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start], together: PooledStarts) -> None:
+    cold = [i for i, s in enumerate(begun) if s.cold]
+    warm = [i for i, s in enumerate(begun) if not s.cold]
+    with picture(path, 9.0, 3.4) as figure:
+        left, right = figure.subplots(1, 2)
+        for of, colour, what in ((cold, BLUE, "a night or a day"), (warm, ORANGE, "a short stop")):
+            left.plot(*_over_time(winter.found.refitted, of), color=colour, label=f"after {what}: re-fitted base")
+            left.plot(*_over_time(winter.found.final, of), color=colour, linestyle=":", label="with what was named")
+        left.axhline(0.0, color=GREY, linewidth=0.8)
+        left.set_xlabel("time since start [min]")
+        left.set_ylabel("measured less expected torque [Nm]")
+        left.legend()
+        for s in begun:
+            colour = BLUE if s.cold else ORANGE
+            right.errorbar(
+                max(s.stood_h, LEAST_SHOWN_H), s.state, yerr=NORMAL_95 * s.std, fmt="o", markersize=4, color=colour, linewidth=1.0
+            )
+        hours = np.geomspace(LEAST_SHOWN_H, max(s.stood_h for s in begun), 100)
+        says = together.height * -np.expm1(-hours * SECONDS_PER_H / together.time_constant_s)
+        right.plot(hours, says, color=GREY, label="all together")
+        right.legend()
+        right.set_xscale("log")
+        right.set_xlabel("time it had stood [h]")
+        right.set_ylabel("start state, 0 warm, 1 cold (95 %)")
+
+
+def _draw_twice(path: Path, route: FieldTrial, repeated: RepeatedRoute) -> None:
+    with picture(path, 9.0, 3.8) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        for session, residual, colour in zip(route.found.sessions, repeated.residuals, (BLUE, ORANGE), strict=True):
+            upper.plot(repeated.distance / 1000.0, residual, color=colour, label=Path(session.name).stem)
+        upper.set_ylabel("measured less expected\ntorque [Nm]")
+        upper.legend(ncols=2)
+        lower.plot(repeated.distance / 1000.0, 100.0 * repeated.slope, color=GREY)
+        lower.set_ylabel("slope [%]\n(concealed)")
+        lower.set_xlabel("distance [km]")
+
+
+def _draw_turning(path: Path, grass: FieldTrial) -> None:
+    rows: list[tuple[Array, Array, Array, Array]] = []
+    f = grass.found
+    for session, base, final in zip(f.sessions, f.refitted.predicted, f.final.predicted, strict=True):
+        at, way = session.used, np.sign(session.speed)
+        resists = [way * torque for torque in (session.torque, base.torque, final.torque)]
+        rows.append((np.abs(session.yaw_rate)[at], resists[0][at], resists[1][at], resists[2][at]))
+    yaw, *torques = (np.concatenate(column) for column in zip(*rows, strict=True))
+    _, place = evenly_filled(yaw, YAW_BINS)
+    count = np.bincount(place)
+    middle = np.bincount(place, yaw) / count
+    with picture(path, 6.0, 3.4) as figure:
+        axes = figure.subplots()
+        labels = ("measured", "re-fitted base", "with what was named")
+        for torque, colour, label in zip(torques, (GREY, BLUE, VERMILION), labels, strict=True):
+            axes.plot(middle, np.bincount(place, torque) / count, color=colour, marker="o", markersize=3, label=label)
+        axes.set_xlabel("yaw rate, size [rad/s]")
+        axes.set_ylabel("torque against travel, mean [Nm]")
+        axes.legend()

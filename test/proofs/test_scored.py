@@ -1,0 +1,248 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Answers and scores of constructed reports."""
+
+import json
+
+import numpy as np
+import pytest
+
+from proofs.sealed.answers import error_left, of_report
+from proofs.sealed.cases import RIGHT_FORMS, Case, first_by_name, sensors_of
+from proofs.sealed.oracle import OracleAnswer
+from proofs.sealed.page import TARGETS, learned_table, outside_table, side_by_side, write_all
+from proofs.sealed.scored import (
+    OURS,
+    MassError,
+    Scored,
+    comparable,
+    mass_errors,
+    own_shares,
+    shares,
+    sizes,
+    true_values,
+)
+
+PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
+
+
+def report(status, effects=(), described=None, after=100.0):
+    made = {
+        "verdict": {"status": status},
+        "effects": [{"name": name, "class": [name], "parameters": PARAMETERS} for name in effects],
+        "heldout": {"mae": {"nominal": 300.0, "refitted": 200.0, "with_effects": after}},
+    }
+    return made if described is None else {**made, "described": described}
+
+
+def term(form, variable="", gate=None, memory=None, after=120.0):
+    heldout = {"mae": [200.0, after]}
+    return {"form": form, "variable": variable, "gate": gate, "memory": memory, "grade": "confirmed", "heldout": heldout}
+
+
+def scored(level, hidden, made, seen=True, oracle_error=100.0, learned=None, masses=(), stated=None, alike=(), words=""):
+    values = {name: {"time": 0.25} for name in hidden}
+    program = {"words": words, "predictable": "chance" not in words} if level == "outside" else {}
+    case = Case("0000cafe", level, values, {}, False, False, False, True, 11, "town", program)
+    known = OracleAnswer(50.0 if seen else 1.0, alike, seen, False, 200.0, oracle_error)
+    answer = of_report(made)
+    if level == "street" and hidden:
+        stated = bool(answer.described) and answer.described[0].form == RIGHT_FORMS[hidden[0]]
+    learned = learned or {"base": 200.0, "trees": 150.0}
+    return Scored(case, made, known, {OURS: answer}, 0.5, 0.5, None, learned, stated, true_values(case), masses)
+
+
+def test_a_report_without_descriptions_is_read_as_before():
+    assert of_report(report("none")).described == ()
+    assert of_report(report("named", ["delay"])).first == "delay"
+    assert error_left(report("named", ["delay"], after=90.0)) == 90.0
+
+
+def test_the_error_left_is_of_the_hold_out_laps_of_the_base():
+    fitted, followed = term("curve", "speed", after=230.0), term("drift", after=80.0)
+    assert error_left(report("described", described=[fitted], after=90.0)) == 90.0
+    assert error_left(report("described", described=[fitted, followed], after=90.0)) == 80.0
+    assert error_left(report("described", described=[{**followed, "grade": "refuted"}], after=90.0)) == 90.0
+
+
+def test_a_confirmed_name_is_wrong_unless_hidden_or_fits_as_well():
+    sure = report("named", ["delay"])
+    sure["effects"][0]["grade"] = "confirmed"
+    doubted = report("named", ["delay"])
+    doubted["effects"][0]["grade"] = "suspected"
+    of = [
+        scored("outside", ["program"], sure),
+        scored("outside", ["program"], sure, alike=("delay", "torque_gain")),
+        scored("outside", ["program"], doubted),
+        scored("single", ["delay"], sure),
+        scored("none", [], sure),
+    ]
+    assert [s.answer.surely_wrong(s.allowed) for s in of] == [True, False, False, False, True]
+    found = shares(of)
+    assert found["outside: confirmed wrong name"] == (1, 3)
+    assert found["all: confirmed wrong name"] == (2, 5)
+    assert [s.wrong for s in of[:2]] == ["a name for what is not in the catalogue", ""]
+
+
+def test_mistakes_of_descriptions():
+    drift = [term("drift")]
+    said = report("described", described=drift)
+    assert scored("outside", ["program"], said, stated=True).wrong == ""
+    assert scored("outside", ["program"], said, stated=False).wrong == "described, and not true"
+    assert scored("outside", ["program"], report("named", ["delay"])).wrong == "a name for what is not in the catalogue"
+    assert scored("outside", ["program"], report("none")).wrong == "unknown not noticed"
+    assert scored("none", [], said).wrong == "false description"
+    assert scored("single", ["delay"], said).wrong == "described though in the catalogue"
+
+
+def test_scores_of_what_is_outside():
+    one, by_chance = ["program"], "coming and going by chance"
+    of = [
+        scored("outside", one, report("described", described=[term("spells")]), stated=True, words=by_chance),
+        scored("outside", one, report("described", described=[term("curve")], after=140.0), stated=False, words="a bump"),
+        scored("outside", one, report("named", ["delay"], after=250.0), words="a sine"),
+        scored("outside", one, report("unexplained"), seen=False, words=by_chance),
+        scored("none", [], report("described", described=[term("drift", after=190.0)]), oracle_error=200.0),
+        scored("none", [], report("none", after=200.0), oracle_error=200.0),
+    ]
+    found, own, values = shares(of), own_shares(of), sizes(of)
+    assert found["outside: confirmed wrong name"] == (1, 4)
+    assert found["outside: described or unexplained"] == (3, 4)
+    assert found["outside: a name or a class of names"] == (1, 4)
+    assert own["outside, seen by the oracle: described, and the statement is true"] == (1, 3)
+    assert own["outside, described: the statement is true"] == (1, 2)
+    assert own["none: false description"] == (1, 2)
+    assert own["held-out laps: never worse than the base"] == (5, 6)
+    name = "outside, predictable: held-out error removed, of what the oracle removes (median)"
+    assert values[name] == pytest.approx([0.6, -0.5])
+    assert values["held-out error removed, of what the oracle removes (median)"] == []
+    table = learned_table(of)
+    assert "| 2 | 0.05 | 0.50 |" in table
+    assert "| outside: worse than the base | 4 | 1 | 0 |" in table
+    by_kind = outside_table(of)
+    assert "| a bump | town | yes | no | 60% | curve |" in by_kind
+    assert "| a sine | town | yes | no | -50% | delay |" in by_kind
+
+
+def test_two_truths_side_by_side(tmp_path):
+    of = [scored("none", [], report("none"), oracle_error=200.0), scored("single", ["delay"], report("named", ["delay"]))]
+    runs = {}
+    for name, kept in (("own", of), ("other", of[:1])):
+        (tmp_path / name).mkdir()
+        write_all(tmp_path / name, kept, "seal", 1, 2)
+        runs[name] = json.loads((tmp_path / name / "scores.json").read_text())
+    lines = side_by_side(runs).splitlines()
+    assert lines[0] == "| Score | Target | own | other |"
+    assert "| none: false alarm | at most 3% | 0% (0 of 1; 0% to 79%), met | 0% (0 of 1; 0% to 79%), met |" in lines
+    assert "| single: truth in the reported class | at least 95% | 100% (1 of 1; 21% to 100%), met | not measured |" in lines
+
+
+def test_mistakes_in_a_town():
+    place, payload = [term("place")], [term("payload")]
+    assert scored("street", [], report("none")).wrong == ""
+    assert scored("street", [], report("described", described=payload)).wrong == "false description"
+    assert scored("street", [], report("named", ["grade"])).wrong == "false alarm"
+    assert scored("street", ["street_slope"], report("named", ["grade"])).wrong == ""
+    assert scored("street", ["street_slope"], report("described", described=place)).wrong == ""
+    both = report("named", ["grade", "delay"])
+    assert scored("street", ["street_slope"], both).wrong == "a name for what is not in the catalogue"
+    assert scored("street", ["street_ground"], report("named", ["grade"])).wrong == "a name for what is not in the catalogue"
+    assert scored("street", ["street_ground"], report("described", described=payload)).wrong == "described, and not true"
+    assert scored("street", ["stretch_load"], report("none")).wrong == "unknown not noticed"
+
+
+def test_scores_in_a_town():
+    masses = [MassError(400.0, 0.05), MassError(310.0, 0.2, covered=False), MassError(300.0, 0.02), MassError(50.0, 0.5)]
+    of = [
+        scored("street", [], report("none", after=200.0), oracle_error=200.0),
+        scored("street", [], report("one_of", ["delay"]), oracle_error=200.0),
+        scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
+        scored("street", ["street_slope"], report("named", ["delay"], after=250.0)),
+        scored("street", ["stretch_load"], report("described", described=[term("payload")], after=150.0), masses=masses),
+        scored("street", ["street_ground"], report("described", described=[term("place")], after=110.0), seen=False),
+        scored("single", ["delay"], report("named", ["delay"])),
+    ]
+    found, own, values = shares(of), own_shares(of), sizes(of)
+    assert found["street, nothing hidden: a name or a description"] == (1, 2)
+    assert found["street: confirmed wrong name"] == (2, 6)
+    assert own["street, seen by the oracle: rightly named or described"] == (2, 3)
+    assert own["street, slope: named grade or described by place"] == (1, 2)
+    assert own["street, load: described as a payload"] == (1, 1)
+    assert own["street, ground: described by place"] == (1, 1)
+    assert own["street, load described: masses within 8% of the load, over 300 s of driving"] == (1, 2)
+    assert own["street, load described: masses within 8% of the load, all"] == (2, 4)
+    assert own["street, load described: 95 % intervals of masses cover"] == (3, 4)
+    assert own["street: held-out laps never worse than the base"] == (5, 6)
+    assert own["held-out laps: never worse than the base"] == (6, 7)
+    assert own["in the catalogue and identifiable: described instead of named"] == (0, 1)
+    removed = "held-out error removed, of what the oracle removes (median)"
+    assert values[removed] == pytest.approx([1.0])  # of the case that is in the catalogue
+    assert values[f"street, street slope: {removed}"] == pytest.approx([0.8, -0.5])
+    assert values[f"street, stretch load: {removed}"] == pytest.approx([0.5])
+    assert values["street, load described: masses off, of the load, over 300 s of driving (median)"] == [0.05, 0.2]
+    assert values["street, load described: masses off, of the load, all (median)"] == [0.05, 0.2, 0.02, 0.5]
+    by_kind = outside_table(of)
+    assert "| nothing | town | yes | yes |  | none |" in by_kind
+    assert "| nothing | town | yes | no |  | delay |" in by_kind
+    assert "| street_slope | town | yes | yes | 80% | grade |" in by_kind
+    assert set(TARGETS) <= {*found, *own, *values}
+    assert "| street: worse than the base | 6 | 1 | 0 |" in learned_table(of)
+
+
+def test_the_page_of_a_run_of_towns_alone(tmp_path):
+    of = [
+        scored("street", [], report("none"), oracle_error=200.0),
+        scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
+    ]
+    write_all(tmp_path, of, "seal", 3, 4)
+    text = (tmp_path / "proof.md").read_text()
+    assert "2 cases of the 4 that were sealed" in text
+    assert "| street_slope | town | yes | yes | 80% | grade |" in text
+    assert (tmp_path / "cases.csv").read_text().count("street") == 3  # two levels, one name
+    assert (tmp_path / "confusion.png").stat().st_size > 1000
+    kept = json.loads((tmp_path / "scores.json").read_text())
+    assert [one["wrong"] for one in kept["cases"]] == ["", ""]
+
+
+def test_a_run_of_pairs_alone_has_no_confusion_picture(tmp_path):
+    both = scored("two", ["delay", "mullins"], report("named", ["delay", "mullins"]))
+    write_all(tmp_path, [both], "seal", 7, 1)
+    text = (tmp_path / "proof.md").read_text()
+    assert "confusion.png" not in text
+    assert not (tmp_path / "confusion.png").exists()
+    assert "| two: both | 100% (1 of 1) |" in text
+
+
+def test_masses_are_compared_between_changes_of_the_load():
+    speed = np.repeat([5.0, 0.0, 5.0, 5.0], [400, 20, 100, 80])  # stands, and is loaded meanwhile
+    mass = np.repeat([1000.0, 3000.0, 0.0], [410, 110, 80])
+    told = [
+        {"begin_s": 0.0, "end_s": 200.0, "mass": 900.0, "std": 60.0},
+        {"begin_s": 200.0, "end_s": 420.0, "mass": 1300.0, "std": 60.0},
+        {"begin_s": 420.0, "end_s": 520.0, "mass": 2800.0, "std": 100.0},
+        {"begin_s": 520.0, "end_s": 550.0, "mass": 0.0, "std": 1.0},
+    ]
+    long, short = mass_errors(speed, mass, told, 4000.0)  # less than half of the last is described
+    assert (long.driving_s, short.driving_s) == (400.0, 100.0)
+    assert long.off == pytest.approx(100.0 / 4000.0)
+    assert short.off == pytest.approx(200.0 / 4000.0)
+    assert (long.long, short.long) == (True, False)
+    assert long.close
+    assert (long.covered, short.covered) == (True, False)
+    assert not MassError(400.0, 0.081).close
+
+
+def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():
+    s = scored("single", ["delay"], report("named", ["delay"]))
+    covers, (error,) = comparable([s])
+    assert error == pytest.approx(abs(0.3 / (0.25 + sensors_of(s.case).torque_lag_s) - 1.0))
+    assert covers == [True]
+
+
+def test_the_first_cases_are_the_first_by_name_of_any_level():
+    named = [
+        Case(name, level, {}, {}, False, False, False, True, 1) for name, level in (("c", "none"), ("a", "two"), ("b", "outside"))
+    ]
+    assert [one.name for one in first_by_name(named, 2)] == ["a", "b"]
+    assert {one.name for one in first_by_name(named, None)} == {"a", "b", "c"}
