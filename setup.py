@@ -23,6 +23,17 @@ INTERPRETED = """
 """
 
 
+PLUG_INS = {
+    "coastdown": "coastdown.task:coastdown_command",
+    "compare": "compare:compare_command",
+    "compound": "compound.commands:compound_group",
+    "export": "export.commands:export_group",
+    "fleet": "fleet.commands:fleet_group",
+    "sensitivity": "design.commands:sensitivity_command",
+    "sweep": "design.commands:sweep_command",
+    "trend": "fleet.commands:trend_command",
+}
+"""Commands of `trackres` with their places in the room `tools`."""
 KERNELS = Extension(f"{PACKAGE}.kernels.built", [], py_limited_api=True, optional=True, libraries=["m"])
 
 
@@ -134,8 +145,8 @@ setup(
     package_data={
         PACKAGE: ["py.typed"],
         f"{PACKAGE}.diagnosis.report": ["page.html", "page.js", "report.schema.json"],
-        f"{PACKAGE}.export": ["templates/*"],
-        f"{PACKAGE}.fleet.page": ["*.html", "*.css"],
+        f"{PACKAGE}.tools.export": ["templates/*"],
+        f"{PACKAGE}.tools.fleet.page": ["*.html", "*.css"],
         f"{PACKAGE}.kernels": ["templates/*"],
     },
     data_files=[
@@ -174,5 +185,6 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": ["trackres = trackres_ros.cli.entry:main", "estimator = trackres_ros.node.ros.estimator:main"],
+        f"{PACKAGE}.commands": [f"{name} = {PACKAGE}.tools.{place}" for name, place in PLUG_INS.items()],
     },
 )

@@ -27,9 +27,9 @@ from measuring import HERE, START_NS, Row, c_compiler, child, compared, uneven_l
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.export.c_source import CSource, in_c
-from trackres_ros.export.parts import Parts
 from trackres_ros.kernels.compiler import FLAGS
+from trackres_ros.tools.export.c_source import CSource, in_c
+from trackres_ros.tools.export.parts import Parts
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle import AnyVehicle, load
 

@@ -290,7 +290,7 @@ def export(steps: int = 200_000) -> dict[str, float]:
     import bench_step
 
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.export.parts import Parts
+    from trackres_ros.tools.export.parts import Parts
     from trackres_ros.vehicle import load
 
     vehicle = load("xgd24d")

@@ -35,7 +35,7 @@ def lightened(benchmark_module, monkeypatch, good, undrawn, in_this_process):
     """A benchmark whose commands run in this process, without Dask and long searches, and all end with the same numbers."""
     measuring = benchmark_module("measuring")
     for name in ("run", "periods"):
-        in_this_process(importlib.import_module(f"trackres_ros.fleet.{name}"))
+        in_this_process(importlib.import_module(f"trackres_ros.tools.fleet.{name}"))
 
     def command(*words, home=None, cwd=None):
         good(*(word for word in words if word != DASK), *(SHORTER.get(words[0], ()) if words[1] != "sample" else ()), cwd=cwd)

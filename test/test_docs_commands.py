@@ -27,9 +27,9 @@ import trackres_ros as tr
 from proofs.commands import proofs
 from trackres_ros.cli.main import cli
 from trackres_ros.files.resources import config_dir
-from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tools.fleet.dataset import FleetDataset
 
 ROOT = Path(__file__).resolve().parents[1]
 pytest.importorskip("distributed")
@@ -75,9 +75,9 @@ def command_of(words):
     """The click command of words, its path, and the words behind."""
     command, path = PROGRAMS[words[0]], []
     for word in words[1:]:
-        if not isinstance(command, click.Group) or word not in command.commands:
+        if not isinstance(command, click.Group) or word not in command.list_commands(None):
             break
-        command = command.commands[word]
+        command = command.get_command(None, word)
         path.append(word)
     if isinstance(command, click.Group) and "run" in command.commands:  # `fleet` is short for `fleet run`
         command = command.commands["run"]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "trackres_ros"
-DIVIDED = ("diagnosis", "node", "vehicle")  # rooms with rooms of their own
+DIVIDED = ("diagnosis", "node", "tools", "vehicle")  # rooms with rooms of their own
 HEAD = (Path(__file__).parent / "architecture.in.md").read_text(encoding="utf-8")
 COMMON = ("arrays", "errors", "units", "checks", "files", "text", "kernels")  # used from everywhere: left out of the picture
 

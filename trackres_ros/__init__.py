@@ -22,7 +22,6 @@ from trackres_ros.version import __version__
 TYPE_CHECKING = False  # as in typing, which takes longer to import than all else here
 if TYPE_CHECKING:
     from trackres_ros import effects
-    from trackres_ros.api.coasting import coastdown
     from trackres_ros.api.diagnosing import diagnose
     from trackres_ros.api.recordings import read, record_sample, recover
     from trackres_ros.api.replaying import replay
@@ -34,12 +33,13 @@ if TYPE_CHECKING:
     from trackres_ros.offline.sample import Sample
     from trackres_ros.recording.recording import Recording
     from trackres_ros.recording.unfinished import Recovered
-    from trackres_ros.results.coastdown import CoastdownResult
     from trackres_ros.results.diagnosis import DiagnosisResult
     from trackres_ros.results.operating_point import OperatingPoint
     from trackres_ros.results.replay import ReplayResult
     from trackres_ros.results.simulation import SimulationResult
     from trackres_ros.results.vehicle_check import VehicleCheck
+    from trackres_ros.tools.coastdown.result import CoastdownResult
+    from trackres_ros.tools.coastdown.task import coastdown
     from trackres_ros.vehicle import Vehicle
 
 __all__ = [
@@ -72,7 +72,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CoastdownResult": "results.coastdown",
+    "CoastdownResult": "tools.coastdown.result",
     "DiagnosisResult": "results.diagnosis",
     "Estimator": "estimator.estimator",
     "InputError": "errors",
@@ -87,7 +87,7 @@ _HOMES = {
     "Vehicle": "vehicle",
     "VehicleCheck": "results.vehicle_check",
     "check_vehicle": "api.vehicles",
-    "coastdown": "api.coasting",
+    "coastdown": "tools.coastdown.task",
     "diagnose": "api.diagnosing",
     "explain": "api.simulating",
     "load_vehicle": "api.vehicles",

@@ -16,7 +16,18 @@ from proofs.sealed.sensors import drawn_sensors, record
 from proofs.sealed.truth import Build, simulate_truth
 from trackres_ros.files.own_files import PART
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.fleet.sample import BEARING, DAY_S, LOADS, MOVES_MPS, MOVES_S, START_S, VEHICLE, DrawnVehicle, air_at, change_at
+from trackres_ros.tools.fleet.sample import (
+    BEARING,
+    DAY_S,
+    LOADS,
+    MOVES_MPS,
+    MOVES_S,
+    START_S,
+    VEHICLE,
+    DrawnVehicle,
+    air_at,
+    change_at,
+)
 
 FASTEST_MPS = 16.7
 WIND_MPS = 3.0  # most, from anywhere

@@ -20,9 +20,9 @@ from scipy.stats import beta
 
 from proofs.fleet.draw import GAIN, write_recording
 from proofs.processes import check_seal, each, read_json, read_labels, write_scores, write_sealed
-from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.pooling import Vehicles, pool
-from trackres_ros.fleet.sample import (
+from trackres_ros.tools.fleet.dataset import FleetDataset
+from trackres_ros.tools.fleet.pooling import Vehicles, pool
+from trackres_ros.tools.fleet.sample import (
     BEARING,
     DAY_S,
     LOSS,
@@ -34,7 +34,7 @@ from trackres_ros.fleet.sample import (
     begin_recordings,
     draw_fleet,
 )
-from trackres_ros.fleet.trends import NUMBERS, TEXTS
+from trackres_ros.tools.fleet.trends import NUMBERS, TEXTS
 
 OPEN, RESULTS = "fleet", "results"
 KINDS = (

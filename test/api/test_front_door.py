@@ -52,18 +52,8 @@ PRINTING = {
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
-    "coastdown.py": {"trackres_ros.files.output_files"},
-    "compare.py": {
-        "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.fleet", "trackres_ros.offline.vehicle_files",
-    },
-    "compound.py": {"trackres_ros.compound.run"},
-    "design.py": {
-        "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.output.table", "trackres_ros.vehicle",
-    },
     "diagnose.py": {"trackres_ros.files.output_files", "trackres_ros.results.diagnosis"},
     "entry.py": {"trackres_ros.files.interpreter", "trackres_ros.node.signals"},
-    "export.py": {"trackres_ros.export"},
-    "fleet.py": {"trackres_ros.fleet", "trackres_ros.files.output_files"},
     "layouts.py": {"trackres_ros.output.layouts"},
     "live.py": {
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
@@ -633,7 +623,7 @@ def test_numeric_arguments_and_options_have_the_same_limits():
     assert {pair for pair in NUMERIC if pair[0] not in ("coastdown", "diagnose")} == {(f, n) for f in LIMITS for n in LIMITS[f]}
     commands = {"check_vehicle": cli.commands["vehicle"].commands["check"]}
     for function, limits in LIMITS.items():
-        command = commands.get(function) or cli.commands[function.replace("_", "-")]
+        command = commands.get(function) or cli.get_command(None, function.replace("_", "-"))
         of_options = {option.name: (option.type.min, option.type.max) for option in command.params if option.name in limits}
         assert of_options == {name: (low, high) for name, (low, high, _) in limits.items()}
 

@@ -73,7 +73,7 @@ def test_a_place_that_cannot_be_written_is_refused_first(refused, inputs, monkey
     def never(*_args, **_more):
         raise AssertionError("work began")
 
-    for work in ("trackres_ros.diagnose", "trackres_ros.coastdown", "trackres_ros.fleet.compare.compare"):
+    for work in ("trackres_ros.diagnose", "trackres_ros.coastdown", "trackres_ros.tools.fleet.compare.compare"):
         monkeypatch.setattr(work, never)
     before = sorted(inputs.rglob("*"))
     option, *suffix = option.split()

@@ -28,7 +28,8 @@ ENDED = {"live": ["-p", "output_rate_hz:=nan"], "play": ["--rate", "nan"]}
 
 def leaves(group=cli, path=()):
     """Each command with the words that lead to it."""
-    for name, command in group.commands.items():
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
         if isinstance(command, click.Group):
             if command.invoke_without_command:
                 yield (*path, name), command

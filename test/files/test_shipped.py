@@ -15,10 +15,10 @@ import trackres_ros as tr
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_topics, shipped_vehicles
-from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.node.setup import read_setup
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tools.fleet.vehicles import one_vehicle, read_fleet
 
 NAMES = {"topics": shipped_topics(), "vehicle": shipped_vehicles() | shipped_road_vehicles()}
 
@@ -26,8 +26,8 @@ NAMES = {"topics": shipped_topics(), "vehicle": shipped_vehicles() | shipped_roa
 def options(command: click.Command, path: str = "trackres"):
     """Every option of every command, with the path of the command."""
     if isinstance(command, click.Group):
-        for name, below in command.commands.items():
-            yield from options(below, f"{path} {name}")
+        for name in command.list_commands(None):
+            yield from options(command.get_command(None, name), f"{path} {name}")
     yield from ((path, one) for one in command.params if isinstance(one, click.Option))
 
 

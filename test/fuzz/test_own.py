@@ -22,11 +22,11 @@ from user_files import OTHERS
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.jsons import parse_json
-from trackres_ros.fleet.compare import compare, compare_text
-from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.periods import DIAGNOSES, INPUTS, verdicts
-from trackres_ros.fleet.run import limits_of
-from trackres_ros.fleet.trends import sentences, trends
+from trackres_ros.tools.fleet.compare import compare, compare_text
+from trackres_ros.tools.fleet.dataset import FleetDataset
+from trackres_ros.tools.fleet.periods import DIAGNOSES, INPUTS, verdicts
+from trackres_ros.tools.fleet.run import limits_of
+from trackres_ros.tools.fleet.trends import sentences, trends
 
 MUTATIONS = int(os.environ.get("OWN_MUTATIONS", "40"))  # more of them by hand
 DAMAGED = [b"", b"\0" * 100, b"[" * 100_000, b"{" * 100_000, b"null", b"1e999", b"9" * 5000, b"PAR1PAR1", b"\xff\xfe\x00"]

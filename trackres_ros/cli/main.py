@@ -8,20 +8,15 @@ import select
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.metadata import entry_points
 
 import click
 
 from trackres_ros import InputError, __version__
 from trackres_ros.cli import partial_output
-from trackres_ros.cli.coastdown import coastdown_command
 from trackres_ros.cli.common import Commands, to_nowhere
-from trackres_ros.cli.compare import compare_command
-from trackres_ros.cli.compound import compound_group
-from trackres_ros.cli.design import sensitivity_command, sweep_command
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.explain import explain_command
-from trackres_ros.cli.export import export_group
-from trackres_ros.cli.fleet import fleet_group, trend_command
 from trackres_ros.cli.interrupts import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.layouts import layouts_command
 from trackres_ros.cli.live import live_command
@@ -35,12 +30,29 @@ from trackres_ros.cli.vehicle import vehicle_group
 from trackres_ros.errors import one_line
 
 BAD_INPUT = 2
+PLUG_INS = "trackres_ros.commands"
+"""The group of entry points that bring commands."""
 
 
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True}
 
 
-@click.group(cls=Commands, context_settings=SETTINGS)
+class Program(Commands):
+    """The commands of the package, and those of its plug-ins, which are loaded when they are asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """See `click.Group`."""
+        return sorted({*super().list_commands(ctx), *entry_points(group=PLUG_INS).names})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """See `click.Group`."""
+        if cmd_name not in self.commands:
+            for point in entry_points(group=PLUG_INS, name=cmd_name):
+                self.add_command(point.load(), cmd_name)
+        return super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=Program, context_settings=SETTINGS)
 @click.version_option(__version__, package_name="trackres_ros")
 def cli() -> None:
     """Rolling-resistance torque and temperature of rubber tracks.
@@ -62,20 +74,12 @@ for command in (
     layouts_command,
     simulate_command,
     explain_command,
-    export_group,
     diagnose_command,
-    coastdown_command,
     effects_command,
-    fleet_group,
-    trend_command,
-    compare_command,
-    sweep_command,
-    sensitivity_command,
     record_sample_command,
     recover_command,
     vehicle_group,
     topics_group,
-    compound_group,
 ):
     cli.add_command(command)
 

@@ -1,0 +1,148 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Drive cycles for designs: built-in cycles, speed profiles and recordings, and the energy of a design on one."""
+
+from collections.abc import Collection, Mapping
+from copy import copy
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, work_space
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.model.coverage import check_speed
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.energy import taken
+from trackres_ros.offline.profile import along
+from trackres_ros.offline.sample import lap_drive
+from trackres_ros.offline.simulate import SimulatedDrive, by_column, run_drive, through_points
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import Recording
+from trackres_ros.text.numbers import figures
+from trackres_ros.tools.design.steady import Array, FileErrors, with_errors
+from trackres_ros.units import KMH_PER_MPS
+from trackres_ros.vehicle import Vehicle
+
+SHARES, HOLD_S, RAMP_S, STEP_S = (1 / 3, 2 / 3, 1.0), 600.0, 30.0, 0.5
+STAGES, LAPS = "stages", "laps"
+LAPS_DRIVEN, FASTEST_LAP_KMH = 10, 20.0
+BUILT_IN = STAGES, LAPS
+OF_PROFILE = "load", "ambient"
+
+
+@dataclass(frozen=True, eq=False)
+class DriveCycle:
+    """A drive by its name, and the conditions that were recorded with it.
+
+    Attributes
+    ----------
+    recorded
+        Load [N] and air [degC] by role, if recorded, each of shape (times,).
+    notes
+        Unused content of a recording.
+    """
+
+    name: str
+    drive: SimulatedDrive
+    recording: Recording | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def conditions(self, given: Collection[str]) -> list[str]:
+        """Recorded ones of load and air, unless given otherwise."""
+        series = {} if self.recording is None else self.recording.series
+        return [r for r in OF_PROFILE if r in series and r not in given and np.isfinite(series[r].value).any()]
+
+    def recorded(self, vehicle: Vehicle, given: Collection[str]) -> dict[str, Array]:
+        """Load [N] and air [degC] along the drive, if recorded and not given otherwise. Raises InputError as `along`."""
+        roles, one = self.conditions(given), self.recording
+        return {} if one is None else {role: along(one, role, self.drive.time_s, vehicle.weight, "--cycle") for role in roles}
+
+
+def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
+    """A built-in cycle by its name, a speed profile, or a recording with a speed.
+
+    `stages` is ten minutes each at a third, two thirds and all of a speed; `laps` is ten laps of 628 m with a stop after each.
+    `fastest_mps`: the greatest speed that a built-in cycle may have. Raises InputError for what is none of them.
+    """
+    if given == STAGES:
+        times, speeds = [0.0], [0.0]
+        for share in SHARES:
+            times += [times[-1] + RAMP_S, times[-1] + RAMP_S + HOLD_S]
+            speeds += [share * fastest_mps] * 2
+        return DriveCycle(given, through_points(np.array(times), np.array(speeds), STEP_S))
+    if given == LAPS:
+        return DriveCycle(given, lap_drive(min(FASTEST_LAP_KMH, KMH_PER_MPS * fastest_mps), LAPS_DRIVEN))
+    path = Path(given)
+    if not path.exists():
+        raise InputError("--cycle", given, f"a recording, a speed profile, {' or '.join(BUILT_IN)}", nearest(given, BUILT_IN))
+    recording = Recording.from_source(open_source([path]))
+    if "speed" not in recording.series:
+        raise InputError(f"--cycle {given}", f"roles {', '.join(recording.roles) or 'none'}", "a recording with a speed")
+    time, speed = recording.time_s("speed"), recording.series["speed"].value
+    usable = np.isfinite(speed)
+    at_time, first = np.unique(time[usable], return_index=True)
+    drive = through_points(at_time, speed[usable][first], STEP_S)
+    others = [role for role in recording.roles if role not in ("speed", *OF_PROFILE)]
+    notes = (f"{given}: only speed, load and air of the recording are used, not {', '.join(others)}",) if others else ()
+    return DriveCycle(path.name, drive, recording, notes)
+
+
+def check_weight(vehicle: Vehicle, weight: float) -> None:
+    """Check the weight of a vehicle [N]. Raises InputError beyond the limits of a live estimate."""
+    low, high = LEAST_LOAD_SHARE * vehicle.weight / 1e3, LARGEST_LOAD_SHARE * vehicle.weight / 1e3
+    if not low <= weight / 1e3 <= high:
+        allowed = f"{figures(low, 4)} to {figures(high, 4)} kN for {vehicle.name} of {figures(vehicle.weight / 1e3, 4)} kN"
+        raise InputError("--weight-kn", weight / 1e3, allowed)
+
+
+def driven(
+    estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None
+) -> tuple[dict[str, float], dict[str, Array]]:
+    """A vehicle on a cycle from cold: totals, see `offline.energy.taken`, and columns of the estimator, each of shape (times,).
+
+    `weight`, `ambient`: whole weight [N] and air [degC]; by default as recorded, else those of the vehicle file. Raises
+    InputError on a drive that is too fast, or a load that is implausible for the vehicle.
+    """
+    vehicle = estimator.vehicle
+    assert isinstance(vehicle, Vehicle)  # designs have tracks
+    check_speed(vehicle, float(np.abs(cycle.drive.speed).max()))
+    known: Mapping[str, float | None] = {"load": weight, "ambient": ambient}
+    recorded = cycle.recorded(vehicle, [role for role, value in known.items() if value is not None])
+    load, air = (value if value is not None else recorded.get(role) for role, value in known.items())
+    columns = by_column(estimator, run_drive(estimator, cycle.drive, load, air))
+    return taken(vehicle, cycle.drive.time_s, columns), columns
+
+
+def left_out(columns: Mapping[str, Array]) -> list[str]:
+    """A sentence, if a drive leaves out an effect, of an estimator's columns by name."""
+    some = np.any(columns["reasons"].astype(np.int64) & int(at.Reason.EFFECT_LEFT_OUT))
+    return [at.Reason.EFFECT_LEFT_OUT.text] if some else []
+
+
+def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:
+    """The same vehicle with losses, cooling, heat capacity or radius off by a factor, or bearings or drag by a sum.
+
+    `capacity`: factor on the heat capacity of the belts of `off.track`.
+    """
+    changed, k = copy(estimator), estimator.constants
+    assert isinstance(estimator.vehicle, Vehicle)
+    tables = [not off.track or name == off.track for name in estimator.vehicle.tracks]
+    factors = np.where(tables, off.loss, 1.0)[:, np.newaxis, np.newaxis]
+    assembly, own = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.Assembly.kind]])
+    for column, factor in (
+        (at.Assembly.film_offset, off.film),
+        (at.Assembly.film_slope, off.film),
+        (at.Assembly.capacity, capacity),
+        (at.Assembly.radius, off.radius),
+    ):
+        assembly[own, column] *= factor
+    changed.vehicle = vehicle = with_errors(estimator.vehicle, off)
+    facts = vehicle_constants(vehicle)
+    number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
+    work = work_space(facts, len(assembly))
+    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive, work=work)
+    return changed

@@ -1,0 +1,130 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Writes the pages: the fleet at a glance, and one for each vehicle with its recordings and diagnoses."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.own_files import remove, write
+from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.text.templates import templates
+from trackres_ros.tools.fleet.dataset import LOAD_RECORDED, FleetDataset
+from trackres_ros.tools.fleet.periods import verdicts
+from trackres_ros.tools.fleet.task import NO_VEHICLE
+from trackres_ros.tools.fleet.trends import change_sentence, day_of, sentences, without_copies
+
+INDEX, VEHICLES = "index.html", "vehicles"
+COLOURS = 6  # of mismatch, from none to the fleet's worst
+WIDTH, HEIGHT = 720.0, 220.0
+LEFT, RIGHT, TOP, BOTTOM = 105.0, 12.0, 12.0, 28.0
+TICKS = 4
+SHOWN = (
+    "url", "vehicle", "day", "status", "reason", "duration_s", "distance_m", "mismatch", "held_out_file", "held_out_refit",
+    "mean_ambient", "findings", "copy_of", LOAD_RECORDED,
+)  # fmt: skip
+
+
+@file_set()
+def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -> Path:
+    """Write index.html and vehicles/NAME.html alone, and remove pages of others; return the first path.
+
+    Raises MissingExtraError without jinja2.
+    """
+    environment = templates(
+        "trackres_ros.tools.fleet.page", "the pages of a fleet", "fleet", figures=figures, decimals=decimals, percent=percent
+    )
+    style = environment.get_template("style.css").render()
+    counted, _ = without_copies(dataset.rows(list(SHOWN)))
+    diagnosed = verdicts(folder, counted)
+    rows: dict[str, list[Mapping[str, Any]]] = {}
+    for row in counted:
+        rows.setdefault(row["vehicle"], []).append(row)
+    names = sorted(rows.keys() - {NO_VEHICLE})
+    pages = {name: f"{VEHICLES}/{quote(name, safe='')}.html" for name in names}
+    months = sorted({month for of in found["months"].values() for month in of})
+    cells = [cell["mismatch"] for of in found["months"].values() for cell in of.values()]
+    worst = max((mismatch for mismatch in cells if mismatch is not None), default=0.0)
+    text = environment.get_template("index.html").render(
+        style=style, found=found, months=months, pages=pages, lines=sentences(found),
+        shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
+    )  # fmt: skip
+    for earlier in {*(folder / VEHICLES).glob("*.html")} - {folder / page for page in pages.values()}:
+        remove(earlier)
+    for name in names:
+        vehicle = found["vehicles"].get(name)
+        type_ = next((t for t in found["types"] if name in t["vehicles"]), None)
+        units = {key: q["unit"] for key, q in type_["parameters"].items()} if type_ else {}
+        pictures = [
+            (key, drawn(levels, key, units.get(key, ""), [c for c in vehicle["changes"] if c["parameter"] == key]))
+            for key, levels in (vehicle["levels"] if vehicle else {}).items()
+        ]
+        page = environment.get_template("vehicle.html").render(
+            style=style, name=name, vehicle=vehicle, of_type=type_, pictures=pictures,
+            diagnosed=diagnosed.get(quote(name, safe=""), {}),
+            rows=sorted(rows.get(name, ()), key=lambda row: (row["day"], row["url"])),
+            changes=[change_sentence(name, c) for c in (vehicle["changes"] if vehicle else ())],
+        )  # fmt: skip
+        write(folder / pages[name], page.encode())
+    write(folder / INDEX, text.encode())
+    return folder / INDEX
+
+
+def shade(mismatch: float | None, worst: float) -> str:
+    """Class of the colour of a mismatch, `s0` for the least; that of a month without recorded loads is `unloaded`."""
+    if mismatch is None:
+        return "unloaded"
+    return f"s{min(COLOURS - 1, int(COLOURS * mismatch / worst)) if worst > 0.0 else 0}"
+
+
+def percent(share: float | None) -> str:
+    """A share as people write it."""
+    return "-" if share is None or share != share else f"{100.0 * share:.1f} %"
+
+
+def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequence[Mapping[str, Any]]) -> str:
+    """Values with their standard deviations over time, and the beginnings and ends of changes.
+
+    `levels`: times [s since 1970], values and standard deviations; `changes`: of this parameter.
+    """
+    time, value, std = (np.array(series) for series in levels)
+    if not len(time):
+        return ""
+    low, high = _range(value, std)
+    begin, end = float(time.min()), float(max(time.max(), time.min() + 86400.0))
+
+    def x(at: float) -> float:
+        return LEFT + (WIDTH - LEFT - RIGHT) * (at - begin) / (end - begin)
+
+    def y(at: float) -> float:
+        return TOP + (HEIGHT - TOP - BOTTOM) * (high - min(max(at, low), high)) / (high - low)
+
+    parts = []
+    ticks = np.linspace(low, high, TICKS)
+    for at, text in zip(ticks, alike([float(t) for t in ticks], (high - low) / TICKS), strict=True):
+        parts.append(f'<line class="grid" x1="{LEFT:g}" x2="{WIDTH - RIGHT:g}" y1="{y(at):.1f}" y2="{y(at):.1f}"/>')
+        parts.append(f'<text x="{LEFT - 6:g}" y="{y(at) + 4:.1f}" text-anchor="end">{text}</text>')
+    for at, anchor in ((begin, "start"), (0.5 * (begin + end), "middle"), (end, "end")):
+        parts.append(f'<text x="{x(at):.1f}" y="{HEIGHT - 8:g}" text-anchor="{anchor}">{day_of(at)}</text>')
+    for t, v, s in zip(time, value, std, strict=True):
+        title = f"{day_of(t)}: {figures(v, 4)} +- {figures(s, 2)} {unit if unit != '1' else ''}"
+        parts.append(f'<line class="bar" x1="{x(t):.1f}" x2="{x(t):.1f}" y1="{y(v - s):.1f}" y2="{y(v + s):.1f}"/>')
+        parts.append(f'<circle cx="{x(t):.1f}" cy="{y(v):.1f}" r="3"><title>{escape(title.strip())}</title></circle>')
+    for change_s in (at for c in changes for at in (c["since_s"], c["ended_s"]) if at is not None):
+        at = x(max(change_s, begin))
+        parts.append(f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{TOP:g}" y2="{HEIGHT - BOTTOM:g}"/>')
+    label = f"{name} over time, from {day_of(begin)} to {day_of(end)}: {figures(float(value[0]))} to {figures(float(value[-1]))}"
+    return f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{escape(label)}">{"".join(parts)}</svg>'
+
+
+def _range(value: np.ndarray, std: np.ndarray) -> tuple[float, float]:
+    """Range of the axis: all values except outliers."""
+    low, high = (float(np.quantile(ends, q)) for ends, q in ((value - std, 0.02), (value + std, 0.98)))
+    margin = 0.15 * max(high - low, 1e-9 + 0.02 * abs(high))
+    return low - margin, high + margin
