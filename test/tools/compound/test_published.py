@@ -24,7 +24,7 @@ from trackres_ros.tools.compound.shift import Shift
 from trackres_ros.tools.compound.superposition import Law, fitted, with_power
 from trackres_ros.vehicle import load
 
-DEFAULT = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
+DEFAULT = Path(__file__).resolve().parents[4] / "shared" / "data" / "real"
 FOLDER = Path(os.environ.get("TRACKRES_REAL_DATA", DEFAULT)) / "polyisoprene"
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason=f"no sweeps at {FOLDER}; set TRACKRES_REAL_DATA to its folder")
 
