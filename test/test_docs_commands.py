@@ -25,10 +25,10 @@ from interrupted import interrupted
 
 import trackres_ros as tr
 from proofs.commands import proofs
-from trackres_ros.cli.main import cli
 from trackres_ros.files.resources import config_dir
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tasks.main import cli
 from trackres_ros.tools.fleet.dataset import FleetDataset
 
 ROOT = Path(__file__).resolve().parents[1]

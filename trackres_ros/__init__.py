@@ -22,22 +22,22 @@ from trackres_ros.version import __version__
 TYPE_CHECKING = False  # as in typing, which takes longer to import than all else here
 if TYPE_CHECKING:
     from trackres_ros import effects
-    from trackres_ros.api.diagnosing import diagnose
-    from trackres_ros.api.recordings import read, record_sample, recover
-    from trackres_ros.api.replaying import replay
-    from trackres_ros.api.simulating import explain, simulate
-    from trackres_ros.api.vehicles import check_vehicle, load_vehicle
     from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.errors import InputError, MissingExtraError
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.offline.sample import Sample
     from trackres_ros.recording.recording import Recording
     from trackres_ros.recording.unfinished import Recovered
-    from trackres_ros.results.diagnosis import DiagnosisResult
-    from trackres_ros.results.operating_point import OperatingPoint
-    from trackres_ros.results.replay import ReplayResult
-    from trackres_ros.results.simulation import SimulationResult
-    from trackres_ros.results.vehicle_check import VehicleCheck
+    from trackres_ros.tasks.diagnose import DiagnosisResult
+    from trackres_ros.tasks.diagnosing import diagnose
+    from trackres_ros.tasks.explain import OperatingPoint
+    from trackres_ros.tasks.record_sample import Sample
+    from trackres_ros.tasks.recordings import read, record_sample, recover
+    from trackres_ros.tasks.replay import replay
+    from trackres_ros.tasks.replay_result import ReplayResult
+    from trackres_ros.tasks.simulate import explain, simulate
+    from trackres_ros.tasks.simulation import SimulationResult
+    from trackres_ros.tasks.vehicle_check_result import VehicleCheck
+    from trackres_ros.tasks.vehicles import check_vehicle, load_vehicle
     from trackres_ros.tools.coastdown.result import CoastdownResult
     from trackres_ros.tools.coastdown.task import coastdown
     from trackres_ros.vehicle import Vehicle
@@ -73,29 +73,29 @@ __all__ = [
 
 _HOMES = {
     "CoastdownResult": "tools.coastdown.result",
-    "DiagnosisResult": "results.diagnosis",
+    "DiagnosisResult": "tasks.diagnose",
     "Estimator": "estimator.estimator",
     "InputError": "errors",
     "MissingExtraError": "errors",
-    "OperatingPoint": "results.operating_point",
+    "OperatingPoint": "tasks.explain",
     "OwnModel": "diagnosis.base.own",
     "Recording": "recording.recording",
     "Recovered": "recording.unfinished",
-    "ReplayResult": "results.replay",
-    "Sample": "offline.sample",
-    "SimulationResult": "results.simulation",
+    "ReplayResult": "tasks.replay_result",
+    "Sample": "tasks.record_sample",
+    "SimulationResult": "tasks.simulation",
     "Vehicle": "vehicle",
-    "VehicleCheck": "results.vehicle_check",
-    "check_vehicle": "api.vehicles",
+    "VehicleCheck": "tasks.vehicle_check_result",
+    "check_vehicle": "tasks.vehicles",
     "coastdown": "tools.coastdown.task",
-    "diagnose": "api.diagnosing",
-    "explain": "api.simulating",
-    "load_vehicle": "api.vehicles",
-    "read": "api.recordings",
-    "record_sample": "api.recordings",
-    "recover": "api.recordings",
-    "replay": "api.replaying",
-    "simulate": "api.simulating",
+    "diagnose": "tasks.diagnosing",
+    "explain": "tasks.simulate",
+    "load_vehicle": "tasks.vehicles",
+    "read": "tasks.recordings",
+    "record_sample": "tasks.recordings",
+    "recover": "tasks.recordings",
+    "replay": "tasks.replay",
+    "simulate": "tasks.simulate",
 }
 """The module where a name is at home; `effects` is a package itself."""
 

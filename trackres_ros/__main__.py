@@ -3,6 +3,6 @@
 
 """`python -m trackres_ros`: the `trackres` command."""
 
-from trackres_ros.cli.entry import main
+from trackres_ros.tasks.entry import main
 
 main()

@@ -27,7 +27,7 @@ from proofs.reproduce.section import (
     span,
     write_csv,
 )
-from trackres_ros.offline.simulate import SimulatedDrive
+from trackres_ros.estimator.drives import SimulatedDrive
 from trackres_ros.output.style import STEPS, legend_beside, picture, thinned
 from trackres_ros.text.numbers import figures
 

@@ -11,7 +11,6 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.report.page import write_page
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
@@ -24,6 +23,7 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
+from trackres_ros.tasks.main import cli
 from trackres_ros.vehicle import load, load_any, with_surroundings
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 from trackres_ros.vehicle.writing.sensor_lines import sensor_lines

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from trackres_ros.cli.main import cli
 from trackres_ros.effects import Active, Effect, Terms, catalogue, check_effects, own_code, together
 from trackres_ros.effects.calls import is_compiled, reads_drag_area
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM
@@ -23,7 +22,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.kernels.compiler import compiled
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.vehicle_check import check_vehicle
+from trackres_ros.tasks.main import cli
+from trackres_ros.tasks.vehicle_check import check_vehicle
 from trackres_ros.vehicle import load
 
 NAMES = [

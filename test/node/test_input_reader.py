@@ -12,8 +12,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import full_name, input_name, input_topics
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.transport import Level
-from trackres_ros.offline.replay import channel_indices
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tasks.replay_run import channel_indices
 
 CHANNELS = ("speed", "load", "torque", "ambient", "load/front")
 JOINTS = {"topic": "/drive", "type": "sensor_msgs/msg/JointState"}

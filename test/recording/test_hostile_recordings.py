@@ -21,8 +21,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
-from trackres_ros.offline import summary as replay_report
-from trackres_ros.offline.summary import KeptSource
 from trackres_ros.output.table import write_table
 from trackres_ros.recording import unpacking
 from trackres_ros.recording.bindings import Topics
@@ -31,6 +29,8 @@ from trackres_ros.recording.readers.csv_table import MAX_ROW_BYTES
 from trackres_ros.recording.reading import OWN_FAULT, reading
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import SampleBlock
+from trackres_ros.tasks import summary as replay_report
+from trackres_ros.tasks.summary import KeptSource
 
 pytest.importorskip("rosbags")
 pytest.importorskip("mcap")

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, needs, output_folder, print_warnings, progress
+from trackres_ros.tasks import options
+from trackres_ros.tasks.terminal import Command, emit, needs, output_folder, print_warnings, progress
 
 A_NUMBER = "A|A:B|A,B,C"
 
@@ -51,7 +51,7 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
     """
     from trackres_ros.files.file_sets import file_set
     from trackres_ros.files.output_files import output_folder as usable_folder
-    from trackres_ros.offline.vehicle_files import differences, differences_text
+    from trackres_ros.tasks.vehicle import differences, differences_text
     from trackres_ros.tools.design.compare import asked_of, compare_designs, wheels_compared, wheels_text
     from trackres_ros.tools.design.compare_text import designs_text, draw_designs
     from trackres_ros.tools.fleet.compare import compare, compare_text, draw_overlay

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
-from trackres_ros.api.recordings import read
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, needs, progress, with_written
-from trackres_ros.cli.partial_output import watch
+from trackres_ros.tasks import options
+from trackres_ros.tasks.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
+from trackres_ros.tasks.partial_output import watch
+from trackres_ros.tasks.recordings import read
+from trackres_ros.tasks.terminal import Command, emit, needs, progress, with_written
 
 if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording

@@ -13,15 +13,15 @@ import numpy as np
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, work_space
+from trackres_ros.estimator.drives import SimulatedDrive, by_column, run_drive, through_points
+from trackres_ros.estimator.energy import taken
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.energy import taken
-from trackres_ros.offline.profile import along
-from trackres_ros.offline.sample import lap_drive
-from trackres_ros.offline.simulate import SimulatedDrive, by_column, run_drive, through_points
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
+from trackres_ros.tasks.profile import along
+from trackres_ros.tasks.record_sample import lap_drive
 from trackres_ros.text.numbers import figures
 from trackres_ros.tools.design.steady import Array, FileErrors, with_errors
 from trackres_ros.units import KMH_PER_MPS
