@@ -158,7 +158,7 @@ NOT_KEPT = {
     "recording/unpacking.py",
     "tools/export/fmu.py",
     "kernels/compiler.py",
-    "building/kernel_source.py",
+    "building.py",
     "tools/fleet/run.py",
     "files/file_lock.py",
 }

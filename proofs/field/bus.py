@@ -21,7 +21,7 @@ from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_b
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.track import Frame
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY
 
 FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus"

@@ -31,7 +31,7 @@ from trackres_ros.diagnosis.empirical.closest import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text import decimals
 
 EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16

@@ -29,7 +29,7 @@ from proofs.reproduce.section import (
 )
 from trackres_ros.estimator.drives import SimulatedDrive
 from trackres_ros.output.style import STEPS, legend_beside, picture, thinned
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.report.series import MOST_RECORDINGS, shown_lap
 from trackres_ros.diagnosis.report.term_pictures import draw_term
 from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, minutes, panels
 from trackres_ros.tasks.diagnose import PICTURES
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 pytest.importorskip("matplotlib")
 NAMED = Verdict("named", "confirmed", "")

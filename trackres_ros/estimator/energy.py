@@ -17,7 +17,7 @@ from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.resistance import force_along
-from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.text import decimals, figures
 from trackres_ros.units import NANOSECOND, SECOND_NS, STANDSTILL_MPS
 from trackres_ros.vehicle import AnyVehicle, Vehicle
 

@@ -19,7 +19,7 @@ from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
 from trackres_ros.node.transport import Level, Peer
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import NANOSECOND
 
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one

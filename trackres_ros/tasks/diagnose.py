@@ -35,8 +35,7 @@ from trackres_ros.errors import MissingExtraError, one_line
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input, output_folder
 from trackres_ros.files.own_files import remove, write
-from trackres_ros.text.html import listed, panel, paragraph, table
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text import alike, figures, html_table, listed, panel, paragraph
 from trackres_ros.vehicle import AnyVehicle, load_any
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
@@ -272,8 +271,8 @@ class DiagnosisResult:
         return panel(
             f"Diagnosis of {self._loaded.title}",
             paragraph(self.sentence),
-            table(("effect", "parameter", "value", "95 % interval", "unit", "laps left out"), rows),
-            table(("on hold-out laps", "mean error", "bias"), errors, ("", "Nm", "Nm")),
+            html_table(("effect", "parameter", "value", "95 % interval", "unit", "laps left out"), rows),
+            html_table(("on hold-out laps", "mean error", "bias"), errors, ("", "Nm", "Nm")),
             listed("Warnings", self.warnings),
             listed("Next step", self.to_do),
             self._picture(),

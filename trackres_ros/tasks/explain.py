@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from trackres_ros.model.operating_point import INACTIVE
 from trackres_ros.tasks.content import Content
-from trackres_ros.text.html import listed, panel, paragraph, table
-from trackres_ros.text.numbers import decimals
-from trackres_ros.text.table import table as text_table
+from trackres_ros.text import decimals, html_table, listed, panel, paragraph, table
 
 WHEEL_HEAD = {"load": "N", "half length": "mm", "strain": "1", "frequency": "Hz", "modulus": "MPa"}
 """Displayed values of a road wheel's contact, and their units."""
@@ -61,22 +59,22 @@ class OperatingPoint(Content):
         if "belt_degc" not in self:
             return "\n".join([self._head(), *remarks, *self._sentences()])
         head = ["", *(f"{name}\n{unit}" for name, unit in WHEEL_HEAD.items())]
-        wheels = text_table(self._wheels(), head, indent=2)
+        wheels = table(self._wheels(), head, indent=2)
         return "\n".join([self._head(), *remarks, "", f"Road wheels of {self['assemblies'][0]}", wheels, "", *self._sentences()])
 
     def _repr_html_(self) -> str:
         torques = [(part, decimals(value)) for part, value in self["torque_nm"].items()]
         if "belt_degc" not in self:
-            wheels = table(("torque at the wheels", "Nm"), torques)
+            wheels = html_table(("torque at the wheels", "Nm"), torques)
             return panel(self._head(), wheels, *map(paragraph, self._sentences()[1:]), listed("Remarks", self["remarks"]))
         losses = [(part, decimals(value, 1)) for part, value in self["loss_force_n"].items()]
         sentences = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
         first = self["assemblies"][0]
         return panel(
             self._head(),
-            table(("torque at the sprockets", "Nm"), torques),
-            table((f"loss per metre of {first}", "N"), losses),
-            table((f"road wheel of {first}", *WHEEL_HEAD), self._wheels(), ("", *WHEEL_HEAD.values())),
+            html_table(("torque at the sprockets", "Nm"), torques),
+            html_table((f"loss per metre of {first}", "N"), losses),
+            html_table((f"road wheel of {first}", *WHEEL_HEAD), self._wheels(), ("", *WHEEL_HEAD.values())),
             *map(paragraph, sentences),
             listed("Remarks", self["remarks"]),
         )

@@ -19,7 +19,7 @@ from trackres_ros.node.report import Overview
 from trackres_ros.node.transport import Level
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.tasks.live_display import LiveDisplay
-from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.text import decimals, figures
 from trackres_ros.units import KMH_PER_MPS
 
 REFRESH_S = 0.5

@@ -18,7 +18,7 @@ from trackres_ros.recording.channel_source import ChannelSource
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, ROLES
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": "", **dict.fromkeys(POSITION, "")}
 """Possible columns in addition to the speed, and the argument of the same meaning."""

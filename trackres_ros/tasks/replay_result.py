@@ -25,7 +25,7 @@ from trackres_ros.tasks.disturbance import DisturbanceColumns
 from trackres_ros.tasks.replay_run import Replayed, result_writer
 from trackres_ros.tasks.results import Array, SeriesResult
 from trackres_ros.tasks.summary import picture_columns, summary, text
-from trackres_ros.text.html import listed, panel, paragraph
+from trackres_ros.text import listed, panel, paragraph
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import AnyVehicle
 

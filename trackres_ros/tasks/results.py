@@ -18,8 +18,7 @@ from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.output_files import picture_file
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.output.table import unit_of
-from trackres_ros.text.html import table
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text import decimals, html_table
 from trackres_ros.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
@@ -185,4 +184,4 @@ class SeriesResult(Mapping[str, Array]):
             ]
 
         units = ("s", "km/h", *("Nm" for _ in torques), *(["degC"] if belts else []))
-        return table(("time", "speed", *torques, *(["belts"] if belts else [])), [line(i) for i in rows], units)
+        return html_table(("time", "speed", *torques, *(["belts"] if belts else [])), [line(i) for i in rows], units)

@@ -197,7 +197,7 @@ def explain(
 
 def _check_weight(vehicle: AnyVehicle, weight_kn: float | None, least: float, largest: float) -> None:
     """Check a weight [kN] by shares of the vehicle's own."""
-    from trackres_ros.text.numbers import figures
+    from trackres_ros.text import figures
 
     low, own, high = (share * vehicle.weight / 1e3 for share in (least, 1.0, largest))
     if weight_kn is not None and not low <= weight_kn <= high:

@@ -23,9 +23,7 @@ from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.table import write_table
 from trackres_ros.tasks.results import Array, SeriesResult
-from trackres_ros.text.html import listed, panel
-from trackres_ros.text.numbers import decimals, number_of
-from trackres_ros.text.table import table
+from trackres_ros.text import decimals, listed, number_of, panel, table
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import AnyVehicle
 

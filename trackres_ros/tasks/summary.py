@@ -22,7 +22,7 @@ from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.recording.recording import defects_of
 from trackres_ros.recording.samples import Finding, SampleBlock, Source
 from trackres_ros.tasks.replay_run import Replayed
-from trackres_ros.text.numbers import decimals, figures, number_of
+from trackres_ros.text import decimals, figures, number_of
 
 MANY_REFUSED = 0.1  # of the speeds: more are no faults of single samples
 HEAD = 1  # columns of a picture row before the results: the time

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands with readable errors, and what all of them print: results, progress, warnings."""
+"""Commands with readable errors, and what all of them print: results, progress, warnings, and the files written so far."""
 
 import os
 import sys
@@ -15,12 +15,17 @@ from typing import Any
 
 import click
 
-from trackres_ros import InputError, MissingExtraError
-from trackres_ros.errors import nearest
+from trackres_ros.errors import InputError, MissingExtraError, nearest
 from trackres_ros.files.file_sets import RepairWarning
 from trackres_ros.files.own_files import remove
 from trackres_ros.progress import listening
-from trackres_ros.tasks.partial_output import watch
+from trackres_ros.text import some_of
+
+SHOWN = 8  # files in a message
+CLOCK_TICK_NS = 20_000_000  # a file's time may be that of the kernel's last tick
+
+_places: list[Path] = []
+_began_ns = 0
 
 
 class Command(click.Command):
@@ -29,7 +34,7 @@ class Command(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run it."""
         try:
-            with _print_repairs():
+            with print_warnings(RepairWarning):
                 return super().invoke(ctx)
         except InputError as error:
             option_of = {p.name: p.opts[0] for p in self.params if isinstance(p, click.Option)}
@@ -52,14 +57,14 @@ class Commands(click.Group):
 
 
 @contextmanager
-def _print_repairs() -> Iterator[None]:
-    """Print on standard error that files were made whole; leave other warnings to whoever listens."""
+def print_warnings(kind: type[Warning] = Warning) -> Iterator[None]:
+    """Print the warnings of a kind on standard error; leave others to whoever listens."""
     with warnings.catch_warnings():
         show = warnings.showwarning
-        warnings.simplefilter("always", RepairWarning)
+        warnings.simplefilter("always", kind)
 
         def shown(message: Warning | str, category: type[Warning], *where: Any, **into: Any) -> None:
-            if issubclass(category, RepairWarning):
+            if issubclass(category, kind):
                 click.echo(f"trackres: {message}", err=True)
             else:
                 show(message, category, *where, **into)
@@ -68,20 +73,50 @@ def _print_repairs() -> Iterator[None]:
         yield
 
 
-@contextmanager
-def print_warnings() -> Iterator[None]:
-    """Print the warnings of functions on standard error."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
-        warnings.showwarning = lambda message, *_: click.echo(f"trackres: {message}", err=True)
-        yield
-
-
 def needs(feature: str, extra: str, *modules: str) -> None:
     """Check for an optional library before any work begins."""
     for module in modules:
         if find_spec(module) is None:
             raise MissingExtraError(feature, module, extra)
+
+
+def begin_command() -> None:
+    """Mark the start of a command, before any output."""
+    global _began_ns
+    _places.clear()
+    _began_ns = time.time_ns()
+
+
+def watch(*places: Path | None) -> None:
+    """Register the files or folders that a command writes."""
+    _places.extend(place for place in places if place)
+
+
+def places() -> str:
+    """The output places of the command, for error messages."""
+    return ", ".join(str(place) for place in _places[:SHOWN])
+
+
+def written_so_far() -> str:
+    """The files written since the command started, in words."""
+    found = sorted({str(path) for place in _places for path in _files(place) if _is_new(path)})
+    if not found:
+        return "nothing was written"
+    return f"written so far: {some_of(found, SHOWN)}"
+
+
+def _files(place: Path) -> Iterator[Path]:
+    if not place.is_dir():
+        yield place
+    for folder, _, names in os.walk(place):
+        yield from (Path(folder) / name for name in names)
+
+
+def _is_new(path: Path) -> bool:
+    try:
+        return path.stat().st_mtime_ns >= _began_ns - CLOCK_TICK_NS
+    except OSError:
+        return False
 
 
 def output_folder(path: Path) -> Path:

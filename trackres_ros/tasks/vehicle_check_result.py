@@ -8,9 +8,8 @@ from __future__ import annotations
 from html import escape
 
 from trackres_ros.tasks.content import Content
-from trackres_ros.text.html import listed, panel
-from trackres_ros.text.numbers import figures
-from trackres_ros.text.table import table as text_table
+from trackres_ros.text import figures, listed, panel
+from trackres_ros.text import table as text_table
 
 
 class VehicleCheck(Content):

@@ -24,7 +24,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.files.small_files import is_there, read_text
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.belt_bulk import arc_length

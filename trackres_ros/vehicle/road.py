@@ -22,7 +22,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
 from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects

@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.selection.grade import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import Parameter
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text import alike, figures
 from trackres_ros.vehicle.writing.changes import Interval
 
 

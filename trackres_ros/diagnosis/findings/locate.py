@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.empirical.torque import against_travel, torque_resid
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.text.numbers import figures, on_scale
+from trackres_ros.text import figures, on_scale
 from trackres_ros.units import GRAVITY
 
 ACTING_SHARE = 0.5  # of its 95th percentile

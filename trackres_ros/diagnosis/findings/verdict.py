@@ -44,7 +44,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.notes import SensorFinding
 from trackres_ros.diagnosis.selection.grade import Graded, far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 LACK_OF_FIT_P = 0.01
 LARGE_SLOW_SHARE = 0.015  # of the torque, in means over half a minute

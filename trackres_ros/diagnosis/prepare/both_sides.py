@@ -21,7 +21,7 @@ from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.samples import Series
-from trackres_ros.text.numbers import number_of
+from trackres_ros.text import number_of
 from trackres_ros.units import SECOND_NS
 
 GIVEN = "the acceleration is recorded, so it is not computed from the speeds on both sides"

@@ -18,7 +18,7 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.route.matching import matched
 from trackres_ros.route.track import track_of
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of
 
 
 def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] = ()) -> Gated:

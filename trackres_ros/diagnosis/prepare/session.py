@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.prepare.settings import LiveFilter, pace
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.slopes import runs_of
-from trackres_ros.text.names import told_apart
+from trackres_ros.text import told_apart
 from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]

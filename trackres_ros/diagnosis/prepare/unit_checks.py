@@ -20,7 +20,7 @@ from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import UNITS, Conversion
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of
 from trackres_ros.units import GRAVITY
 
 HOTTEST_AIR_DEGC = 50.0  # as a median of hours; the record of a moment in the shade is 57

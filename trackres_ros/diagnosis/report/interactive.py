@@ -48,7 +48,7 @@ from trackres_ros.diagnosis.report.timeline import (
 )
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.output.style import GREY, ORANGE, shortened
-from trackres_ros.text.numbers import figures, from_to, rising
+from trackres_ros.text import figures, from_to, rising
 
 DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`

@@ -24,9 +24,7 @@ from trackres_ros.diagnosis.report.series import MOST_RECORDINGS
 from trackres_ros.diagnosis.report.tiles import by_file, headline, lights, stage_of, tiles
 from trackres_ros.files.file_sets import present
 from trackres_ros.files.own_files import write
-from trackres_ros.text.names import told_apart
-from trackres_ros.text.numbers import alike, decimals, figures
-from trackres_ros.text.templates import templates
+from trackres_ros.text import alike, decimals, figures, templates, told_apart
 from trackres_ros.version import __version__
 
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}

@@ -31,7 +31,7 @@ from trackres_ros.diagnosis.report.term_pictures import draw_effect, draw_route,
 from trackres_ros.diagnosis.report.timeline import draw_timeline
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
-from trackres_ros.text.numbers import figures, rising
+from trackres_ros.text import figures, rising
 
 LONGEST_SHOWN_S = 400.0
 PIECE_S = 30.0  # mean errors of longer pieces are hardly correlated

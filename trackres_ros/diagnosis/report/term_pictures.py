@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend, shortened
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text import alike, figures
 
 SHOWN_BINS = 24
 OFF_NM = 1e-6  # a term whose gate is closed adds no more

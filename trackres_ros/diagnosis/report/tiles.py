@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.empirical.terms import FOLLOWED
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import either, form_words, upper
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, SUSPECTED
-from trackres_ros.text.numbers import decimals, figures, from_to
+from trackres_ros.text import decimals, figures, from_to
 from trackres_ros.vehicle.writing.sensor_lines import replaced
 
 MOST_WORDS = 40  # upper limit for the sentence

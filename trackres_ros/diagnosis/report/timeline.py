@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.report.series import acts_most, clock, lasting
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 AVERAGED_S = 10.0
 MARK = "#777777"

@@ -33,7 +33,7 @@ from trackres_ros.diagnosis.selection.grade import ON_BOUND, ONLY_BETWEEN, Grade
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.learned import VARIABLES, EmpiricalEffect
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 MOST_JUDGED = 5  # explanations, those with the highest worth
 MOST_NAMED = 2  # explanations by names alone: forms bend to the data

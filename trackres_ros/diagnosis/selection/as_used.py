@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 Bounds = Mapping[tuple[str, str], Interval]

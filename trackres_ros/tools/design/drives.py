@@ -22,7 +22,7 @@ from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.tasks.profile import along
 from trackres_ros.tasks.record_sample import lap_drive
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.tools.design.steady import Array, FileErrors, with_errors
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle

@@ -17,8 +17,7 @@ from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.output.style import picture
-from trackres_ros.text.numbers import alike, figures, some_of
-from trackres_ros.text.table import table
+from trackres_ros.text import alike, figures, some_of, table
 from trackres_ros.tools.fleet.dataset import OF_FILE, FleetDataset
 from trackres_ros.tools.fleet.pooling import Array, Vehicles, pool
 from trackres_ros.tools.fleet.recordings import ROWS

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes the C of all kernels into a file, when the package is built: `python -m trackres_ros.building.kernel_source FILE`."""
+"""Writes the C of all kernels into a file, when the package is built: `python -m trackres_ros.building FILE`."""
 
 from __future__ import annotations
 
