@@ -184,7 +184,7 @@ setup(
     },
     zip_safe=False,
     entry_points={
-        "console_scripts": ["trackres = trackres_ros.tasks.entry:main", "estimator = trackres_ros.node.ros.estimator:main"],
+        "console_scripts": ["trackres = trackres_ros.__main__:main", "estimator = trackres_ros.node.ros.estimator:main"],
         f"{PACKAGE}.commands": [f"{name} = {PACKAGE}.tools.{place}" for name, place in PLUG_INS.items()],
     },
 )

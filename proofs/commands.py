@@ -18,8 +18,7 @@ from trackres_ros.files.interpreter import python
 from trackres_ros.files.own_files import write
 from trackres_ros.tasks import options
 from trackres_ros.tasks.main import SETTINGS
-from trackres_ros.tasks.partial_output import watch
-from trackres_ros.tasks.terminal import Commands, emit, needs, output_folder, progress
+from trackres_ros.tasks.terminal import Commands, emit, needs, output_folder, progress, watch
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0

@@ -45,7 +45,9 @@ PROGRAMS = {"trackres": cli, "proofs": proofs}
 BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
 RUN_ELSEWHERE = ("export", "first-controller", "first-designer", "first-tester", "own-effect")
 LONGEST_S = 0.15
-IMPORTED = "design.compare", "diagnosis.coastdown.fitted", "diagnosis.pipeline", "fleet.run", "output.plots", "results.replay"
+TOOLS = "design.compare", "coastdown.fitted", "fleet.run"
+TASKS = "diagnose", "replay", "simulate", "vehicle"
+IMPORTED = "output.plots", *(f"tools.{name}" for name in TOOLS), *(f"tasks.{name}" for name in TASKS)
 ELSEWHERE = ("://", "CHECKOUT", "DATA", "CASES")
 """What only another machine or an earlier version has."""
 

@@ -27,17 +27,14 @@ if TYPE_CHECKING:
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.recording.recording import Recording
     from trackres_ros.recording.unfinished import Recovered
-    from trackres_ros.tasks.diagnose import DiagnosisResult
-    from trackres_ros.tasks.diagnosing import diagnose
-    from trackres_ros.tasks.explain import OperatingPoint
-    from trackres_ros.tasks.record_sample import Sample
-    from trackres_ros.tasks.recordings import read, record_sample, recover
-    from trackres_ros.tasks.replay import replay
-    from trackres_ros.tasks.replay_result import ReplayResult
-    from trackres_ros.tasks.simulate import explain, simulate
-    from trackres_ros.tasks.simulation import SimulationResult
-    from trackres_ros.tasks.vehicle_check_result import VehicleCheck
-    from trackres_ros.tasks.vehicles import check_vehicle, load_vehicle
+    from trackres_ros.tasks.arguments import load_vehicle
+    from trackres_ros.tasks.diagnose import DiagnosisResult, diagnose
+    from trackres_ros.tasks.explain import OperatingPoint, explain
+    from trackres_ros.tasks.record_sample import Sample, record_sample
+    from trackres_ros.tasks.recordings import read, recover
+    from trackres_ros.tasks.replay import ReplayResult, replay
+    from trackres_ros.tasks.simulate import SimulationResult, simulate
+    from trackres_ros.tasks.vehicle import VehicleCheck, check_vehicle
     from trackres_ros.tools.coastdown.result import CoastdownResult
     from trackres_ros.tools.coastdown.task import coastdown
     from trackres_ros.vehicle import Vehicle
@@ -72,32 +69,24 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CoastdownResult": "tools.coastdown.result",
-    "DiagnosisResult": "tasks.diagnose",
-    "Estimator": "estimator.estimator",
-    "InputError": "errors",
-    "MissingExtraError": "errors",
-    "OperatingPoint": "tasks.explain",
-    "OwnModel": "diagnosis.base.own",
-    "Recording": "recording.recording",
-    "Recovered": "recording.unfinished",
-    "ReplayResult": "tasks.replay_result",
-    "Sample": "tasks.record_sample",
-    "SimulationResult": "tasks.simulation",
-    "Vehicle": "vehicle",
-    "VehicleCheck": "tasks.vehicle_check_result",
-    "check_vehicle": "tasks.vehicles",
-    "coastdown": "tools.coastdown.task",
-    "diagnose": "tasks.diagnosing",
-    "explain": "tasks.simulate",
-    "load_vehicle": "tasks.vehicles",
-    "read": "tasks.recordings",
-    "record_sample": "tasks.recordings",
-    "recover": "tasks.recordings",
-    "replay": "tasks.replay",
-    "simulate": "tasks.simulate",
+    "diagnosis.base.own": ("OwnModel",),
+    "errors": ("InputError", "MissingExtraError"),
+    "estimator.estimator": ("Estimator",),
+    "recording.recording": ("Recording",),
+    "recording.unfinished": ("Recovered",),
+    "tasks.arguments": ("load_vehicle",),
+    "tasks.diagnose": ("DiagnosisResult", "diagnose"),
+    "tasks.explain": ("OperatingPoint", "explain"),
+    "tasks.record_sample": ("Sample", "record_sample"),
+    "tasks.recordings": ("read", "recover"),
+    "tasks.replay": ("ReplayResult", "replay"),
+    "tasks.simulate": ("SimulationResult", "simulate"),
+    "tasks.vehicle": ("VehicleCheck", "check_vehicle"),
+    "tools.coastdown.result": ("CoastdownResult",),
+    "tools.coastdown.task": ("coastdown",),
+    "vehicle": ("Vehicle",),
 }
-"""The module where a name is at home; `effects` is a package itself."""
+"""The names at home in each module; `effects` is a package itself."""
 
 
 def _read_only(content: dict[object, object]) -> MappingProxyType[object, object]:
@@ -113,7 +102,8 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "effects":
         return import_module("trackres_ros.effects")
-    value: object = getattr(import_module(f"trackres_ros.{_HOMES[name]}"), name)
+    home = next(module for module, names in _HOMES.items() if name in names)
+    value: object = getattr(import_module(f"trackres_ros.{home}"), name)
     globals()[name] = value
     return value
 

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.tasks.live_table import line, table
+from trackres_ros.tasks.live_display import line, table
 
 BUS = "ztbus_hess19"
 

@@ -18,7 +18,7 @@ from trackres_ros.files.resources import find_topics, find_vehicle
 
 COLD = "PYTHONSAFEPATH", "TRACKRES_INTERPRETED"  # variables that would keep a trap from being reached
 DRIVE = "time_s,speed_mps\n" + "".join(f"{0.1 * i:.1f},{8.0 if i > 20 else 0.4 * i:.1f}\n" for i in range(100))
-COMMAND = "from trackres_ros.tasks.entry import main\n\nif __name__ == '__main__':\n    main()\n"
+COMMAND = "from trackres_ros.__main__ import main\n\nif __name__ == '__main__':\n    main()\n"
 OWN = "import trackres_ros as tr\n\ntr.replay('drive.csv', vehicle='xgd24d')\n"
 FIRST = {
     "a program of one's own": (OWN, ()),

@@ -138,9 +138,9 @@ def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
 
 SWALLOWED = """
 import os, signal, threading, weakref
-from trackres_ros.tasks import entry
-entry.AGAIN_S = 0.2
-entry.insist()
+from trackres_ros.tasks import interrupts
+interrupts.AGAIN_S = 0.2
+interrupts.insist()
 class Some: pass
 def callback(_):  # what is raised in here goes nowhere
     os.kill(os.getpid(), signal.SIGINT)
@@ -152,7 +152,7 @@ del some
 try:
     threading.Event().wait(60.0)
 except KeyboardInterrupt:
-    entry.interrupt_handled()
+    interrupts.interrupt_handled()
     os.kill(os.getpid(), signal.SIGINT)
     print("taken")
 """
@@ -166,13 +166,13 @@ def test_a_swallowed_interrupt_is_raised_again_until_handled():
 
 MET_IN_A_STRING = """
 import sys
-from trackres_ros.tasks import entry
-entry.insist()
+from trackres_ros.tasks import interrupts
+interrupts.insist()
 try:
     exec("import os, signal, threading; os.kill(os.getpid(), signal.SIGINT); threading.Event().wait(60.0)")
 except KeyboardInterrupt:
-    entry.interrupt_handled()
-    sys.exit(entry.INTERRUPTED)
+    interrupts.interrupt_handled()
+    sys.exit(interrupts.INTERRUPTED)
 """
 
 

@@ -17,8 +17,7 @@ from trackres_ros.node.notices import KINDS, Notice
 from trackres_ros.node.report import Overview
 from trackres_ros.node.transport import Level
 from trackres_ros.node.watch import InputState
-from trackres_ros.tasks.live_json import LiveJson, as_dict
-from trackres_ros.tasks.live_table import LiveTable, line, table
+from trackres_ros.tasks.live_display import LiveJson, LiveTable, as_dict, line, table
 
 ASSEMBLIES = ("front_left", "front_right", "rear_left", "rear_right")
 TOPICS = ("speed", "/vehicle/status/velocity_status", "/a/very/long/name/of/a/topic/that/somebody/has/chosen/for/his/load/cells")

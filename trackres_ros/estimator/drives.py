@@ -17,9 +17,12 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.model.resistance import resistance_parts
+from trackres_ros.units import KMH_PER_MPS
 
 MOST_SAMPLES = 50_000_000
 ROUNDING = 1e-9  # of a time: less is no longer one
+LAP_RADIUS_M = 100.0  # section 3.2.2 of the paper
+LAP_RAMP_S, LAP_STOP_S, LAP_HZ = 15.0, 20.0, 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,11 @@ def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, d
             corners.append(now)
             speeds.append(reached)
     return through_points(np.array(corners), np.array(speeds), dt)
+
+
+def lap_drive(speed_kmh: float, laps_driven: int) -> SimulatedDrive:
+    """Laps of a circle of 100 m radius with a stop after each."""
+    return laps(speed_kmh / KMH_PER_MPS, 2 * math.pi * LAP_RADIUS_M, laps_driven, LAP_RAMP_S, LAP_STOP_S, 1.0 / LAP_HZ)
 
 
 def simulate(

@@ -32,8 +32,7 @@ from trackres_ros.node.record_files import RecordingFiles, RecordLimits
 from trackres_ros.node.transport import LAST_NS, Reasons
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.plots import estimate_figure
-from trackres_ros.output.preview import ResultPreview
-from trackres_ros.tasks.summary import picture_columns
+from trackres_ros.output.preview import ResultPreview, picture_columns
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:

@@ -1,17 +1,20 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Converts the arguments of the public functions to vehicles, paths and topics."""
+"""Checks the arguments of the public functions, and converts them to vehicles, paths and topics."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
+from inspect import signature
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, Union
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, Union
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError
+from trackres_ros.text import figures
 
 if TYPE_CHECKING:
     from trackres_ros.recording.bindings import Topics
@@ -23,32 +26,81 @@ StrPath: TypeAlias = str | PathLike[str]
 VehicleGiven: TypeAlias = Union["Vehicle", "RoadVehicle", StrPath]
 TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPath]
 
-AMBIENT, BELT, SPEED, WEIGHT = (-60.0, 60.0, "degC"), (-60.0, 150.0, "degC"), (-200.0, 200.0, "km/h"), (0.1, 1e5, "kN")
-LIMITS: dict[str, dict[str, tuple[float, float, str]]] = {
-    "simulate": {
-        "speed_kmh": SPEED, "ramp_s": (0.0, 1e5, "s"), "duration_s": (1e-3, 1e7, "s"), "ambient_degc": AMBIENT,
-        "initial_degc": BELT, "weight_kn": WEIGHT, "dt": (1e-4, 10.0, "s"),
-    },
-    "explain": {"speed_kmh": SPEED, "belt_degc": BELT, "ambient_degc": AMBIENT, "weight_kn": WEIGHT},
-    "record_sample": {"speed_kmh": (1.0, 50.0, "km/h"), "laps": (1, 1000, ""), "ambient_degc": AMBIENT},
-    "check_vehicle": {"points": (10, 100_000, "")},
-}  # fmt: skip
+Limits: TypeAlias = tuple[float, float, str]
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+AMBIENT: Limits = (-60.0, 60.0, "degC")
+BELT: Limits = (-60.0, 150.0, "degC")
+SPEED: Limits = (-200.0, 200.0, "km/h")
+WEIGHT: Limits = (0.1, 1e5, "kN")
+LIMITS: dict[str, dict[str, Limits]] = {}
 """Least and greatest value of numeric arguments, by function; of whole numbers the limits are whole. Options have the same."""
 
 
-def check_numbers(function: str, **given: object) -> None:
-    """Check numeric arguments of a public function by their names."""
-    for name, value in given.items():
-        low, high, unit = LIMITS[function][name]
-        if isinstance(low, int) and isinstance(high, int):
-            checks.whole(value, name, low, high, unit)
-        else:
-            checks.number(value, name, low, high, unit)
+def limited(**limits: Limits) -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:
+    """Check numeric arguments of a public function before its call; None is allowed where it is the default."""
+
+    def decorate(function: Callable[Given, Result]) -> Callable[Given, Result]:
+        LIMITS[function.__name__] = limits
+        optional = {name for name, about in signature(function).parameters.items() if about.default is None}
+
+        @wraps(function)
+        def checked(*args: Given.args, **named: Given.kwargs) -> Result:
+            for name, (low, high, unit) in limits.items():
+                if name not in named or (named[name] is None and name in optional):
+                    continue
+                if isinstance(low, int) and isinstance(high, int):
+                    checks.whole(named[name], name, low, high, unit)
+                else:
+                    checks.number(named[name], name, low, high, unit)
+            return function(*args, **named)
+
+        return checked
+
+    return decorate
 
 
-def if_given(**optional: object) -> dict[str, object]:
-    """Those that are not None, the default of an argument that may be absent."""
-    return {name: value for name, value in optional.items() if value is not None}
+def load_vehicle(
+    vehicle: StrPath, *, method: str | None = None, thermal: str | None = None, surroundings: StrPath | None = None
+) -> AnyVehicle:
+    """Load a vehicle file.
+
+    Parameters
+    ----------
+    vehicle
+        Path of a vehicle file, or the name of a shipped vehicle such as ``xgd24d``.
+    method
+        Way from strain to heat instead of the file's: ``rainflow``, the paper's count, or ``spectral``, exact.
+    thermal
+        Thermal model instead of the file's: ``lumped`` or ``core_surface``.
+    surroundings
+        File of the current site, weather and ground, as a diagnosis writes it.
+
+    Returns
+    -------
+    Vehicle or RoadVehicle
+        Frozen and checked; SI units, temperatures in degC. A file with a section `road_load` gives a `RoadVehicle`.
+
+    Raises
+    ------
+    InputError
+        On a missing, unknown or implausible value: file and key, what was given and what is allowed.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> vehicle = tr.load_vehicle("agri3t")
+    >>> round(vehicle.weight)
+    29400
+    >>> tr.load_vehicle("agri3t", thermal="lumpy")
+    Traceback (most recent call last):
+    trackres_ros.errors.InputError: thermal: given 'lumpy'; allowed: one of lumped, core_surface; did you mean lumped?
+    """
+    from trackres_ros.model.track import with_methods
+    from trackres_ros.vehicle import load_any, with_surroundings
+
+    return with_surroundings(with_methods(load_any(vehicle), method, thermal), surroundings)
 
 
 def as_vehicle(vehicle: VehicleGiven) -> AnyVehicle:
@@ -70,6 +122,13 @@ def as_track_vehicle(vehicle: VehicleGiven) -> Vehicle:
     if not isinstance(described, Vehicle):
         raise InputError("vehicle", f"{described.name} of the base model road_load, which has no belts", "a track vehicle")
     return described
+
+
+def check_weight(vehicle: AnyVehicle, weight_kn: float | None, least: float, largest: float) -> None:
+    """Check a weight [kN] by shares of the vehicle's own."""
+    low, own, high = (share * vehicle.weight / 1e3 for share in (least, 1.0, largest))
+    if weight_kn is not None and not low <= weight_kn <= high:
+        raise InputError("weight_kn", weight_kn, f"{figures(low)} to {figures(high)} kN for a vehicle of {figures(own)} kN")
 
 
 def as_path(given: Any, where: str, allowed: str = "a path, or what read gave") -> Path:

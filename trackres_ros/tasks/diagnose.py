@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines the result of a diagnosis."""
+"""Diagnoses recordings: finds the physics that the model lacks, and reports it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import base64
 import json
 import shutil
 import tempfile
+import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from html import escape
@@ -19,22 +20,45 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
 import numpy as np
 import yaml
 
-from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros import checks
+from trackres_ros.diagnosis import DiagnosisOptions
+from trackres_ros.diagnosis import diagnose as run
+from trackres_ros.diagnosis.base.loading import LoadedBase, load_base
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.road_load import RoadBase
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.gate import in_order
+from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
 from trackres_ros.diagnosis.prepare.settings import LiveFilter
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
-from trackres_ros.errors import MissingExtraError, one_line
+from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input, output_folder
 from trackres_ros.files.own_files import remove, write
+from trackres_ros.recording.reading import check_there
+from trackres_ros.recording.recording import Recording, topics_in_use
+from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.tasks import options
+from trackres_ros.tasks.arguments import (
+    StrPath,
+    TopicsGiven,
+    VehicleGiven,
+    as_names,
+    as_paths,
+    as_recordings,
+    as_topics,
+    input_files,
+    paths_of,
+)
+from trackres_ros.tasks.recordings import read
+from trackres_ros.tasks.terminal import Command, emit, print_warnings, stage_progress, watch
 from trackres_ros.text import alike, figures, html_table, listed, panel, paragraph
 from trackres_ros.vehicle import AnyVehicle, load_any
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
@@ -42,6 +66,7 @@ from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
 
+MOST_HELD_OUT = 1_000_000
 REPORT_FILE, VEHICLE_FILE, SETTINGS_FILE, PAGE_FILE = "report.json", "vehicle.yaml", "estimator.yaml", "report.html"
 PICTURES = (
     "believed.svg", "before_after.svg", "where_*.svg", "effect_*.svg", "term_*.svg", "route.svg", "route_beside.svg",
@@ -59,6 +84,108 @@ SETTINGS_ABOUT = (
     "# Settings of the live filter of the acceleration, from the speeds of these recordings.\n"
     "# They are for --params of trackres replay and trackres live, or parameters of the node.\n"
 )
+
+
+def diagnose(
+    recordings: StrPath | Recording | Sequence[StrPath | Recording],
+    vehicle: VehicleGiven | OwnModel,
+    *,
+    topics: TopicsGiven | None = None,
+    surroundings: StrPath | None = None,
+    hide: str | Sequence[str] = (),
+    holdout: int | str | Sequence[str] | None = None,
+    method: str | None = None,
+    thermal: str | None = None,
+    seed: int = 1,
+    quick: bool = False,
+    keep_suspected: bool = False,
+    effects: StrPath | None = None,
+    on_stage: Callable[[str], None] = lambda _: None,
+) -> DiagnosisResult:
+    """Find where measured and simulated torque [Nm] differ, which physics is missing, and a vehicle that includes it.
+
+    Parameters
+    ----------
+    recordings
+        Sessions: each a result of `read`, or a path that it accepts.
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one; also one of the base model ``road_load``, or an `OwnModel`.
+    topics
+        As in `read`, for the paths.
+    surroundings
+        File of the site, weather and ground during the drives.
+    hide
+        Channel or channels to ignore, such as ``grade`` or ``yaw_rate``.
+    holdout
+        How many of the last recordings or laps to hold out, or names of recordings, or of laps as a report lists them
+        (``day2.mcap: 5``).
+    method, thermal
+        As in `load_vehicle`.
+    seed
+        Seed of all random draws: equal seeds give equal results.
+    quick
+        Fewer draws for thresholds.
+    keep_suspected
+        Also keep effects that fit but that laps left out do not confirm.
+    effects
+        Folder with your own effects, one Python file each.
+    on_stage
+        Takes the name of each stage as it begins.
+
+    Returns
+    -------
+    DiagnosisResult
+        `sentence`, `effects`, `vehicle`, and `report("folder")`, which writes the files of `trackres diagnose`.
+
+    Raises
+    ------
+    InputError
+        If the recordings cannot be used, with the reason.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> from pathlib import Path
+    >>> _ = Path("drive.csv").write_text("time_s,speed_kmh\\n0,0\\n10,36\\n200,36\\n")
+    >>> try:
+    ...     tr.diagnose("drive.csv", "xgd24d")
+    ... except tr.InputError as error:
+    ...     print(error.allowed)
+    a measured torque: without it there is nothing to compare
+    """
+    begun = time.monotonic()
+    checks.function(on_stage, "on_stage")
+    hidden = as_names(hide, "hide")
+    for channel in hidden:
+        checks.one_of(base_role(channel), "hide", ROLES)
+    checks.seed(seed)
+    if isinstance(holdout, Iterable):
+        holdout = as_names(holdout, "holdout")
+    elif holdout is not None:
+        checks.whole(holdout, "holdout", 0, MOST_HELD_OUT)
+    if isinstance(effects, str) and not effects:
+        raise InputError("effects", "", "a folder with Python files, or None")
+    folder = None if effects is None else checks.path(effects, "effects")
+    listed = as_recordings(recordings)
+    mapping = as_topics(topics)
+    if mapping is None:
+        mapping = next((r.topics for r in listed if isinstance(r, Recording) and r.topics), None)
+    loaded = load_base(vehicle, method, thermal, surroundings)
+    for path in (path for r in listed if not isinstance(r, Recording) for path in as_paths(r)):
+        check_there(path)
+    refused: list[Refusal] = []
+    sessions = in_order(each_usable(listed, lambda r: r if isinstance(r, Recording) else read(r, topics=mapping), refused, _name))
+    loaded = loaded.with_topics(topics_in_use(sessions))
+    asked = DiagnosisOptions(hidden, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
+    found = run(sessions, loaded, asked)
+    used = {session.name for session in found.sessions}
+    paths = paths_of([session for session in sessions if session.name in used])
+    inputs = input_files(mapping, *paths, loaded.source, surroundings)
+    return DiagnosisResult(found, loaded, paths, time.monotonic() - begun, inputs)
+
+
+def _name(recording: StrPath | Recording) -> str:
+    return str(recording) if isinstance(recording, str | PathLike) else recording.name
 
 
 class DiagnosisResult:
@@ -299,3 +426,54 @@ def _plots(found: Diagnosis) -> Interactive | str:
         return interactive(found)
     except MissingExtraError as error:
         return str(error)
+
+
+@click.command("diagnose", cls=Command)
+@click.argument("recordings", nargs=-1, required=True, type=options.PATH)
+@options.vehicle
+@options.surroundings
+@options.topics("which topic or column feeds which role.")
+@click.option("--hide", multiple=True, metavar="CHANNEL", help="Ignore a channel, such as grade or yaw_rate; may be repeated.")
+@click.option(
+    "--holdout",
+    metavar="N|NAMES",
+    help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
+)
+@options.methods
+@options.of(diagnose, "seed", "Seed of all random draws.", options.SEEDS)
+@click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
+@click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that laps left out do not confirm.")
+@click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")
+@click.option("--no-page", is_flag=True, help="Write no report.html and no pictures, which take long; remove earlier ones.")
+@options.folder("Folder for the report; created if needed.")
+@options.json
+def diagnose_command(
+    recordings: tuple[Path, ...], holdout: str | None, no_page: bool, output: Path, as_json: bool, **asked: Any
+) -> None:
+    """Find where measurement and simulation differ and which physics is missing; write a vehicle file with it.
+
+    Each RECORDING with a measured torque is a session: a bag, a table, an MDF file, a CAN log or a MATLAB file
+    (docs/recordings.md).
+
+    \b
+    trackres diagnose day1.mcap day2.mcap --vehicle xgd24d --topics topics.yaml -o report
+
+    Writes report.json, report.html, vehicle.yaml and pictures, and prints the verdict. Effects of the site,
+    the weather or the ground go to surroundings.yaml instead; sensor corrections are printed as lines for the topics file.
+    The exit code is 0 for any verdict.
+    """
+    output_folder(output, names=DATA_FILES)  # before hours of work
+    for name in DATA_FILES:
+        not_an_input(output / name, [*recordings, asked["vehicle"], asked["surroundings"]], "output")
+    watch(output)
+    held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
+    with stage_progress() as on_stage:
+        found = diagnose(recordings, holdout=held, on_stage=on_stage, **asked)
+        on_stage("report")
+        with print_warnings():
+            found.report(output, page=not no_page)
+    emit(
+        found.as_dict(),
+        as_json,
+        lambda: f"{found!r}\n{output}: {', '.join(str(path.relative_to(output)) for path in found.written)}",
+    )

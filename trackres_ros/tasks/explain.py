@@ -1,16 +1,90 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines the result of one steady state: loads, contacts, losses, heat and torque."""
+"""Explains one operating point: loads, contacts, losses, heat and torque of a steady state."""
 
 from __future__ import annotations
 
-from trackres_ros.model.operating_point import INACTIVE
-from trackres_ros.tasks.content import Content
-from trackres_ros.text import decimals, html_table, listed, panel, paragraph, table
+from typing import Any
 
+import click
+
+from trackres_ros.errors import InputError
+from trackres_ros.model import operating_point
+from trackres_ros.tasks import options
+from trackres_ros.tasks.arguments import (
+    AMBIENT,
+    BELT,
+    SPEED,
+    WEIGHT,
+    VehicleGiven,
+    as_vehicle,
+    check_weight,
+    limited,
+    load_vehicle,
+)
+from trackres_ros.tasks.results import Content
+from trackres_ros.tasks.terminal import Command, emit
+from trackres_ros.text import decimals, html_table, listed, panel, paragraph, table
+from trackres_ros.units import KMH_PER_MPS
+from trackres_ros.vehicle import RoadVehicle
+
+LEAST_SHARE, LARGEST_SHARE = 0.05, 20.0  # of the nominal weight; a single point may be an unusual one
 WHEEL_HEAD = {"load": "N", "half length": "mm", "strain": "1", "frequency": "Hz", "modulus": "MPa"}
 """Displayed values of a road wheel's contact, and their units."""
+
+
+@limited(speed_kmh=SPEED, belt_degc=BELT, ambient_degc=AMBIENT, weight_kn=WEIGHT)
+def explain(
+    vehicle: VehicleGiven,
+    *,
+    speed_kmh: float,
+    belt_degc: float | None = None,
+    ambient_degc: float | None = None,
+    weight_kn: float | None = None,
+) -> OperatingPoint:
+    """Compute the parts of the torque [Nm] at one operating point, by the exact methods.
+
+    Parameters
+    ----------
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one.
+    speed_kmh
+        [km/h]; negative in reverse.
+    belt_degc
+        Mean belt temperature [degC]; none for a vehicle without belts.
+    ambient_degc, weight_kn
+        Ambient temperature [degC] and weight of the whole vehicle [kN]; by default the vehicle file's.
+
+    Returns
+    -------
+    OperatingPoint
+        A mapping of wheel loads, contacts, tension, losses, heat, torque by part and the rainflow matrix; without belts only
+        torque by part.
+
+    Raises
+    ------
+    InputError
+        For a weight or a speed that the vehicle cannot have.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> point = tr.explain("xgd24d", speed_kmh=50, belt_degc=15)
+    >>> {part: round(torque) for part, torque in point["torque_nm"].items()}
+    {'hysteresis': 2604, 'bearing': 734, 'wind': 255, 'effects': 0, 'inertia': 0, 'resistance': 3593}
+    """
+    described = as_vehicle(vehicle)
+    check_weight(described, weight_kn, LEAST_SHARE, LARGEST_SHARE)
+    weight = None if weight_kn is None else weight_kn * 1e3
+    speed = speed_kmh / KMH_PER_MPS
+    if isinstance(described, RoadVehicle):
+        if belt_degc is not None:
+            raise InputError("belt_degc", belt_degc, f"none for {described.name}: the base model road_load has no belts")
+        return OperatingPoint(operating_point.explain_road(described, speed, ambient_degc, weight))
+    if belt_degc is None:
+        raise InputError("belt_degc", "nothing", "the mean temperature of the belts [degC]")
+    return OperatingPoint(operating_point.explain(described, speed, belt_degc, ambient_degc, weight))
 
 
 class OperatingPoint(Content):
@@ -30,7 +104,7 @@ class OperatingPoint(Content):
     def _sentences(self) -> list[str]:
         torques = ", ".join(f"{k} {decimals(v)}" for k, v in self["torque_nm"].items())
         left_out = self["effects_left_out"]
-        without = [f"{', '.join(left_out)}: {INACTIVE}"] if left_out else []
+        without = [f"{', '.join(left_out)}: {operating_point.INACTIVE}"] if left_out else []
         if "belt_degc" not in self:
             power = decimals(self["power_w"] / 1e3, 2)
             return [f"Torque at the wheels [Nm]: {torques}", f"Power to overcome the resistance {power} kW", *without]
@@ -78,3 +152,22 @@ class OperatingPoint(Content):
             *map(paragraph, sentences),
             listed("Remarks", self["remarks"]),
         )
+
+
+@click.command("explain", cls=Command)
+@options.vehicle
+@options.of(explain, "speed_kmh", "Speed [km/h]; negative in reverse.")
+@options.of(explain, "belt_degc", "Belt temperature [degC]; of a vehicle without belts none.")
+@options.of(explain, "ambient_degc", options.AMBIENT)
+@options.of(explain, "weight_kn", options.WEIGHT)
+@click.option("--method", type=options.METHODS, help="Way from strain to heat; default the vehicle file's.")
+@options.json
+def explain_command(vehicle: str, method: str | None, as_json: bool, **point: Any) -> None:
+    """Show the parts of the torque at one operating point, computed by the exact methods.
+
+    \b
+    trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15
+    trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15 --weight-kn 300 --method rainflow --json
+    """
+    result = explain(load_vehicle(vehicle, method=method), **point)
+    emit(result.as_dict(), as_json, lambda: repr(result))

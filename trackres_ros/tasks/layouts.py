@@ -7,15 +7,15 @@ from pathlib import Path
 
 import click
 
-import trackres_ros as tr
+from trackres_ros.output.layouts import write_layouts
 from trackres_ros.tasks import options
-from trackres_ros.tasks.live import check_names, name_options
+from trackres_ros.tasks.arguments import load_vehicle
 from trackres_ros.tasks.terminal import Command, emit
 
 
 @click.command("layouts", cls=Command)
 @options.vehicle
-@name_options
+@options.name_options
 @options.folder("Folder to write into.")
 @options.json
 def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_json: bool) -> None:
@@ -27,10 +27,8 @@ def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_js
     trackres layouts --vehicle my_vehicle.yaml -o layouts
     plotjuggler --layout layouts/plotjuggler.xml
     """
-    from trackres_ros.output.layouts import write_layouts
-
-    check_names(name, namespace)
-    written = write_layouts(tr.load_vehicle(vehicle), output, f"{namespace.rstrip('/')}/{name}")
+    options.check_names(name, namespace)
+    written = write_layouts(load_vehicle(vehicle), output, f"{namespace.rstrip('/')}/{name}")
 
     text = (
         f"Written: {written[0]}, {written[1]}\nNext: plotjuggler --layout {written[0]}; in Foxglove: Layouts, import from file, "

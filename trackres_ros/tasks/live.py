@@ -7,27 +7,24 @@ from __future__ import annotations
 
 import importlib
 import os
-import re
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from trackres_ros import InputError
+from trackres_ros.errors import InputError
+from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+from trackres_ros.files.yamls import parse_yaml
+from trackres_ros.node.application import Application
+from trackres_ros.node.parameter_file import ParameterFile
+from trackres_ros.node.parameters import make_parameters, read_with_overrides
+from trackres_ros.node.record import Recorder
+from trackres_ros.node.record_files import RecordLimits
+from trackres_ros.node.report import Overview
+from trackres_ros.node.signals import REQUESTS
 from trackres_ros.tasks import options
-from trackres_ros.tasks.partial_output import watch
-
-if TYPE_CHECKING:
-    from trackres_ros.node.application import Application
-    from trackres_ros.node.report import Overview
-    from trackres_ros.tasks.live_display import LiveDisplay
-
-
-def name_options(command: options.Decorated) -> options.Decorated:
-    """`--name` and `--namespace` of the node."""
-    command = click.option("--namespace", default="/", help="Namespace of the node.")(command)
-    return click.option("--name", default="trackres", help="Name of the node.")(command)
+from trackres_ros.tasks.live_display import LiveDisplay, LiveJson, LiveTable
+from trackres_ros.tasks.terminal import watch
 
 
 @click.command("live")
@@ -42,7 +39,7 @@ def name_options(command: options.Decorated) -> options.Decorated:
     help="Parameter file, flat or in the format of ROS; without ROS, the node watches it for changes.",
 )
 @click.option("-p", "single", multiple=True, metavar="NAME:=VALUE", help="One parameter; may be given several times.")
-@name_options
+@options.name_options
 @click.option(
     "--transport",
     "--edge",  # its name before 1.0
@@ -90,16 +87,7 @@ def live_command(
 
     Signals: INT, TERM, HUP and QUIT end it and save the state, USR1 saves the state and USR2 starts cold.
     """
-    from trackres_ros.files.output_files import BAG_SUFFIX, output_file
-    from trackres_ros.node.parameter_file import ParameterFile
-    from trackres_ros.node.parameters import make_parameters, read_with_overrides
-    from trackres_ros.node.record import Recorder
-    from trackres_ros.node.record_files import RecordLimits
-    from trackres_ros.node.signals import REQUESTS
-    from trackres_ros.tasks.live_json import LiveJson
-    from trackres_ros.tasks.live_table import LiveTable
-
-    check_names(name, namespace)
+    options.check_names(name, namespace)
     limits = RecordLimits(record_split_mb or 0.0, record_split_minutes or 0.0, record_limit_mb or 0.0)
     if limits.splits and record is None:
         raise InputError("--record", "not given", "a file to record into, with --record-split-... and --record-limit-mb")
@@ -161,14 +149,4 @@ def _single(text: str) -> tuple[str, object]:
     name, mark, value = text.partition(":=")
     if not mark or not name:
         raise InputError("-p", text, "NAME:=VALUE", "for example: -p output_rate_hz:=100")
-    from trackres_ros.files.yamls import parse_yaml
-
     return name, parse_yaml(value, f"-p {name}")
-
-
-def check_names(name: str, namespace: str) -> None:
-    """Refuse an invalid node name or namespace."""
-    if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
-        raise InputError("--name", name, "letters, digits and underscores, not beginning with a digit")
-    if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace, re.ASCII):
-        raise InputError("--namespace", namespace, "a path such as /left/rear")

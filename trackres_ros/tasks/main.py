@@ -1,55 +1,87 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gathers the commands of `trackres`, and turns bad input into exit codes."""
+"""Lists the commands of `trackres`, loads the one that is asked for, and turns bad input into exit codes."""
 
 import os
 import select
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 from importlib.metadata import entry_points
 
 import click
+from click.shell_completion import CompletionItem
 
-from trackres_ros import InputError, __version__
-from trackres_ros.errors import one_line
-from trackres_ros.tasks import partial_output
-from trackres_ros.tasks.diagnose_command import diagnose_command, effects_command
-from trackres_ros.tasks.explain_command import explain_command
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.tasks import terminal
 from trackres_ros.tasks.interrupts import INTERRUPTED, interrupt_handled
-from trackres_ros.tasks.layouts import layouts_command
-from trackres_ros.tasks.live import live_command
-from trackres_ros.tasks.play import play_command
-from trackres_ros.tasks.record_sample_command import record_sample_command
-from trackres_ros.tasks.recover_command import recover_command
-from trackres_ros.tasks.replay_command import replay_command
-from trackres_ros.tasks.simulate_command import simulate_command
 from trackres_ros.tasks.terminal import Commands, to_nowhere
-from trackres_ros.tasks.topics_command import topics_group
-from trackres_ros.tasks.vehicle_command import vehicle_group
+from trackres_ros.version import __version__
 
 BAD_INPUT = 2
+COMMANDS = {
+    "diagnose": (
+        "diagnose",
+        "Find where measurement and simulation differ and which physics is missing; write a vehicle file with it.",
+    ),
+    "effects": ("vehicle", "List the catalogue of effects with descriptions and parameters."),
+    "explain": ("explain", "Show the parts of the torque at one operating point, computed by the exact methods."),
+    "layouts": (
+        "layouts",
+        "Write layouts of PlotJuggler and Foxglove for a vehicle: torque by part and assembly, feed-forward, belts, residual.",
+    ),
+    "live": ("live", "Run the live estimate until interrupted."),
+    "play": ("play", "Play a ROS 2 bag with its /clock, or one of its log times, to a live node."),
+    "record-sample": (
+        "record_sample",
+        "Make a recording like a vehicle bus log: the paper's lap test, speed in steps of 1 km/h, load, air temperature.",
+    ),
+    "recover": ("recordings", "Repair an MCAP recording that a kill, a crash or a power cut left unfinished."),
+    "replay": ("replay", "Compute resistance torque and belt temperature over a recording."),
+    "simulate": ("simulate", "Compute torque and belt temperature along a speed profile."),
+    "topics": ("recordings", "Topics files: which topic or column feeds which role."),
+    "vehicle": ("vehicle", "Vehicle files."),
+}
+"""Module and first sentence of each command; of `record-sample` the module has `record_sample_command`."""
 PLUG_INS = "trackres_ros.commands"
 """The group of entry points that bring commands."""
-
-
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True}
 
 
 class Program(Commands):
-    """The commands of the package, and those of its plug-ins, which are loaded when they are asked for."""
+    """The commands of the package and those of its plug-ins. A list has their sentences; only a command that is run is loaded."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """See `click.Group`."""
-        return sorted({*super().list_commands(ctx), *entry_points(group=PLUG_INS).names})
+        return sorted({*COMMANDS, *super().list_commands(ctx), *entry_points(group=PLUG_INS).names})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """See `click.Group`."""
         if cmd_name not in self.commands:
+            if cmd_name in COMMANDS:
+                module = import_module(f"trackres_ros.tasks.{COMMANDS[cmd_name][0]}")
+                self.add_command(getattr(module, f"{cmd_name.replace('-', '_')}_command"), cmd_name)
             for point in entry_points(group=PLUG_INS, name=cmd_name):
                 self.add_command(point.load(), cmd_name)
         return super().get_command(ctx, cmd_name)
+
+    def _listed(self, ctx: click.Context) -> dict[str, click.Command]:
+        """What a list shows of each command."""
+        own = {name: click.Command(name, help=sentence) for name, (_, sentence) in COMMANDS.items()}
+        others = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx) if name not in own)
+        return own | {name: command for name, command in others if command}
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """See `click.Group`."""
+        click.Group(commands=self._listed(ctx)).format_commands(ctx, formatter)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """See `click.Group`."""
+        shown = sorted((name, command) for name, command in self._listed(ctx).items() if name.startswith(incomplete))
+        items = [CompletionItem(name, help=command.get_short_help_str()) for name, command in shown]
+        return [*items, *click.Command.shell_complete(self, ctx, incomplete)]
 
 
 @click.group(cls=Program, context_settings=SETTINGS)
@@ -67,29 +99,12 @@ def cli() -> None:
     """
 
 
-for command in (
-    live_command,
-    replay_command,
-    play_command,
-    layouts_command,
-    simulate_command,
-    explain_command,
-    diagnose_command,
-    effects_command,
-    record_sample_command,
-    recover_command,
-    vehicle_group,
-    topics_group,
-):
-    cli.add_command(command)
-
-
 def main(arguments: Sequence[str] | None = None, commands: click.Group = cli, program: str = "trackres") -> None:
     """Run a command line; bad input ends with exit code 2 and one line that says what to do, with --json as JSON."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the caller; progress bars and libraries expect a stream
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
-    partial_output.begin()
+    terminal.begin_command()
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     try:
@@ -111,11 +126,11 @@ def main(arguments: Sequence[str] | None = None, commands: click.Group = cli, pr
             sys.exit(0)
         raise
     except OSError as error:
-        where, why = str(error.filename or partial_output.places() or "system"), str(error.strerror or error)
+        where, why = str(error.filename or terminal.places() or "system"), str(error.strerror or error)
         _fail(InputError(where, why, "a usable file or device"), one_line(f"{where}: {why}"), as_json)
     except (click.Abort, KeyboardInterrupt):
         interrupt_handled()
-        click.echo(f"trackres: interrupted; {partial_output.so_far()}", err=True)
+        click.echo(f"trackres: interrupted; {terminal.written_so_far()}", err=True)
         sys.exit(INTERRUPTED)
     sys.exit(result if isinstance(result, int) else 0)
 
@@ -149,7 +164,3 @@ def _fail(error: InputError, text: str, as_json: bool) -> None:
     with suppress(OSError):
         click.echo(f"trackres: error: {text}", err=True)
     sys.exit(BAD_INPUT)
-
-
-if __name__ == "__main__":
-    main()

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from trackres_ros.errors import InputError
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.tasks.arguments import LIMITS
 
@@ -145,3 +147,17 @@ def methods(command: Decorated) -> Decorated:
         type=METHODS,
         help="Hysteresis method instead of the vehicle file's: rainflow as in the paper, or the exact spectral one.",
     )(command)
+
+
+def name_options(command: Decorated) -> Decorated:
+    """`--name` and `--namespace` of the node."""
+    command = click.option("--namespace", default="/", help="Namespace of the node.")(command)
+    return click.option("--name", default="trackres", help="Name of the node.")(command)
+
+
+def check_names(name: str, namespace: str) -> None:
+    """Refuse an invalid node name or namespace."""
+    if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
+        raise InputError("--name", name, "letters, digits and underscores, not beginning with a digit")
+    if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace, re.ASCII):
+        raise InputError("--namespace", namespace, "a path such as /left/rear")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from trackres_ros import InputError
+from trackres_ros.errors import InputError
 from trackres_ros.tasks import options
 from trackres_ros.tasks.terminal import emit, progress
 

@@ -1,68 +1,27 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes sample recordings, reads recordings and repairs unfinished ones."""
+"""Reads recordings, repairs unfinished ones, and lists and guesses the topics files that describe them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from pathlib import Path
 
+import click
+
+from trackres_ros import checks
 from trackres_ros.errors import InputError
-from trackres_ros.tasks.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_track_vehicle, check_numbers
-
-if TYPE_CHECKING:
-    from trackres_ros.recording.recording import Recording
-    from trackres_ros.recording.unfinished import Recovered
-    from trackres_ros.tasks.record_sample import Sample
-
-
-def record_sample(
-    path: StrPath, *, vehicle: VehicleGiven = "xgd24d", speed_kmh: float = 10.0, laps: int = 3, ambient_degc: float = 15.0
-) -> Sample:
-    """Make a sample recording: the paper's lap test as a vehicle bus would log it.
-
-    Speed comes in steps of 1 km/h at 50 Hz, load at 10 Hz and air temperature at 1 Hz, all with noise.
-
-    Parameters
-    ----------
-    path
-        The `.mcap` file to write.
-    vehicle
-        Vehicle whose weight is recorded.
-    speed_kmh
-        Speed on the lap [km/h].
-    laps
-        Laps of a circle of 100 m radius, with a stop after each.
-    ambient_degc
-        Air temperature [degC].
-
-    Returns
-    -------
-    Sample
-        Its `path`, and the file of its `topics`; equal calls give equal bytes.
-
-    Raises
-    ------
-    InputError
-        Another suffix, no such folder, or a number out of its range.
-
-    Examples
-    --------
-    >>> import trackres_ros as tr
-    >>> sample = tr.record_sample("lap.mcap", laps=1)
-    >>> tr.read(sample.path, topics=sample.topics).roles
-    ('load', 'ambient', 'speed')
-    """
-    from trackres_ros.files.output_files import BAG_SUFFIX, output_file
-    from trackres_ros.files.resources import find_topics
-    from trackres_ros.tasks.record_sample import Sample, write_sample
-
-    check_numbers("record_sample", speed_kmh=speed_kmh, laps=laps, ambient_degc=ambient_degc)
-    file = output_file(path, (BAG_SUFFIX,), "path")
-    drive = write_sample(file, as_track_vehicle(vehicle), speed_kmh, laps, ambient_degc)
-    distance = float((drive.speed[1:] * (drive.time_s[1] - drive.time_s[0])).sum())
-    return Sample(file, find_topics("sample"), float(drive.time_s[-1]), distance)
+from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.reading import check_file
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.topics_files import guessed_topics, shipped, shipped_text
+from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
+from trackres_ros.tasks import options
+from trackres_ros.tasks.arguments import StrPath, TopicsGiven, as_paths, as_topics
+from trackres_ros.tasks.terminal import Command, Commands, emit, watch
 
 
 def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None = None) -> Recording:
@@ -102,11 +61,6 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     Found
       speed: 1 gap longer than 10 s, the longest 27 s (first at 3.00 s)
     """
-    from dataclasses import replace
-
-    from trackres_ros.recording.opening import open_source
-    from trackres_ros.recording.recording import Recording
-
     paths, mapping = as_paths(recording), as_topics(topics)
     source = open_source(paths, mapping)
     found = Recording.from_source(source)
@@ -142,11 +96,6 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     >>> tr.recover("cut.mcap", output="again.mcap").messages
     15934
     """
-    from trackres_ros import checks
-    from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
-    from trackres_ros.recording.reading import check_file
-    from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
-
     path, file = checks.path(recording, "recording"), output_file(output, (BAG_SUFFIX,), "output")
     check_file(path)
     if not is_unfinished(path):
@@ -155,3 +104,56 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     bag = UnfinishedBag(path)
     bag.write(file)
     return Recovered(file, bag.messages, bag.duration_s, bag.lost_bytes)
+
+
+@click.command("recover", cls=Command)
+@click.argument("recording", type=options.PATH)
+@click.option("-o", "--output", type=options.PATH, required=True, help="File to write, .mcap.")
+@options.json
+def recover_command(recording: Path, output: Path, as_json: bool) -> None:
+    """Repair an MCAP recording that a kill, a crash or a power cut left unfinished. The original file stays.
+
+    RECORDING is the .mcap.part that `trackres live --record` left behind, or any truncated .mcap.
+
+    \b
+    trackres recover drive.mcap.part -o drive.mcap
+    """
+    watch(output)
+    found = recover(recording, output=output)
+    result = {
+        "written": str(found.path),
+        "messages": found.messages,
+        "duration_s": found.duration_s,
+        "lost_bytes": found.lost_bytes,
+    }
+    lost = f"; the last {found.lost_bytes} bytes of {recording} are incomplete and dropped" if found.lost_bytes else ""
+    emit(result, as_json, lambda: f"{output}: {found.messages} messages, {found.duration_s:.1f} s{lost}")
+
+
+@click.group("topics", cls=Commands)
+def topics_command() -> None:
+    """Topics files: which topic or column feeds which role."""
+
+
+@topics_command.command("list")
+@options.json
+def list_command(as_json: bool) -> None:
+    """List the shipped topics files; commands accept their names instead of a path."""
+    found = shipped()
+    emit({"topics": found}, as_json, lambda: shipped_text(found))
+
+
+@topics_command.command("guess", cls=Command)
+@click.argument("recording", nargs=-1, required=True, type=options.PATH)
+@options.dbc
+@options.json
+@click.pass_context
+def guess_command(context: click.Context, recording: tuple[Path, ...], as_json: bool) -> None:
+    """Print the guessed topics file of a recording, to check and save.
+
+    \b
+    trackres topics guess drive.mf4 > topics.yaml
+    trackres topics guess bus.blf --dbc bus.dbc > topics.yaml
+    """
+    lines = guessed_topics(recording, options.with_databases(context, None, None))
+    emit({"lines": lines}, as_json, lambda: "\n".join(lines))

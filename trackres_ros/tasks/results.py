@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines results over time, as a mapping of column name to array, with ways to pandas, xarray and a picture."""
+"""Defines what results of tasks have in common: mappings of plain data, or of column name to array over time."""
 
 from __future__ import annotations
 
@@ -29,6 +29,32 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 SHOWN_ROWS = 8
+
+
+class Content(Mapping[str, Any]):
+    """A frozen mapping of plain data."""
+
+    def __init__(self, content: Mapping[str, Any]) -> None:
+        self._content = dict(content)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._content[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._content)
+
+    def __len__(self) -> int:
+        return len(self._content)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The whole content, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Plain data, with the units in the names.
+        """
+        return dict(self._content)
 
 
 class SeriesResult(Mapping[str, Array]):

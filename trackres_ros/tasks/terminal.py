@@ -191,7 +191,7 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
 
 
 @contextmanager
-def stages() -> Iterator[Callable[[str], None]]:
+def stage_progress() -> Iterator[Callable[[str], None]]:
     """One line on standard error per stage of long work; in a terminal with progress and duration."""
     if not sys.stderr.isatty():
         yield lambda stage: click.echo(f"  {stage}", err=True)

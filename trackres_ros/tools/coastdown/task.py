@@ -13,9 +13,7 @@ import click
 
 from trackres_ros.tasks import options
 from trackres_ros.tasks.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
-from trackres_ros.tasks.partial_output import watch
-from trackres_ros.tasks.recordings import read
-from trackres_ros.tasks.terminal import Command, emit, needs, progress, with_written
+from trackres_ros.tasks.terminal import Command, emit, needs, progress, watch, with_written
 
 if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording
@@ -75,6 +73,7 @@ def coastdown(
     from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.recording.recording import Recording, topics_in_use
+    from trackres_ros.tasks.recordings import read
     from trackres_ros.tools.coastdown.fitted import coastdown as run
     from trackres_ros.tools.coastdown.result import CoastdownResult
     from trackres_ros.tools.coastdown.stretches import in_driving_order

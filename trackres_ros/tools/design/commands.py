@@ -15,8 +15,7 @@ import click
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.tasks import options
-from trackres_ros.tasks.partial_output import watch
-from trackres_ros.tasks.terminal import Command, emit, needs, picture_beside, picture_if_possible, progress, with_written
+from trackres_ros.tasks.terminal import Command, emit, needs, picture_beside, picture_if_possible, progress, watch, with_written
 from trackres_ros.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
