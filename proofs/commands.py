@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from trackres_ros import InputError
+from trackres_ros.errors import InputError
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.interpreter import python
 from trackres_ros.files.own_files import write

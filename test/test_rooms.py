@@ -44,16 +44,17 @@ def test_a_circle_is_found_and_named(rooms):
         rooms.order({"a": {"b"}, "b": {"a"}, "c": set()})
 
 
-@pytest.mark.parametrize("module", ["api.replaying", "api.simulating", "cli.replay", "cli.vehicle", "node.application"])
+@pytest.mark.parametrize("module", ["tasks.replay", "tasks.simulate", "tasks.vehicle", "tasks.live", "node.application"])
 def test_replay_and_live_import_no_diagnosis(rooms, module):
     needed = rooms.module_needs() | {"": set()}  # the front door loads a name when it is used
-    needed["api.both_sides"] = set()  # loaded where it is asked for
+    needed["tasks.both_sides"] = set()  # loaded where it is asked for
     assert not {other for other in rooms.reached(module, needed) if other.startswith("diagnosis")}
 
 
 def test_only_the_front_door_and_shared_modules_lie_at_the_root(repository):
     files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
-    assert files == {"__init__.py", "__main__.py", "arrays.py", "errors.py", "units.py", "checks.py", "progress.py", "version.py"}
+    shared = {"arrays.py", "errors.py", "units.py", "checks.py", "progress.py", "text.py", "version.py"}
+    assert files == {"__init__.py", "__main__.py", "building.py", *shared}
 
 
 def test_each_room_says_what_it_is_for(rooms):
@@ -160,6 +161,7 @@ NOT_KEPT = {
     "kernels/compiler.py",
     "building.py",
     "tools/fleet/run.py",
+    "tools/fleet/sample.py",
     "files/file_lock.py",
 }
 
@@ -208,7 +210,7 @@ BY_NAME = "each argument is a documented keyword of a public call, given by name
 NUMBERS = "called by compiled kernels, or in their place: takes numbers, as they do"
 ONE_BY_ONE = "a test names what differs, all else has a default"
 REASONS = {
-    "diagnosing.diagnose": BY_NAME, "replaying.replay": BY_NAME, "simulating.simulate": BY_NAME,
+    "diagnose.diagnose": BY_NAME, "replay.replay": BY_NAME, "simulate.simulate": BY_NAME,
     "estimator.inputs": BY_NAME, "estimator.run": BY_NAME, "effect.conditions": BY_NAME,
     "step.step": NUMBERS, "step.take_message": NUMBERS,
     "test_routes.session_of": ONE_BY_ONE, "test_verdict.said": ONE_BY_ONE, "test_scored.scored": ONE_BY_ONE,

@@ -27,7 +27,7 @@ from trackres_ros.learning.columns import columns_of
 from trackres_ros.learning.parameters import learnables
 from trackres_ros.output.table import unit_of
 from trackres_ros.tasks.arguments import LIMITS, as_paths, as_recordings
-from trackres_ros.tasks.main import cli
+from trackres_ros.tasks.main import COMMANDS, cli
 
 PACKAGE = Path(tr.__file__).parent
 DRIVE = "time_s,speed_kmh,ambient_degc\n" + "".join(f"{i * 0.1:.1f},{min(i, 100) * 0.2:.2f},10\n" for i in range(400))
@@ -41,34 +41,17 @@ EXPORTED = {
     "__version__",
 }  # fmt: skip
 
-PRINTING = {
-    "trackres_ros.errors": "one_line and nearest, for what is printed",
-    "trackres_ros.text.numbers": "numbers as people are shown them",
-    "trackres_ros.files.resources": "names of the shipped vehicles, for help",
-    "trackres_ros.progress": "how far work is",
-    "trackres_ros.files.file_sets": "files of a command that are replaced together",
-    "trackres_ros.files.own_files": "files of a command, written and removed",
-    "trackres_ros.units": "units as people read them",
-    "trackres_ros.model.resistance": "the parts of a torque, by name",
-}
-STARTED_BY = {  # commands that start an application of their own, and import it
-    "diagnose.py": {"trackres_ros.files.output_files", "trackres_ros.tasks.diagnose"},
-    "entry.py": {"trackres_ros.files.interpreter", "trackres_ros.node.signals"},
-    "layouts.py": {"trackres_ros.output.layouts"},
-    "live.py": {
-        "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
-        "trackres_ros.node.parameter_file", "trackres_ros.files.yamls", "trackres_ros.files.output_files",
-    },
-    "live_display.py": {"trackres_ros.node.report"},
-    "live_json.py": {"trackres_ros.node.report"},
-    "live_table.py": {"trackres_ros.node.transport", "trackres_ros.node.report", "trackres_ros.recording.roles"},
-    "options.py": {"trackres_ros.tasks.arguments", "trackres_ros.recording.bindings"},
-    "play.py": {"trackres_ros.node.dds.player"},
-    "replay.py": {"trackres_ros.files.output_files", "trackres_ros.recording.opening"},
-    "topics.py": {"trackres_ros.recording.topics_files"},
-    "simulate.py": {"trackres_ros.estimator.energy"},
-    "vehicle.py": {"trackres_ros.tasks.vehicle"},
+PRINTING = {"tasks", "text", "files", "errors", "units", "progress"}
+STARTED = {
+    "layouts": {"output.layouts"},
+    "live": {"node.application", "node.parameter_file", "node.parameters", "node.record", "node.record_files", "node.report",
+             "node.signals", "node.ros.main", "node.dds.node"},
+    "play": {"node.dds.player"},
+    "recordings": {"recording.topics_files"},
+    "simulate": {"estimator.energy"},
+    "vehicle": {"effects"},
 }  # fmt: skip
+"""What commands use of other rooms: an application or a text of their own."""
 
 
 @pytest.fixture(scope="module")
@@ -142,34 +125,49 @@ def test_it_is_imported_at_once_and_loads_nothing():
     assert min(float(words[0]) for words in said) < 0.030
 
 
-def imported_by(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0
-            names = {alias.name for alias in node.names}
-            if node.module == "trackres_ros":  # a submodule may be named that way too
-                yield from ("trackres_ros" if name in EXPORTED else f"trackres_ros.{name}" for name in names)
-            else:
-                yield node.module
+def commands_of(path):
+    """The functions of a module that click calls, by name, and the modules of the names that the module imports."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    homes = {
+        alias.asname or alias.name: (node.module or "").removeprefix("trackres_ros.")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("trackres_ros")
+        for alias in node.names
+    }
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    return {node.name: node for node in functions if any("command(" in ast.unparse(one) for one in node.decorator_list)}, homes
 
 
-def within(name, package):
-    return name == package or name.startswith(f"{package}.")
+def test_the_command_line_calls_nothing_else():
+    """Commands print: what they compute is a function of the front door."""
+    used = {}
+    for path in sorted((PACKAGE / "tasks").glob("*.py")):
+        commands, homes = commands_of(path)
+        names = {node.id for command in commands.values() for node in ast.walk(command) if isinstance(node, ast.Name)}
+        others = {homes[name] for name in names & homes.keys() if homes[name].split(".")[0] not in PRINTING}
+        used |= {path.stem: others} if others else {}
+    assert used == STARTED
 
 
-@pytest.mark.parametrize("path", sorted((PACKAGE / "cli").glob("*.py")), ids=lambda path: path.name)
-def test_the_command_line_calls_nothing_else(path):
-    own = {name for name in imported_by(path) if name.startswith("trackres_ros.")}
-    allowed = {"trackres_ros.cli", *PRINTING, *STARTED_BY.get(path.name, ())}
-    assert not {name for name in own if not any(within(name, a) for a in allowed)}
+@pytest.mark.parametrize("name", ["diagnose", "explain", "record_sample", "recover", "replay", "simulate", "coastdown"])
+def test_a_task_is_called_by_its_command(name):
+    commands, _ = commands_of(Path(sys.modules[getattr(tr, name).__module__].__file__))
+    calls = {ast.unparse(node.func) for node in ast.walk(commands[f"{name}_command"]) if isinstance(node, ast.Call)}
+    assert name in calls
 
 
-def test_no_exception_of_the_command_line_is_out_of_date():
-    for name, allowed in STARTED_BY.items():
-        imported = set(imported_by(PACKAGE / "cli" / name))
-        assert all(any(within(i, a) for i in imported) for a in allowed), name
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_list_shows_the_first_sentence_of_each_command(name):
+    command = cli.get_command(None, name)
+    assert COMMANDS[name][1] == command.get_short_help_str(limit=1000)
+
+
+def test_a_list_of_commands_loads_none_of_them():
+    program = "import sys; from trackres_ros.tasks.main import main\ntry: main(['--help'])\nfinally: print(*sys.modules)"
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout
+    loaded = set(said.splitlines()[-1].split())
+    assert not loaded & {"numpy", "yaml", *(f"trackres_ros.tasks.{module}" for module, _ in COMMANDS.values())}
+    assert all(f"\n  {name} " in said for name in COMMANDS)
 
 
 @pytest.mark.parametrize("given", [str, Path, lambda path: [path]], ids=["text", "path", "list"])
@@ -487,8 +485,10 @@ def test_what_is_allowed_is_said_for_programs_and_commands():
     names = {q for name in tr.__all__ if callable(f := getattr(tr, name)) for q in inspect.signature(f).parameters if "_" in q}
     calls = [
         (path.name, node)
-        for path in sorted((PACKAGE / "api").glob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text()))
+        for path in sorted((PACKAGE / "tasks").glob("*.py"))
+        for function in ast.parse(path.read_text()).body
+        if isinstance(function, ast.FunctionDef) and (function.name in tr.__all__ or path.stem == "arguments")
+        for node in ast.walk(function)
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError"
     ]
     assert len(calls) > 10
@@ -621,7 +621,7 @@ def test_a_numeric_argument_refuses_what_is_no_such_number(tmp_path, monkeypatch
 
 def test_numeric_arguments_and_options_have_the_same_limits():
     assert {pair for pair in NUMERIC if pair[0] not in ("coastdown", "diagnose")} == {(f, n) for f in LIMITS for n in LIMITS[f]}
-    commands = {"check_vehicle": cli.commands["vehicle"].commands["check"]}
+    commands = {"check_vehicle": cli.get_command(None, "vehicle").commands["check"]}
     for function, limits in LIMITS.items():
         command = commands.get(function) or cli.get_command(None, function.replace("_", "-"))
         of_options = {option.name: (option.type.min, option.type.max) for option in command.params if option.name in limits}

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from trackres_ros import InputError
+from trackres_ros.errors import InputError
 from trackres_ros.tasks import options
 from trackres_ros.tasks.terminal import Command, emit, needs, output_folder, print_warnings, progress
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from trackres_ros import InputError
+from trackres_ros.errors import InputError
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import output_file
 from trackres_ros.tasks import options
