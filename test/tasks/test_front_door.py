@@ -432,7 +432,7 @@ def test_explain_and_check_are_the_commands(printed):
 
 def test_a_name_alone_is_one_name(drive, monkeypatch):
     options = []
-    monkeypatch.setattr("trackres_ros.tasks.diagnose.run", lambda *given: options.append(given[-1]) or 1 / 0)
+    monkeypatch.setattr("trackres_ros.diagnosis.diagnose", lambda *given: options.append(given[-1]) or 1 / 0)
     for given in ("grade", ["grade"], ("grade",)):
         with pytest.raises(ZeroDivisionError):
             tr.diagnose(drive, "agri3t", hide=given, holdout=given)

@@ -25,19 +25,6 @@ import numpy as np
 import yaml
 
 from trackres_ros import checks
-from trackres_ros.diagnosis import DiagnosisOptions
-from trackres_ros.diagnosis import diagnose as run
-from trackres_ros.diagnosis.base.loading import LoadedBase, load_base
-from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
-from trackres_ros.diagnosis.base.road_load import RoadBase
-from trackres_ros.diagnosis.base.track import TrackBase
-from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
-from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.gate import in_order
-from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
-from trackres_ros.diagnosis.prepare.settings import LiveFilter
-from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input, output_folder
@@ -63,7 +50,12 @@ from trackres_ros.text import alike, figures, html_table, listed, panel, paragra
 from trackres_ros.vehicle import AnyVehicle, load_any
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # at run time where it is used: it takes a second, and a help text needs none of it
+    from trackres_ros.diagnosis.base.loading import LoadedBase
+    from trackres_ros.diagnosis.base.own import OwnModel
+    from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
+    from trackres_ros.diagnosis.pipeline import Diagnosis
+    from trackres_ros.diagnosis.prepare.refuse import Refusal
     from trackres_ros.diagnosis.report.interactive import Interactive
 
 MOST_HELD_OUT = 1_000_000
@@ -153,6 +145,12 @@ def diagnose(
     ...     print(error.allowed)
     a measured torque: without it there is nothing to compare
     """
+    from trackres_ros.diagnosis import DiagnosisOptions
+    from trackres_ros.diagnosis import diagnose as run
+    from trackres_ros.diagnosis.base.loading import load_base
+    from trackres_ros.diagnosis.prepare.gate import in_order
+    from trackres_ros.diagnosis.prepare.refuse import each_usable
+
     begun = time.monotonic()
     checks.function(on_stage, "on_stage")
     hidden = as_names(hide, "hide")
@@ -209,6 +207,8 @@ class DiagnosisResult:
         seconds: float | None = None,
         inputs: Sequence[Path] = (),
     ) -> None:
+        from trackres_ros.diagnosis.report.content import report
+
         self.diagnosis = found
         self.recordings = tuple(recordings)
         self.written: tuple[Path, ...] = ()
@@ -260,6 +260,8 @@ class DiagnosisResult:
         excluded: `report` writes them to a separate file. Its `source` is a file that exists while the
         program runs.
         """
+        from trackres_ros.diagnosis.base.own import OwnBase
+
         if isinstance(self.diagnosis.base, OwnBase):
             return self.diagnosis.base.with_kept(self.diagnosis.kept)
         folder = Path(tempfile.mkdtemp(prefix="trackres-"))
@@ -324,6 +326,9 @@ class DiagnosisResult:
 
         They are medians over the recordings, from the noise and the jerk that make their speeds most likely.
         """
+        from trackres_ros.diagnosis.base.own import OwnBase
+        from trackres_ros.diagnosis.prepare.settings import LiveFilter
+
         filters = [s.live_filter for s in self.diagnosis.gated.sessions if s.live_filter]
         if not filters or isinstance(self.diagnosis.base, OwnBase):  # a replay runs no model of the user's own
             return {}
@@ -367,6 +372,9 @@ class DiagnosisResult:
 
     def _worse_in_replay(self) -> list[str]:
         """Sentence on the inputs that the diagnosis computes from others, but a replay does not."""
+        from trackres_ros.diagnosis.base.road_load import RoadBase
+        from trackres_ros.diagnosis.base.track import TrackBase
+
         d = self.diagnosis
         if not isinstance(d.base, TrackBase | RoadBase):
             return []
@@ -382,6 +390,8 @@ class DiagnosisResult:
         ]
 
     def _repr_html_(self) -> str:
+        from trackres_ros.diagnosis.report.series import stages
+
         rows = []
         for found in self.effects:
             units = {q.name: "" if q.unit == "1" else q.unit for q in found.parameters}
