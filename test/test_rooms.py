@@ -162,7 +162,7 @@ NOT_KEPT = {
     "building.py",
     "tools/fleet/run.py",
     "tools/fleet/sample.py",
-    "files/file_lock.py",
+    "files/own_files.py",
 }
 
 

@@ -25,8 +25,8 @@ from proofs.sealed.street import loaded
 from proofs.sealed.street_drives import street_drive
 from proofs.sealed.town import draw_town
 from proofs.sealed.truth import Build, Hidden, TruthRun, simulate_truth
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 
 VEHICLE = "xgd24d"
 PROFILES = "profiles"

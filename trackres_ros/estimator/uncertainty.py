@@ -15,7 +15,7 @@ import numpy as np
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.files.cached_arrays import cached_arrays
+from trackres_ros.files.cache import cached_arrays
 from trackres_ros.model.hysteresis import METHODS, Spectral
 from trackres_ros.model.loss_table import fingerprint
 from trackres_ros.model.rubber import RubberModel

@@ -24,7 +24,7 @@ from typing import Any, get_type_hints
 from trackres_ros import checks
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
-from trackres_ros.files.yamls import read_yaml
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.learning.learner import MODES
 from trackres_ros.node.mismatch import MismatchSettings
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import click
 
 from trackres_ros.errors import InputError
+from trackres_ros.files.documents import parse_yaml
 from trackres_ros.files.output_files import BAG_SUFFIX, output_file
-from trackres_ros.files.yamls import parse_yaml
 from trackres_ros.node.application import Application
 from trackres_ros.node.parameter_file import ParameterFile
 from trackres_ros.node.parameters import make_parameters, read_with_overrides

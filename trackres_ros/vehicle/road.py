@@ -19,8 +19,8 @@ from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.viscous_friction import ViscousFriction
 from trackres_ros.errors import InputError
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS

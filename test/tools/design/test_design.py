@@ -20,8 +20,8 @@ from trackres_ros.estimator.energy import RESISTANCE, DriveTotals, StepTimes, en
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model import resistance
 from trackres_ros.model.operating_point import explain, vehicle_state
 from trackres_ros.model.resistance import RESISTANCE_PARTS

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
-from trackres_ros.files.small_files import read_bytes
+from trackres_ros.files.documents import read_bytes
 from trackres_ros.text import figures
 from trackres_ros.tools.compound.columns import (
     FREQUENCY,

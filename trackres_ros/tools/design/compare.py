@@ -17,8 +17,8 @@ import numpy as np
 
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.coverage import OVERSPEED, beyond, beyond_data
 from trackres_ros.model.operating_point import INACTIVE, explain_road, left_out_at, vehicle_state
 from trackres_ros.model.track import track_models

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.documents import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.output.style import picture

@@ -14,9 +14,8 @@ from typing import Any
 
 from trackres_ros.checks import number
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.documents import MOST_BYTES, read_text, read_yaml
 from trackres_ros.files.resources import find_topics, find_vehicle
-from trackres_ros.files.small_files import read_text
-from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 
 KEYS = ("file", "recordings", "topics", "limits")
 ALLOWED = "vehicles: a name for each, with file, and if need be recordings, topics, limits"

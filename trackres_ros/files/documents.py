@@ -1,8 +1,13 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads all YAML: it is plain data of bounded size, or one line gives the reason."""
+"""Reads small files of the user, all YAML and all JSON: plain data of bounded size, or one line gives the reason.
 
+A file is read completely or refused in one line; reading never blocks. Numbers of JSON are finite.
+"""
+
+import json
+import math
 import pickle
 import re
 from collections.abc import Hashable
@@ -20,12 +25,13 @@ from yaml.resolver import Resolver
 from yaml.scanner import Scanner
 
 from trackres_ros.errors import InputError
-from trackres_ros.files.small_files import read_text
+from trackres_ros.files import own_files
 
 MOST_BYTES = 1 << 18  # the longest file that is shipped has 15 kB, the parameters of a whole robot a few times that
 MOST_NODES = 20_000  # with every alias written out; the largest vehicle has under a thousand
 MOST_DEPTH = 50  # the deepest vehicle file has 12
 
+MOST_DIGITS = 300  # of an integer in JSON: a longer one fits into no float
 NEW_LINE, MERGE = "\n", "tag:yaml.org,2002:merge"
 
 if yaml.__with_libyaml__:
@@ -147,3 +153,53 @@ def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: st
     if not isinstance(found, dict):
         raise InputError(str(path), "nothing" if found is None else found, allowed, remedy)
     return found
+
+
+def read_text(path: Path, what: str, most_bytes: int) -> str:
+    """The text of a file in UTF-8, from any editor: without a byte order mark, each line ended by a line feed.
+
+    `what`: expected kind, such as "YAML file", for messages; `most_bytes`: a longer one is refused. Raises InputError if there is
+    no such file, it is a folder, pipe or device, too long, or no UTF-8.
+    """
+    try:
+        text = read_bytes(path, what, most_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), f"byte {error.start} is not UTF-8", f"a {what} in UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
+    """The bytes of a file; see `read_text`."""
+    try:
+        return own_files.read(path, most_bytes)
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), f"a readable {what}") from None
+
+
+def is_there(path: Path) -> bool:
+    """Whether a path leads to anything; not if its name is too long for one."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def parse_json(data: bytes | str) -> Any:
+    """Plain data of JSON in UTF-8. Raises ValueError if it is no JSON, has a number that is not finite, or nests too deep."""
+    try:
+        return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+    except RecursionError:
+        raise ValueError("lists and mappings in each other without end") from None
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]} is not a finite number")
+    return value
+
+
+def _whole(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
