@@ -33,7 +33,7 @@ def room_of(module: str) -> str:
     parts = module.split(".")
     if parts[0] in ("", "__main__"):
         return "front" if parts[0] == "" else "tasks"
-    if parts[0] in DIVIDED and len(parts) > (1 if parts[0] == "tools" else 2):  # a tool of one file is a room too
+    if parts[0] in DIVIDED and len(parts) > 2:
         return ".".join(parts[:2])
     return parts[0]
 

@@ -149,7 +149,7 @@ def test_the_command_line_calls_nothing_else():
     assert used == STARTED
 
 
-@pytest.mark.parametrize("name", ["diagnose", "explain", "record_sample", "recover", "replay", "simulate", "coastdown"])
+@pytest.mark.parametrize("name", ["diagnose", "explain", "record_sample", "recover", "replay", "simulate"])
 def test_a_task_is_called_by_its_command(name):
     commands, _ = commands_of(Path(sys.modules[getattr(tr, name).__module__].__file__))
     calls = {ast.unparse(node.func) for node in ast.walk(commands[f"{name}_command"]) if isinstance(node, ast.Call)}

@@ -446,7 +446,7 @@ def test_a_report_stays_unless_its_recordings_are_at_fault(tmp_path, monkeypatch
 
     in_this_process(periods)
     monkeypatch.setattr(periods, "done", lambda _client, _function, work: map(outcome, work))
-    monkeypatch.setattr("trackres_ros.tasks.diagnose.diagnose", diagnose)
+    monkeypatch.setattr("trackres_ros.diagnose", diagnose, raising=False)
     missing, short = MissingExtraError("reading bags", "rosbags", "bags"), InputError("x", "no torque", "some")
     there, made = set(), []
     for added, gone, fault, chosen in (

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import trackres_ros as tr
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import snapshot
@@ -28,11 +29,9 @@ from trackres_ros.kernels.machine import sources_digest
 from trackres_ros.learning.learner import ON, Learner
 from trackres_ros.learning.store import go_on_from
 from trackres_ros.node.parameters import make_parameters, read_parameters
-from trackres_ros.tasks.arguments import load_vehicle
 from trackres_ros.tools.export.c_source import CSource
 from trackres_ros.tools.export.parts import Parts
 from trackres_ros.vehicle import AnyVehicle
-from trackres_ros.version import __version__
 
 LIST = "trackres_export.json"
 FORMAT, VERSION = "trackres-export", 1
@@ -63,7 +62,7 @@ class Request:
 
     def load(self) -> AnyVehicle:
         """The vehicle."""
-        return load_vehicle(self.vehicle, method=self.method, thermal=self.thermal, surroundings=self.surroundings)
+        return tr.load_vehicle(self.vehicle, method=self.method, thermal=self.thermal, surroundings=self.surroundings)
 
 
 def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
@@ -82,7 +81,7 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
     made = (
         f"vehicle file: {vehicle.source.name}, sha256 {_digest(find_vehicle(request.vehicle))}",
         f"values: {snapshot.key(estimator)}, of the vehicle with rubber, effects and surroundings",
-        f"written by: trackres_ros {__version__}, sources {sources()}",
+        f"written by: trackres_ros {tr.__version__}, sources {sources()}",
         f"numbers: {'float' if request.single else 'double'}{begins}",
     )
     return CSource(Parts(estimator, learned, request.single, tuned), vehicle.title, made)
@@ -117,7 +116,7 @@ def export_c(request: Request, folder: Path) -> list[Path]:
     listed = {
         "format": FORMAT,
         "version": VERSION,
-        "program": __version__,
+        "program": tr.__version__,
         "sources": sources(),
         "vehicle": _relative(find_vehicle(request.vehicle), folder),
         "vehicle_sha256": _digest(find_vehicle(request.vehicle)),
@@ -153,8 +152,8 @@ def check(folder: Path, vehicle: str | None = None) -> list[str]:
     """
     listed = _read_list(folder / LIST)
     found = []
-    if (listed["program"], listed["sources"]) != (__version__, sources()):
-        found.append(f"it was written by trackres_ros {listed['program']} with other sources than this {__version__}")
+    if (listed["program"], listed["sources"]) != (tr.__version__, sources()):
+        found.append(f"it was written by trackres_ros {listed['program']} with other sources than this {tr.__version__}")
     for name, digest in listed["files"].items():
         path = folder / name
         if not path.is_file():

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
+import trackres_ros as tr
 from trackres_ros.effects import stepping
 from trackres_ros.effects.effect import FACTS, Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
@@ -33,7 +34,6 @@ from trackres_ros.tools.export.c_source import TEMPLATES, CSource, in_c
 from trackres_ros.tools.export.exporting import Request, translated
 from trackres_ros.vehicle.road import RoadVehicle, built_in, least_rolling
 from trackres_ros.vehicle.schema import CHASSIS, ROAD_LOAD
-from trackres_ros.version import __version__
 
 MODEL = "trackres"
 SOURCES = ("trackres.c", "fmi3.c")
@@ -207,7 +207,7 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
     vehicle = source.estimator.vehicle
     root = Xml.Element(
         "fmiModelDescription", fmiVersion="3.0", modelName=vehicle.name, instantiationToken=token, description=vehicle.title,
-        generationTool=f"trackres_ros {__version__}", variableNamingConvention="structured",
+        generationTool=f"trackres_ros {tr.__version__}", variableNamingConvention="structured",
     )  # fmt: skip
     abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState")
     can: dict[str, Any] = dict.fromkeys(abilities, "true")

@@ -114,13 +114,13 @@ def diagnose_period(period: Period) -> dict[str, bytes]:
 
     Raises any exception that is no fault of the recordings.
     """
-    from trackres_ros.tasks.diagnose import diagnose
+    import trackres_ros as tr
 
     vehicle = period.vehicle
     check_unchanged(vehicle)
     with tempfile.TemporaryDirectory(prefix="trackres-") as folder, fetched(_chosen(period.urls)) as paths:
         try:
-            found = diagnose(paths, vehicle.file, topics=vehicle.topics, hide=period.hide, quick=True)
+            found = tr.diagnose(paths, vehicle.file, topics=vehicle.topics, hide=period.hide, quick=True)
         except InputError as error:
             if may_pass(error):
                 raise

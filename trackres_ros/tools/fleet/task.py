@@ -98,10 +98,10 @@ def may_pass(error: BaseException | None) -> bool:
 
 
 def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
-    from trackres_ros.tasks.recordings import read
+    import trackres_ros as tr
     from trackres_ros.tools.fleet.likelihood import evidence
 
-    recording = read(path, topics=task.vehicle.topics)
+    recording = tr.read(path, topics=task.vehicle.topics)
     start_s = recording.start_ns * 1e-9
     times = recording.time_s("speed")
     found = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
@@ -120,18 +120,18 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
 @lru_cache(maxsize=4)
 def _vehicle(file: Path, _sha: str) -> tuple[Any, Any]:
     """The base model of a vehicle, and the vehicle itself; a worker reuses them for all recordings."""
+    import trackres_ros as tr
     from trackres_ros.diagnosis.base.loading import load_base
-    from trackres_ros.tasks.arguments import load_vehicle
 
-    return load_base(file), load_vehicle(file)
+    return load_base(file), tr.load_vehicle(file)
 
 
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
     """Distance, energies and, if there are belts, the warmest temperature, as from the live node."""
+    import trackres_ros as tr
     from trackres_ros.estimator.energy import energy_j, steps_of
-    from trackres_ros.tasks.replay import replay
 
-    result = replay(recording, vehicle)
+    result = tr.replay(recording, vehicle)
     step = steps_of(result.time_s, result.estimator.settings.bridge_s)
     energies = {f"{part}_mj": MEGA * energy_j(vehicle, step, result, _column(part)) for part in ENERGIES}
     belts = [float(np.nanmax(result[name])) for name in result.columns if name.startswith("belt_degc/")]
