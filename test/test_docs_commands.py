@@ -47,7 +47,7 @@ RUN_ELSEWHERE = ("export", "first-controller", "first-designer", "first-tester",
 LONGEST_S = 0.15
 TOOLS = "design.compare", "coastdown.fitted", "fleet.run"
 TASKS = "diagnose", "replay", "simulate", "vehicle"
-IMPORTED = "output.plots", *(f"tools.{name}" for name in TOOLS), *(f"tasks.{name}" for name in TASKS)
+IMPORTED = "diagnosis.pipeline", "output.plots", *(f"tools.{name}" for name in TOOLS), *(f"tasks.{name}" for name in TASKS)
 ELSEWHERE = ("://", "CHECKOUT", "DATA", "CASES")
 """What only another machine or an earlier version has."""
 
