@@ -53,7 +53,7 @@ PRINTING = {
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
     "diagnose.py": {"trackres_ros.files.output_files", "trackres_ros.results.diagnosis"},
-    "entry.py": {"trackres_ros.files.interpreter", "trackres_ros.node.signals"},
+    "entry.py": {"trackres_ros.files.interpreter", "trackres_ros.node.process"},
     "layouts.py": {"trackres_ros.output.layouts"},
     "live.py": {
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",

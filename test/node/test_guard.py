@@ -29,7 +29,7 @@ STEP = {  # what makes an estimate and brings it out: without one of them there 
     "SpeedSources.takes", "OutputPublisher.take", "OutputPublisher.publish", "OutputPublisher.age_s",
     "OutputPublisher.max_age_s", "nearest_usable", "fed_now",
 }  # fmt: skip
-LOOP = "application.py", "message_handler.py", "clock.py", "guard.py"
+LOOP = "application.py", "inputs.py", "clock.py", "guard.py"
 SILENT = {"OutputPublisher.publish_statuses", "bare_status", "Notice.level"}  # without which no status can say what fails
 SHAFT = "torque: {topic: shaft, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}\n"
 

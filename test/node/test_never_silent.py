@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.node.message_handler import Sent
+from trackres_ros.node.inputs import Sent
 from trackres_ros.node.transport import FIRST_NS, LAST_NS, UNUSABLE, Level, is_usable, nearest_usable, stamp_ns
 from trackres_ros.output.topics import TOTALS, output_topics
 

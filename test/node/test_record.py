@@ -21,10 +21,10 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
-from trackres_ros.node import message_handler  # noqa: E402
+from trackres_ros.node import inputs  # noqa: E402
 from trackres_ros.node import record as record_room  # noqa: E402
 from trackres_ros.node.inbox import Inbox  # noqa: E402
-from trackres_ros.node.message_handler import Sent  # noqa: E402
+from trackres_ros.node.inputs import Sent  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 from trackres_ros.node.transport import Peer  # noqa: E402
 
@@ -335,7 +335,7 @@ def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
 
 @pytest.mark.parametrize("most", [0, 1, 10])
 def test_no_message_is_lost_where_no_clock_ever_comes(desk, tmp_path, monkeypatch, most):
-    monkeypatch.setattr(message_handler, "MOST_BEFORE_CLOCK", most)
+    monkeypatch.setattr(inputs, "MOST_BEFORE_CLOCK", most)
     d = desk(TOPICS, use_sim_time=True)
     wire = Wire(d, tmp_path / "live.mcap")
     d.now_ns = lambda: 0

@@ -95,9 +95,9 @@ def live_command(
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file
     from trackres_ros.node.parameter_file import ParameterFile
     from trackres_ros.node.parameters import make_parameters, read_with_overrides
+    from trackres_ros.node.process import REQUESTS
     from trackres_ros.node.record import Recorder
     from trackres_ros.node.record_files import RecordLimits
-    from trackres_ros.node.signals import REQUESTS
 
     check_names(name, namespace)
     limits = RecordLimits(record_split_mb or 0.0, record_split_minutes or 0.0, record_limit_mb or 0.0)

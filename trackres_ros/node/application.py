@@ -27,18 +27,18 @@ from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics, without_effect
 from trackres_ros.node.guard import Guard
 from trackres_ros.node.input_reader import InputReader
+from trackres_ros.node.inputs import MessageHandler
 from trackres_ros.node.live_learning import LiveLearning
-from trackres_ros.node.message_handler import MessageHandler
 from trackres_ros.node.notices import Notice, level_of
+from trackres_ros.node.output import OutputPublisher
 from trackres_ros.node.parameters import Parameters
-from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.speed_sources import SpeedSources
 from trackres_ros.node.state_keeper import StateKeeper, state_path
+from trackres_ros.node.status import COMPANIONS, STARTING_NS, Watch, contested, two_speeds
 from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
-from trackres_ros.node.watch import COMPANIONS, STARTING_NS, Watch, contested, two_speeds
 from trackres_ros.units import NANOSECOND, SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import Belief, DisturbanceWatch
-from trackres_ros.node.mismatch import Mismatch, MismatchDetector, MismatchSettings
+from trackres_ros.node.measured_torque import Mismatch, MismatchDetector, MismatchSettings
 from trackres_ros.node.notices import Notice
 from trackres_ros.vehicle import Disturbance
 

@@ -26,7 +26,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.learning.learner import MODES
-from trackres_ros.node.mismatch import MismatchSettings
+from trackres_ros.node.measured_torque import MismatchSettings
 
 Value = int | float | bool | str | tuple[str, ...]
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.live_learning import LiveLearning
-from trackres_ros.node.mismatch import Mismatch
+from trackres_ros.node.measured_torque import Mismatch
 from trackres_ros.node.notices import KINDS, Notice, level_of
-from trackres_ros.node.publisher import OutputPublisher
+from trackres_ros.node.output import OutputPublisher
 from trackres_ros.node.state_keeper import StateKeeper
+from trackres_ros.node.status import InputState, Watch
 from trackres_ros.node.transport import Level, Status
-from trackres_ros.node.watch import InputState, Watch
 from trackres_ros.output.topics import TOTALS, sign_of
 from trackres_ros.units import NANOSECOND
 

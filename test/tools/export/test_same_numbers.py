@@ -21,7 +21,7 @@ from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off, resume, save
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
-from trackres_ros.node.publisher import OutputPublisher
+from trackres_ros.node.output import OutputPublisher
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.tools.export import step
 

@@ -31,11 +31,11 @@ from trackres_ros.node.endpoints import (
     output_quality,
 )
 from trackres_ros.node.inbox import Inbox
-from trackres_ros.node.message_handler import Sent
+from trackres_ros.node.inputs import Sent
 from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
 from trackres_ros.node.parameters import Parameters, Value
+from trackres_ros.node.process import SignalRequests
 from trackres_ros.node.service_manager import ServiceManager
-from trackres_ros.node.signals import SignalRequests
 from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.units import SECOND_NS

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from trackres_ros.node.signals import REQUESTS
+from trackres_ros.node.process import REQUESTS
 
 BAD_INPUT = 2
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.parameters import Parameters
+from trackres_ros.node.process import SignalRequests
 from trackres_ros.node.service_manager import ServiceManager
-from trackres_ros.node.signals import SignalRequests
 from trackres_ros.node.transport import Level
 
 if TYPE_CHECKING:

@@ -28,11 +28,11 @@ from trackres_ros.node.application import Application
 from trackres_ros.node.clock import Arrival
 from trackres_ros.node.endpoints import DISCOVERY_NS, TORQUES, InputTopic, input_quality, latched_quality, output_quality
 from trackres_ros.node.inbox import Inbox
-from trackres_ros.node.message_handler import Sent
+from trackres_ros.node.inputs import Sent
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
 from trackres_ros.node.ros.callback_group import OneAtATime
-from trackres_ros.node.ros.messages import Fill, diagnostic_array, input_type, installed_type, prepared, type_text
+from trackres_ros.node.ros.interface import Fill, diagnostic_array, input_type, installed_type, prepared, type_text
 from trackres_ros.node.ros.qos import OVERRIDABLE, overridden, profile_of
 from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC, OutputTopic
