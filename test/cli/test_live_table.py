@@ -16,8 +16,7 @@ from trackres_ros.cli.live_table import LiveTable, line, table
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.node.measured_torque import Mismatch
 from trackres_ros.node.notices import KINDS, Notice
-from trackres_ros.node.report import Overview
-from trackres_ros.node.status import InputState
+from trackres_ros.node.status import InputState, Overview
 from trackres_ros.node.transport import Level
 
 ASSEMBLIES = ("front_left", "front_right", "rear_left", "rear_right")

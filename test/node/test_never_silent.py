@@ -143,7 +143,7 @@ class Pace:
         self.passed_on(output, stamp, values, reasons)
         if self.d.app.outputs[output].name == "feedforward_torque_nm":
             steady = self.d.app.clock.steady_ns()
-            target = 0.0 if self.d.app._withdrawn else self.d.app._fed(steady, self.d.app.clock.pace_ns(steady))[1]
+            target = 0.0 if self.d.app.filter.ends else self.d.app.filter.course(steady).target_nm
             self.outputs.append((self.d.steady_s, values[0], target, self.settings))
             self.settings = self.settings[-1:]
 

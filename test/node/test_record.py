@@ -23,12 +23,10 @@ import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
 from trackres_ros.node import inputs  # noqa: E402
 from trackres_ros.node import record as record_room  # noqa: E402
-from trackres_ros.node.inbox import Inbox  # noqa: E402
-from trackres_ros.node.inputs import Sent  # noqa: E402
+from trackres_ros.node.inputs import Inbox, Sent  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 from trackres_ros.node.transport import Peer  # noqa: E402
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 AT_ONCE = 1e9  # Nm/s: how the feed-forward moves from output to output hangs on when they come
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TWIST, WRENCH, TEMPERATURE, NUMBER = (
@@ -253,7 +251,6 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
 def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
     state, bag, now = tmp_path / "state.json", tmp_path / "live drive.mcap", [1e9]
     monkeypatch.setattr("time.time", lambda: now[0])
-    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
     warm = desk(TOPICS, state_file=str(state))
     warm.drive(60.0, speed=15.0, dt=0.2)
     warm.app.close()
@@ -299,7 +296,6 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
 
 
 def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path, monkeypatch):
-    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
     recorder, last = Recorder(tmp_path / "live.mcap"), []
     for vehicle in ("xgd24d", "agri3t"):
         d = desk(TOPICS, vehicle=vehicle, learning="off")
@@ -392,7 +388,7 @@ def values_in(raw):
 
 def test_the_estimate_is_the_same_live_recorded_and_replayed(desk, tmp_path, good):
     pytest.importorskip("cyclonedds")
-    from trackres_ros.node.dds.messages import DdsEstimate
+    from trackres_ros.node.dds.wire import DdsEstimate
 
     topics = tmp_path / "topics.yaml"
     topics.write_text("".join(line + "\n" for line in TOPICS.splitlines() if not line.startswith("torque")))
