@@ -340,8 +340,8 @@ class Application:
 
     def _withhold(self, steady: int) -> None:
         """Let the feed-forward go to zero while another gives the torque or the speed too, or there is no time."""
-        withheld = bool(self._rivals or self.sources.disagreeing(self.clock.present_ns(steady)) or self.clock.lack(steady))
-        if self.filter.withhold(withheld, steady):
+        disagree = self.sources.disagreeing(self.clock.present_ns(steady))
+        if self.filter.withhold(bool(self._rivals or disagree or self.clock.lack(steady)), steady):
             self._show_change()
 
     def _publish_due(self, steady: int) -> None:
