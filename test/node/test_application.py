@@ -410,7 +410,7 @@ def test_all_unstamped_messages_between_sim_clock_ticks_count(desk):
 
 def test_what_cannot_be_decoded_is_counted_as_no_number(desk):
     d = desk()
-    d.app.messages.receive_undecodable(d.index("load"))
+    d.app.messages.receive_values(d.index("load"), None, None)
     assert [(name, count) for name, count, _ in d.app.session.counts()] == [("load", Count.NON_FINITE)]
 
 

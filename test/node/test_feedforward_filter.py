@@ -126,7 +126,7 @@ def test_it_moves_at_its_rate_and_pushes_nothing_unasked(estimators, events):
             (drive.withheld,) = values
             drive.filter.withhold(drive.withheld, drive.now)
         else:
-            getattr(drive, what)(*values)
+            {"roll": drive.roll, "change": drive.change, "send": drive.send, "begin_or_end": drive.begin_or_end}[what](*values)
         drive.now += TICK_NS
         drive.output()
     drive.roll(150, None, 1, None, True)

@@ -350,7 +350,7 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     earlier = d.app.clock.arrival()
     d.forward(2.0)
     wire.send("brake", NUMBER, 1.0)
-    d.app.messages.receive_undecodable(wire.index["speed"], arrived=earlier, raw=b"no message!!")
+    d.app.messages.receive_values(wire.index["speed"], None, None, arrived=earlier, raw=b"no message!!")
     d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent=Sent(1), raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()

@@ -115,7 +115,7 @@ class Inbox:
         depth: int,  # limit of waiting messages per input
     ) -> None:
         self._inputs, self._deliver, self._now, self._dropped, self._depth = inputs, deliver, now, dropped, depth
-        self._waiting = self._empty()
+        self._waiting: list[deque[tuple[Any, Arrival]]] = [deque() for _ in inputs]
         self._collected_ns = 0
 
     @property
@@ -145,16 +145,13 @@ class Inbox:
 
     def work_off(self, meanwhile: Callable[[], None], collecting: bool) -> None:
         """Pass on waiting messages; call `meanwhile` after each, and if `collecting`, fetch new messages too."""
-        handed, self._waiting = self._waiting, self._empty()
+        handed, self._waiting = self._waiting, [deque() for _ in self._inputs]
         for index, messages in enumerate(handed):
             for message, arrived in messages:
                 self._deliver(index, message, arrived)
                 if collecting and time.monotonic_ns() - self._collected_ns > COLLECT_EVERY_NS:
                     self.collect()
                 meanwhile()
-
-    def _empty(self) -> list[deque[tuple[Any, Arrival]]]:
-        return [deque() for _ in self._inputs]
 
 
 class Sent(NamedTuple):
@@ -230,27 +227,25 @@ class MessageHandler:
         else:
             self.keep(index, raw, arrived)
 
-    def receive_undecodable(
-        self, index: int, sent: Sent = NOT_TOLD, arrived: Arrival | None = None, raw: bytes | None = None
-    ) -> None:
-        """Take note of a message of an input topic that cannot be decoded: no number, at the node's time."""
-        self.receive_values(index, None, [math.nan] * self._widths[index], sent, arrived, raw)
-
     def receive_values(
         self,
         index: int,
         stamp_ns: int | None,
-        values: Sequence[float | str],
+        values: Sequence[float | str] | None,
         sent: Sent = NOT_TOLD,
         arrived: Arrival | None = None,
         raw: bytes | None = None,
     ) -> None:
-        """Process values that a transport has read from a message of an input topic; see `InputReader.samples`."""
+        """Process values that a transport has read from a message of an input topic; see `InputReader.samples`.
+
+        None is a message that cannot be decoded: no number, at the node's time.
+        """
         if self._has_come(index, sent):
             return
         if index in self.misread:
             self.keep(index, raw, arrived)
             return
+        values = [math.nan] * self._widths[index] if values is None else values
         message = Arrived(sent, *(arrived or self._clock.arrival()), index, stamp_ns, values, raw)
         self._guard.essential("taking a message", self._receive, message)
 
@@ -316,28 +311,31 @@ class MessageHandler:
             self.keep(message.place, message.raw, (message.steady_ns, message.now_ns))
 
     def _receive(self, message: Arrived) -> None:
-        if self._clock.simulated and message.now_ns == 0:
-            message = message._replace(now_ns=self._clock.now_ns(message.steady_ns))
+        if self._clock.simulated:
             if message.now_ns == 0:
-                waiting = self._before_clock[message.place]
-                waiting.append(message)
-                if len(waiting) > MOST_BEFORE_CLOCK:
-                    self.dropped(message.place)
-                    oldest = waiting.popleft()
-                    self.keep(oldest.place, oldest.raw, (oldest.steady_ns, 0))
+                message = message._replace(now_ns=self._clock.now_ns(message.steady_ns))
+            if message.now_ns == 0:
+                self._wait_for_clock(message)
                 return
-        for earlier in self._take_waiting():
-            self._guard.essential("taking a message", self._receive, earlier)
+            for earlier in self._take_waiting():
+                self._guard.essential("taking a message", self._receive, earlier)
         if message.sent.ns and not self._is_speed[message.place]:
             self._held.append(message)
             return
-        self._handle_held(lambda other: other.sent.ns <= message.sent.ns or not message.sent.ns)
+        if self._held:
+            self._handle_held(lambda other: other.sent.ns <= message.sent.ns or not message.sent.ns)
         self._handle(message)
+
+    def _wait_for_clock(self, message: Arrived) -> None:
+        waiting = self._before_clock[message.place]
+        waiting.append(message)
+        if len(waiting) > MOST_BEFORE_CLOCK:
+            self.dropped(message.place)
+            oldest = waiting.popleft()
+            self.keep(oldest.place, oldest.raw, (oldest.steady_ns, 0))
 
     def _take_waiting(self) -> list[Arrived]:
         """The messages that wait for a clock, in the order of arrival; none wait afterwards."""
-        if not any(self._before_clock):
-            return []
         found = sorted(chain(*self._before_clock), key=attrgetter("steady_ns"))
         for waiting in self._before_clock:
             waiting.clear()
@@ -345,8 +343,6 @@ class MessageHandler:
 
     def _handle_held(self, due: Callable[[Arrived], bool]) -> None:
         """Handle the messages held back that are due, in the order of sending."""
-        if not self._held:
-            return
         handled = [message for message in self._held if due(message)]
         self._held = [message for message in self._held if not due(message)]
         for message in sorted(handled, key=attrgetter("sent.ns")):

@@ -240,7 +240,7 @@ class DdsNode:
         try:
             stamp, values = self._input_readers[index].read(message.raw)
         except Exception:  # no bytes, whatever they are, end the node
-            self.application.messages.receive_undecodable(index, sent, arrived, message.raw)
+            self.application.messages.receive_values(index, None, None, sent, arrived, message.raw)
         else:
             self.application.messages.receive_values(index, stamp, values, sent, arrived, message.raw)
 
