@@ -48,7 +48,7 @@ LIVE_KINDS = {
     "NO_SPEED": _stale("no speed was accepted since the start: only the status is published", awaited=True),
     "SPEED_OLD": _stale(
         "the last accepted speed is older than `speed_max_age_s`: the outputs keep the last stamp and values, "
-        "and the feed-forward fades to zero",
+        "and the feed-forward fades to zero"
     ),
     "INACTIVE": _stale("the node is deactivated, or ends by request: the feed-forward goes to zero, then nothing is published"),
     "NO_CLOCK": _stale("`use_sim_time` is set and no /clock message has arrived, or it shows a time before 0", awaited=True),
@@ -56,11 +56,9 @@ LIVE_KINDS = {
         "publishers of the speed disagree: none is used, and the feed-forward goes to zero; the text names them"
     ),
     "TORQUE_CONTESTED": _stale(
-        "another node publishes on a topic of the feed-forward: ours goes to zero, or was never begun; the text names the node",
+        "another node publishes on a topic of the feed-forward: ours goes to zero, or was never begun; the text names the node"
     ),
-    "INTERNAL_ERROR": _error(
-        "a bug made a message, a step or an output fail (details in the log): do not use the estimate",
-    ),
+    "INTERNAL_ERROR": _error("a bug made a message, a step or an output fail (details in the log): do not use the estimate"),
     "PART_FAILED": _warn("a bug made another part fail (details in the log); the estimate and its outputs continue"),
     "NOT_RECORDED": _warn("`--record` cannot write fast enough, or not at all; the text names the file and the losses"),
     "OUTPUT_FAILED": _error("the middleware rejected a message of an output topic; the others continue"),
@@ -68,17 +66,17 @@ LIVE_KINDS = {
     "OVERRUN": _warn("messages arrived faster than they could be processed: the oldest were dropped and counted as `dropped`"),
     "NO_PUBLISHER": _warn("nobody publishes on the topic of an input", awaited=True),
     "WRONG_TYPE": _warn(
-        "a publisher uses another message type on the topic of an input, or another definition; no message of the topic is used",
+        "a publisher uses another message type on the topic of an input, or another definition; no message of the topic is used"
     ),
     "INCOMPATIBLE_QOS": _warn(
         "a publisher's quality of service is below what the input requests, or without ROS its definition of the type differs; "
-        "it never connects",
+        "it never connects"
     ),
     "NOT_LATCHED": _warn(
-        "a publisher of load, ambient or passengers has sent nothing since the start, and keeps nothing for those who join later",
+        "a publisher of load, ambient or passengers has sent nothing since the start, and keeps nothing for those who join later"
     ),
     "SEVERAL_PUBLISHERS": _warn(
-        "more than one publisher on the topic of an input; of a speed one is used at a time, of others all, by their arrival",
+        "more than one publisher on the topic of an input; of a speed one is used at a time, of others all, by their arrival"
     ),
     "CLOCK_OFFSET": _warn("the stamps of the speed differ from this machine's time by more than a second"),
     "MISMATCH": _warn("measured and expected torque differ by more than the estimate's uncertainty"),

@@ -31,18 +31,15 @@ from trackres_ros.node.application import Application
 from trackres_ros.node.inputs import Arrival, Sent
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import interface
-from trackres_ros.node.transport import (
-    DISCOVERY_NS,
-    NAMELESS,
-    TORQUES,
-    InputTopic,
-    Level,
-    Peer,
-    Reasons,
-    Status,
-)
+from trackres_ros.node.transport import DISCOVERY_NS, NAMELESS, TORQUES, InputTopic, Level, Peer, Reasons, Status
 from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC, OutputTopic
 from trackres_ros.units import SECOND_NS
+
+COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold the messages between two of them, at 1 kHz too
+MOST_COLLECTED = 1000  # of a topic at a time
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of a publisher that no node announces, see rmw/get_topic_endpoint_info.h
+Taken = tuple[Any, dict[str, int], bool]
+"""A message, its middleware information, and whether it came by a subscription that also gets what publishers keep."""
 
 
 class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
@@ -65,16 +62,6 @@ class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
         else:
             opened = self.serves or isinstance(entity, Timer)
         return opened and bool(super().can_execute(entity))
-
-
-COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold the messages between two of them, at 1 kHz too
-
-MOST_COLLECTED = 1000  # of a topic at a time
-
-UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of a publisher that no node announces, see rmw/get_topic_endpoint_info.h
-
-Taken = tuple[Any, dict[str, int], bool]
-"""A message, its middleware information, and whether it came by a subscription that also gets what publishers keep."""
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -173,9 +160,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self._open(shared=False)
         self._input_profile = interface.profile_of(parameters.input_quality())
         for given, kind in zip(application.inputs, kinds, strict=True):
-            self._open_input(
-                given.name, kind, interface.profile_of(parameters.input_quality())
-            )  # its own: overrides are written into it
+            profile = interface.profile_of(parameters.input_quality())  # its own: overrides are written into it
+            self._open_input(given.name, kind, profile)
         self._inbox = application.inbox(self._fetch, self._deliver)
         self._offered = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
