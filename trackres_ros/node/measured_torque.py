@@ -1,35 +1,39 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Detects a lasting difference between measured and expected torque, by a change detector on the whitened residual. It needs a
-few operations per message.
+"""What a measured torque tells a running node: a lasting mismatch, a disturbance of the vehicle file, learned parameters.
 
-The residual r, positive in the direction of travel, is averaged over bins while the vehicle rolls steadily. Its noise is
-modelled as a first-order autoregression with coefficient phi and scale sigma, of the deviations from a running mean. That mean
-soon follows a lasting offset, so the offset does not enter the noise. Page's test (Biometrika 41, 1954, 100) sums the whitened
-residual (r - phi r_before) / sigma, less the tolerated offset's share, once for each sign. The sum of the n bins since it last
-was zero has the standard deviation sqrt(n). A mismatch is detected when the sum is `mismatch_evidence` (h) times as large and
-the offset has lasted for `mismatch_hold_s` (N bins). So a grade that recurs each lap causes none.
-
-False alarms: standardised sums over at least N independent terms exceed h, with either sign, less often than h^3 exp(-h^2/2) /
-(2 N sqrt(2 pi)) per bin (Siegmund and Venkatraman, Annals of Statistics 23, 1995, 255, with windows no shorter than N).
-By default that is once in 100 000 h of driving with zero tolerance, and rarer with a positive one. Other noise, or noise that
-stays on one side for longer than `mismatch_hold_s`, as on long hills, alarms more often.
+Mismatch and disturbance only read the estimate: neither enters an expected torque or the feed-forward.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
+import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MPS2
+import numpy as np
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MPS2, Belief, DisturbanceWatch
+from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.settings import setting
+from trackres_ros.estimator.snapshot import LEARNED_AT
+from trackres_ros.learning.columns import LearningColumns, lines, shown
+from trackres_ros.learning.correction import use_file
+from trackres_ros.learning.learner import OFF, ON, Learner
+from trackres_ros.learning.store import go_on, since_learned, stored
+from trackres_ros.node.notices import Notice
+from trackres_ros.node.transport import Level, Status
 from trackres_ros.units import MAD_TO_STD, NANOSECOND
+from trackres_ros.vehicle import Disturbance
 
+TIME_RESET, CLOCK_JUMPED = int(at.Reason.TIME_RESET), int(at.Reason.CLOCK_JUMPED)
 SETTLING_BINS = 30  # before the noise is believed
 KNOWN_AFTER = 2.0  # times the holding time: earlier, slow noise such as hills cannot be distinguished from an offset
 MEAN_BINS = 150  # memory of the running mean
@@ -176,7 +180,22 @@ class _Page:
 
 
 class MismatchDetector:
-    """Compares estimates with a measured torque one by one; `verdict` is the result."""
+    """Compares estimates with a measured torque one by one, by a change detector on the whitened residual.
+
+    Notes
+    -----
+    The residual r, positive in the direction of travel, is averaged over bins while the vehicle rolls steadily. Its noise is
+    modelled as a first-order autoregression with coefficient phi and scale sigma, of the deviations from a running mean. That
+    mean soon follows a lasting offset, so the offset does not enter the noise. Page's test (Biometrika 41, 1954, 100) sums
+    the whitened residual (r - phi r_before) / sigma, less the tolerated offset's share, once for each sign. The sum of the n
+    bins since it last was zero has the standard deviation sqrt(n). A mismatch is detected when the sum is `mismatch_evidence`
+    (h) times as large and the offset has lasted for `mismatch_hold_s` (N bins). So a grade that recurs each lap causes none.
+
+    False alarms: standardised sums over at least N independent terms exceed h, with either sign, less often than h^3
+    exp(-h^2/2) / (2 N sqrt(2 pi)) per bin (Siegmund and Venkatraman, Annals of Statistics 23, 1995, 255, with windows no
+    shorter than N). By default that is once in 100 000 h of driving with zero tolerance, and rarer with a positive one. Other
+    noise, or noise that stays on one side for longer than `mismatch_hold_s`, as on long hills, alarms more often.
+    """
 
     def __init__(self, settings: MismatchSettings) -> None:
         self.settings = settings
@@ -292,3 +311,185 @@ class MismatchDetector:
 
 def _within(value: float, bound: float) -> float:
     return min(max(value, -bound), bound)
+
+
+class Comparison:
+    """Compares rows of results; `verdict` and `belief` are the results.
+
+    Rows that the detector does not compare are not watched for disturbances either. There is no disturbance to watch for
+    without one in the vehicle file, or without a measured torque.
+    """
+
+    def __init__(self, settings: MismatchSettings, disturbance: Disturbance | None) -> None:
+        self._detector = MismatchDetector(settings)
+        self._watch = None if disturbance is None else DisturbanceWatch(disturbance)
+        self.belief = None if self._watch is None else self._watch.belief(0)
+        self._set_ns = 0
+
+    @property
+    def verdict(self) -> Mismatch:
+        """Whether measured and expected torque, corrected for a disturbance, differ significantly."""
+        return self._detector.verdict
+
+    def restart(self) -> None:
+        """Reset after a restart of the estimate."""
+        self._detector.restart()
+        if self._watch is not None:
+            self._watch.restart()
+            self.belief = self._watch.belief(0)
+
+    def change(self, settings: MismatchSettings) -> None:
+        """Continue with other settings; the detector restarts with them."""
+        if settings != self._detector.settings:
+            self._detector = MismatchDetector(settings)
+
+    def take(self, stamp_ns: int, row: Sequence[float], arrival_ns: int, set_ns: int = 0) -> str:
+        """Take the results of a step, its stamp and its arrival [ns]; return a text for the log, or an empty one.
+
+        `set_ns` is how far this machine's clock was set since the start, where stamps do not show it.
+        """
+        if int(row[at.Results.reasons]) & TIME_RESET:
+            self.restart()
+        jumped = bool(int(row[at.Results.reasons]) & CLOCK_JUMPED) or set_ns != self._set_ns
+        self._set_ns = set_ns
+        residual, speed, accel = row[at.Results.residual_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
+        before, explained = self.belief, 0.0
+        if self._watch is not None:
+            counts = self._detector.settings.compares(speed, accel)
+            now_ns = stamp_ns + set_ns
+            self.belief = self._watch.take(now_ns, residual if counts else math.nan, speed, now_ns - arrival_ns, jumped)
+            explained = 0.0 if self.belief.overdue else self.belief.torque_nm * math.copysign(1.0, speed)
+        self._detector.take(
+            stamp_ns, residual - explained, row[at.Results.drive_torque_nm], row[at.Results.resistance_std_nm], speed, accel
+        )
+        return _turned(before, self.belief)
+
+    def notices(self, command: str) -> list[Notice]:
+        """Present notices; `command` explains a mismatch."""
+        verdict, belief = self.verdict, self.belief
+        return [
+            *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
+            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
+        ]
+
+
+def _turned(before: Belief | None, now: Belief | None) -> str:
+    """Text that a spell begins or is over; empty if neither."""
+    if before is None or now is None or before.present is now.present:
+        return ""
+    return f"{'the disturbance begins' if now.present else 'the disturbance is over'}: {now.text}"
+
+
+class LiveLearning:
+    """A learner for a node with a measured torque; without one it does nothing. Learned values are kept while it is off, and
+    those of the state file without a torque.
+    """
+
+    def __init__(self, estimator: Estimator, mode: str, measured: bool) -> None:
+        self.mode = mode
+        self.learner = Learner(estimator, mode) if measured else None
+        self._columns = None if self.learner is None else LearningColumns(self.learner)
+        self._kept: Any = None  # plain values for the state file while nothing learns
+
+    def go_on(self, session: Session, saved: Any, now: float) -> str:
+        """Continue with a session and the learned values of a state file at a time [s since 1970]; return a text for the log.
+
+        They are less certain by the time since they were learned.
+
+        Raises ValueError if they are not from a learner of this vehicle; they are then not used.
+        """
+        use_file(session.learned)
+        if saved is None:
+            return ""
+        if self.learner is None:
+            self._kept = saved
+            return "the learned parameters are kept, but no torque is measured"
+        go_on(session, self.learner, saved, since_learned(saved, now))
+        self._kept = saved if self.mode == OFF else None
+        return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
+
+    def wear(self, seconds: float) -> None:
+        """Account for more time off [s] before the first speed; values that are only kept say when they were learned."""
+        if self.learner is not None and self._kept is None:
+            self.learner.wear(seconds)
+
+    def stored(self) -> Any:
+        """Plain values for the state file; None if nothing was learned."""
+        return self._kept if self.learner is None or self._kept is not None else stored(self.learner)
+
+    def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
+        """Take the results of a step."""
+        if self.learner is not None and self.mode != OFF:
+            before = session.learned.copy()
+            try:
+                self.learner.take(stamp_ns, row, session)
+                if not np.isfinite(session.learned).all():
+                    raise ArithmeticError("a learned parameter is not finite")
+            except BaseException:  # learned values for the next step stay unchanged
+                session.learned[:] = before
+                raise
+
+    def columns(self, row: list[float], session: Session) -> list[float]:
+        """Values of the columns after those of an estimate."""
+        return [] if self._columns is None else self._columns.of(row, session)
+
+    def change(self, mode: str, session: Session) -> None:
+        """Change the mode; learned values stay, and act only in mode `on`."""
+        if self.learner is None or mode == self.mode:
+            self.mode = mode
+            return
+        if mode == OFF:
+            self._kept = {LEARNED_AT: time.time(), **stored(self.learner)}
+        elif self._kept is not None:
+            go_on(session, self.learner, self._kept, since_learned(self._kept, time.time()))
+            self._kept = None
+        if OFF in (mode, self.mode):
+            self.learner.restart()
+        self.mode = self.learner.mode = mode
+        if mode != ON:
+            use_file(session.learned)
+
+    def restart(self, session: Session) -> None:
+        """Restart the estimate; values learned of the vehicle stay, and act again once the learner allows it."""
+        use_file(session.learned)
+        if self.learner is not None:
+            self.learner.restart()
+
+    def reset(self, session: Session) -> str:
+        """Reset the learned parameters; return a text for the log."""
+        use_file(session.learned)
+        if self.learner is None and self._kept is None:
+            return "no torque is measured, so there is nothing to reset"
+        self._kept = None
+        if self.learner is not None:
+            self.learner.reset()
+        return "the learned parameters are reset: the vehicle file is used"
+
+    @property
+    def text(self) -> str:
+        """Status of learning, in a sentence; empty if learning is off."""
+        if self.learner is None:
+            return ""
+        return OFF if self.mode == OFF else self.learner.text
+
+    def statuses(self, node: str, vehicle: str) -> Sequence[Status]:
+        """A status of each learned value, as published."""
+        if self.learner is None or self.mode == OFF:
+            return ()
+        overall = (
+            ("mode", self.mode),
+            ("acts", str(self.learner.acts).lower()),
+            ("frozen", self.learner.frozen),
+            ("disturbance", self.learner.disturbance),
+        )
+        learned = lines(self.learner, shown(self.learner))
+        listed = [("learning", self.text, overall), *learned]
+        return [Status(Level.OK, f"{node}: {name}", message, vehicle, known) for name, message, known in listed]
+
+    def notices(self) -> list[Notice]:
+        """Present notices of the learning."""
+        if self.learner is None or self.mode == OFF:
+            return []
+        frozen, left_out = self.learner.frozen, self.learner.left_out
+        text = f"learning is paused: {frozen}" if frozen else f"learning skips samples: {left_out}"
+        return [Notice("LEARNING_FROZEN", text)] if frozen or left_out else []
