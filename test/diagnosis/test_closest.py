@@ -8,10 +8,10 @@ import re
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.empirical.closest import FOLLOWS_LEAST, closest_channel
+from trackres_ros.diagnosis.pipeline import _by_load
 from trackres_ros.diagnosis.selection.grade import ONLY_BETWEEN, Graded
 from trackres_ros.diagnosis.selection.held_out import Improvement
-from trackres_ros.diagnosis.stages.judge import _by_load
+from trackres_ros.diagnosis.selection.locate import FOLLOWS_LEAST, closest_channel
 
 
 def said(found, torques):

@@ -16,7 +16,7 @@ import trackres_ros as tr
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.empirical.terms import Form
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.report.term_pictures import draw_term
+from trackres_ros.diagnosis.report.pictures import draw_term
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.files.resources import config_dir

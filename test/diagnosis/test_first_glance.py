@@ -29,12 +29,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.empirical.torque import against_travel
-from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.wording import range_of, upper
 from trackres_ros.diagnosis.report.content import _term, inputs
 from trackres_ros.diagnosis.report.interactive import DOCUMENT, _nm, _places, interactive
-from trackres_ros.diagnosis.report.page import interval, provenance, sha256, write_page
+from trackres_ros.diagnosis.report.page import (
+    MOST_WORDS,
+    by_file,
+    headline,
+    interval,
+    lights,
+    provenance,
+    sha256,
+    stage_of,
+    tiles,
+    write_page,
+)
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
 from trackres_ros.diagnosis.report.series import (
     MOST_RECORDINGS,
@@ -45,8 +54,8 @@ from trackres_ros.diagnosis.report.series import (
     uncertainty,
     within,
 )
-from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
 from trackres_ros.diagnosis.selection.held_out import Improvement
+from trackres_ros.diagnosis.selection.locate import Bin, against_travel
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.empirical import finders
 from trackres_ros.diagnosis.inference.failures import attempt, failures
 from trackres_ros.diagnosis.inference.noise import solved
-from trackres_ros.diagnosis.stages.prepare import prepared
+from trackres_ros.diagnosis.preparation import prepared
 
 
 def shaft(inputs, p):

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, apart, information, known, menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.split import lap_name, split
+from trackres_ros.diagnosis.prepare.session import lap_name, split
 from trackres_ros.diagnosis.selection.candidate import compared
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.errors import InputError

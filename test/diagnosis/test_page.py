@@ -14,7 +14,7 @@ import pytest
 from browser import BROWSER, IN_A_BROWSER, asked, opened
 
 from trackres_ros.diagnosis.report.page import GRADES, write_page
-from trackres_ros.diagnosis.report.picture import Picture
+from trackres_ros.diagnosis.report.series import Picture
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftotext"), reason="no chromium or pdftotext on this machine")
 WHY = "over a thousand times less likely than drivetrain_efficiency, in words that take up their room"

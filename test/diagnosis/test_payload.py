@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.empirical.finders import PAYLOAD, find_terms, residuals_without
+from trackres_ros.diagnosis.empirical.finders import PAYLOAD, describe, find_terms, residuals_without
 from trackres_ros.diagnosis.empirical.payload import (
     STOP_S,
     JointValues,
@@ -21,9 +21,8 @@ from trackres_ros.diagnosis.empirical.payload import (
     stretch_numbers,
     torque_of_a_kilogram,
 )
-from trackres_ros.diagnosis.empirical.statements import describe
-from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.selection.locate import torque_residuals
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import catalogue
 from trackres_ros.files.resources import config_dir

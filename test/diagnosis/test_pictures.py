@@ -11,15 +11,29 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
 from trackres_ros.diagnosis.findings.found import UnnamedTerm
-from trackres_ros.diagnosis.findings.locate import Location, locate, regime_of, rms_over_time
-from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import Verdict
-from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_times
-from trackres_ros.diagnosis.report.series import MOST_RECORDINGS, shown_lap
-from trackres_ros.diagnosis.report.term_pictures import draw_term
-from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, minutes, panels
+from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_term, draw_times
+from trackres_ros.diagnosis.report.series import (
+    MOST_RECORDINGS,
+    begins,
+    draw_timeline,
+    held_out_times,
+    marked_times,
+    minutes,
+    panels,
+    shown_lap,
+)
+from trackres_ros.diagnosis.selection.locate import (
+    Bin,
+    Location,
+    RegimeMap,
+    against_travel,
+    locate,
+    regime_of,
+    rms_over_time,
+    torque_residuals,
+)
 from trackres_ros.results.diagnosis import PICTURES
 from trackres_ros.text.numbers import figures
 

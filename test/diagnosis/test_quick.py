@@ -13,7 +13,7 @@ from proofs.field.emps import COULOMB, DIRECTION, force_error, only, try_slide
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.resample import step_for
-from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, STEP_S, pace
+from trackres_ros.diagnosis.prepare.session import LEAST_SAMPLES, STEP_S, pace
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series

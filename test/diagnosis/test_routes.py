@@ -16,10 +16,9 @@ from trackres_ros.diagnosis.base.base import Acting
 from trackres_ros.diagnosis.base.patterns import SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.empirical.routes import find_route, roads_of
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.on_route import on_route
+from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.prepare.gate import gate, on_route
 from trackres_ros.diagnosis.prepare.session import DriveSession
-from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.effects import Active
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.estimator import columns as at

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from worlds import driven, fit_with, judging, named
 
-from trackres_ros.diagnosis.findings import locate
-from trackres_ros.diagnosis.search.explanations import MOST_TERMS
-from trackres_ros.diagnosis.search.linear_sets import LinearSets
+from trackres_ros.diagnosis.search.explanations import MOST_TERMS, LinearSets
+from trackres_ros.diagnosis.selection import locate
 
 GAIN, LEVEL_NM = 1.1, 200.0
 

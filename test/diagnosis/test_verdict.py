@@ -19,18 +19,17 @@ from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.empirical.terms import FOLLOWED, FROM, Described, Form, of_learned, turning_points
 from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
-from trackres_ros.diagnosis.findings.locate import Location, SlowResidual, only_later
-from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
-from trackres_ros.diagnosis.prepare.notes import SensorFinding
-from trackres_ros.diagnosis.prepare.unit_checks import pooled, speed_off
+from trackres_ros.diagnosis.pipeline import believed_in
+from trackres_ros.diagnosis.prepare.checks import pooled, speed_off
+from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.report.content import _why
 from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.grade import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
+from trackres_ros.diagnosis.selection.locate import Bin, Location, RegimeMap, SlowResidual, only_later
 from trackres_ros.diagnosis.selection.steps import Step
-from trackres_ros.diagnosis.stages.conclude import believed_in
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import DRIVING_TORQUE, SPEED, STEP, Corner, Curve

@@ -12,8 +12,8 @@ import yaml
 
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_drifting_level
+from trackres_ros.diagnosis.pipeline import may_be_kept
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
-from trackres_ros.diagnosis.stages.conclude import may_be_kept
 from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch
 from trackres_ros.vehicle import Drift, Spells, load, load_any
 from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance

@@ -15,8 +15,7 @@ from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, with_levels
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.search.choice import Choice
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation

@@ -3,43 +3,53 @@
 
 """Finds terms that follow the clock or the place in the residual of a fit: spells, a place, a mass by
 stretch, a wave, a route. A term of the clock must gain more than noise and the model's own error would.
+
+Describes a found term with the values of the last fit: its sentence and its variable.
+
+Converts spells and a drift to the live disturbance, relative to the written vehicle file's torque.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.closest import closest_channel
+from trackres_ros.diagnosis.base.patterns import ClockTerm, ResidualPattern
+from trackres_ros.diagnosis.empirical import terms
+from trackres_ros.diagnosis.empirical.forms import series
 from trackres_ros.diagnosis.empirical.payload import PAYLOAD, Payload, find_payload
-from trackres_ros.diagnosis.empirical.places import Place, find_place
+from trackres_ros.diagnosis.empirical.places import Place, Wave, find_place, find_wave, followed, part_of
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, Route, find_route
 from trackres_ros.diagnosis.empirical.spells import (
     Blocks,
     Chain,
     blocks,
+    expected_level,
     find_chain,
     find_drifting_level,
     gain_over_drift,
     is_spells,
+    levels_given,
     path_cost,
     spell_probability,
 )
 from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recordings
-from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
-from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.candidate import Candidate, compared, rms, spurious_gain
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
+from trackres_ros.diagnosis.selection.locate import against_travel, closest_channel, torque_residuals
+from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.progress import counted
-from trackres_ros.vehicle.writing.changes import BY_PLACE
+from trackres_ros.vehicle import Drift, Spells
+from trackres_ros.vehicle.schema import DISTURBANCES
+from trackres_ros.vehicle.writing.changes import BY_PLACE, LearnedDisturbance
 
 Search = Callable[[Fit, Fit], "Term | None"]
 """Searches for a term of the clock alone, in addition to a fit. The torque residual is that of a later fit, which may have it."""
@@ -309,3 +319,162 @@ def _drift(final: Fit) -> Described | None:
     slow = drifting.seconds >= LEAST_DRIFT_S and likelihood > white + SURE
     large = drifting.size > LEAST_DRIFT * rms([s.torque for s in final.problem.sessions], final)
     return of_drift(drifting) if slow and large else None
+
+
+MOVING_MPS = 0.3
+BEGINNINGS_S = 15.0  # largest time from a stop to a spell that begins with it
+MOST_BEGIN = 0.7  # of the spells
+MOST_OF_IT = (0.025, 0.975)  # quantiles
+
+
+def describe(term: Term, final: Fit) -> Described:
+    """Description of a term, with the values of the final fit."""
+    described = _described(term, final, final.problem.base.noun).of(final.problem.base.noun)
+    if described.predictable or term.payload is not None:
+        return described
+    adds = against_travel(final.problem.sessions, final.contribution(term.candidate.name))
+    return replace(described, sentence=f"{described.sentence}. {closest_channel(final, adds)}")
+
+
+def _described(term: Term, final: Fit, noun: str) -> Described:
+    name = term.candidate.name
+    active = next(a for a in final.effects if a.effect.name == name)
+    if isinstance(active.effect, EmpiricalEffect):
+        return terms.of_learned(active.effect, active.values, noun)
+    level = active.numbers[0]
+    if isinstance(active.effect, ClockTerm):
+        return terms.of_clock(active.effect, level, noun)
+    if term.wave is not None:
+        return terms.of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
+    if term.place is not None:
+        return terms.of_place(name, level, term.place, noun)
+    if term.payload is not None:
+        return terms.of_payload(name, level, term.payload, noun)
+    if term.route is not None:
+        adds = against_travel(final.problem.sessions, final.contribution(name))
+        used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
+        least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
+        return terms.of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route, noun)
+    assert term.chain is not None
+    spells = _spells_of(term.chain, name, final)
+    lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
+    return terms.of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final), noun)
+
+
+def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
+    """Spells on all laps: session, first sample and end. A spell continues over a stop, where no torque shows it."""
+    b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
+    there = spell_probability(b, chain)
+    begins = np.flatnonzero(beginnings(b, there))
+    ends = np.flatnonzero(beginnings(b, there, backwards=True))
+    return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begins, ends, strict=True)]
+
+
+def variable_of(term: Term, final: Fit) -> list[Array]:
+    """Variable of a term in each session; empty for the clock alone."""
+    effect = term.candidate.effect
+    if isinstance(effect, EmpiricalEffect):
+        return series(effect.variable, final)
+    if term.place is not None:
+        return list(term.place.course)
+    if term.route is not None:
+        return list(term.route.course)
+    return []
+
+
+def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
+    """The common event at the beginning of most spells, in words; empty without one."""
+    after_stop = []
+    for i, begin, _ in spells:
+        session = final.problem.sessions[i]
+        near = slice(max(0, begin - round(BEGINNINGS_S / session.step)), begin + round(BLOCK_S / session.step))
+        after_stop.append(bool((np.abs(session.speed[near]) < MOVING_MPS).any()))
+    return ", mostly after a stop" if after_stop and np.mean(after_stop) > MOST_BEGIN else ""
+
+
+Range = tuple[float, float]
+
+
+def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
+    """Spells of the final fit, with both levels relative to the written file's torque [Nm], of each session.
+
+    The file may include the mean of the spells: then the rest level is negative. Live, the torque is that of the sessions
+    over `shown`.
+    """
+    assert term.chain is not None
+    chain = term.chain
+    with_spells = torque_blocks(final, residuals_without(final, term.candidate.name))
+    there = spell_probability(with_spells, chain)
+    b = _over(final, expected, shown)
+    level, rest, noise = levels_given(b, there)
+    found = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _of_blocks(noise, final))
+    count = int(beginnings(b, there).sum())
+    return _learned(
+        found,
+        {
+            "level": _about(level, found.noise / math.sqrt(there.sum())),
+            "rest": _about(rest, found.noise / math.sqrt((1.0 - there).sum())),
+            "mean_there": _times(found.mean_there, count),
+            "mean_away": _times(found.mean_away, count),
+            "noise": _times(found.noise, 2 * len(b.mean)),
+        },
+    )
+
+
+def drift_to_watch(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
+    """Drift relative to the written file's torque [Nm], for each session; see `spells_to_watch` for `shown`."""
+    b = _over(final, expected, shown)
+    drifting, _ = find_drifting_level(b)
+    found = Drift(drifting.size, drifting.seconds, _of_blocks(drifting.noise, final))
+    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
+    return _learned(
+        found,
+        {
+            "size": _times(found.size, 2.0 * apart),
+            "time_constant": _times(found.time_constant, apart),
+            "noise": _times(found.noise, 2 * len(b.mean)),
+        },
+    )
+
+
+def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
+    """Hold-out improvement by following a drift live, with the forecast from earlier blocks."""
+    sessions, without = final.problem.sessions, [p.torque for p in final.predicted]
+    drifting, _ = find_drifting_level(_over(final, without))
+    b = torque_blocks(final, torque_residuals(final), [s.used for s in sessions])
+    shape = [np.zeros(len(s)) for s in sessions]
+    fill(shape, b, expected_level(b, drifting)[0])
+    return laps.improvement(without, [e + x for e, x in zip(without, against_travel(sessions, shape), strict=True)])
+
+
+def _over(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> Blocks:
+    return torque_blocks(final, [(s.torque - e) / shown for s, e in zip(final.problem.sessions, expected, strict=True)])
+
+
+def _of_blocks(noise: float, final: Fit) -> float:
+    """Noise of a block's mean, from that of one sample [Nm]."""
+    return noise / math.sqrt(BLOCK_S / final.problem.sessions[0].step)
+
+
+def _about(value: float, std: float) -> Range:
+    return value - 2.0 * std, value + 2.0 * std
+
+
+def _times(value: float, count: float) -> Range:
+    """Range of +-2 standard deviations of the logarithm, each 1 / sqrt(count): for the mean of `count` exponential times,
+    or for a standard deviation with twice that count.
+    """
+    factor = math.exp(2.0 / math.sqrt(count))
+    return value / factor, value * factor
+
+
+def _learned(found: Spells | Drift, ranges: Mapping[str, Range]) -> LearnedDisturbance:
+    """Disturbance with values and ranges within the limits of a vehicle file."""
+    limits = DISTURBANCES[found.form]
+
+    def within(name: str, value: float) -> float:
+        return min(max(value, limits[name].low), limits[name].high)
+
+    values = {item.name: within(item.name, getattr(found, item.name)) for item in fields(found)}
+    clipped = {name: (within(name, low), within(name, high)) for name, (low, high) in ranges.items()}
+    return LearnedDisturbance(type(found)(**values), clipped)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.patterns import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, PlaceValues, StreetGraph, gains, learn
 from trackres_ros.diagnosis.empirical.payload import JointValues, loads, may_differ
-from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
-from trackres_ros.diagnosis.prepare.on_route import way_of
+from trackres_ros.diagnosis.prepare.gate import way_of
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.candidate import Candidate, compared
+from trackres_ros.diagnosis.selection.locate import torque_residuals
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import SPACING_M

@@ -13,10 +13,9 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import FADE, ClockTerm
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
-from trackres_ros.diagnosis.empirical.places import Place
+from trackres_ros.diagnosis.empirical.places import Place, Wave
 from trackres_ros.diagnosis.empirical.routes import SURE_OF_KIND, Route
 from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
-from trackres_ros.diagnosis.empirical.waves import Wave
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.effects import learned

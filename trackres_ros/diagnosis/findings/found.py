@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.locate import Location, Span
-from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.grade import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
+from trackres_ros.diagnosis.selection.locate import Bin, Location, Span
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.text.numbers import alike, figures

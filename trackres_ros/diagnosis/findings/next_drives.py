@@ -16,8 +16,7 @@ import numpy as np
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
+from trackres_ros.diagnosis.prepare.session import SLOWEST_MPS, Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.candidate import MODEL_ERROR
 from trackres_ros.diagnosis.selection.steps import Step
 

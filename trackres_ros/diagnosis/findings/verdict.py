@@ -14,8 +14,6 @@ import numpy as np
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
-from trackres_ros.diagnosis.findings.locate import SlowResidual
-from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.wording import (
     LEFT_OUT,
     NO_NAME,
@@ -41,9 +39,10 @@ from trackres_ros.diagnosis.findings.wording import (
     upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.notes import SensorFinding
+from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.selection.grade import Graded, far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
+from trackres_ros.diagnosis.selection.locate import Bin, RegimeMap, SlowResidual
 from trackres_ros.text.numbers import figures
 
 LACK_OF_FIT_P = 0.01

@@ -11,12 +11,11 @@ from collections.abc import Mapping, Sequence
 from trackres_ros.diagnosis.base.base import Base, BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
-from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
-from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.prepare.notes import SensorFinding
+from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.grade import Graded
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SMALL_SHARE, HeldOut
+from trackres_ros.diagnosis.selection.locate import Bin, SlowResidual, in_nm
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import Active
 from trackres_ros.text.numbers import figures, from_to

@@ -18,13 +18,12 @@ from trackres_ros.diagnosis.empirical.payload import Stretch
 from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.found import NamedEffect
-from trackres_ros.diagnosis.findings.locate import residual_sources
-from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, joined, likelier, rejected, why_not
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SUSPECTED, Improvement
+from trackres_ros.diagnosis.selection.locate import Bin, residual_sources
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE

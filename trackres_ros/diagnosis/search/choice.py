@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.candidates import varies
 from trackres_ros.diagnosis.empirical.finders import SURE, Term
+from trackres_ros.diagnosis.empirical.forms import varies
 from trackres_ros.diagnosis.empirical.routes import Route
-from trackres_ros.diagnosis.empirical.torque import against_travel
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
+from trackres_ros.diagnosis.prepare.session import SLOWEST_MPS
 from trackres_ros.diagnosis.search.cross_validation import Score
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
 from trackres_ros.diagnosis.search.proposals import TIED
@@ -31,6 +30,7 @@ from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, NAME
 from trackres_ros.diagnosis.selection.grade import ON_BOUND, ONLY_BETWEEN, Graded, displaced, on_bounds
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
+from trackres_ros.diagnosis.selection.locate import against_travel
 from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects.learned import VARIABLES, EmpiricalEffect
 from trackres_ros.text.numbers import figures

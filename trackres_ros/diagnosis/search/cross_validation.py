@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.bounded import bounded
-from trackres_ros.diagnosis.inference.fitting import Fit, Problem
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, bounded
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, numbered

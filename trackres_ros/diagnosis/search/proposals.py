@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.candidates import candidates, followed, series
-from trackres_ros.diagnosis.empirical.thresholds import found_by_clock, found_by_scan
+from trackres_ros.diagnosis.empirical.forms import candidates, followed, found_by_clock, found_by_scan, series
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.candidate import same_variable

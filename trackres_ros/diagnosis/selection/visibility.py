@@ -13,8 +13,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
-from trackres_ros.diagnosis.inference.levels import for_tests
+from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, for_tests, jacobian, valid_rows
 from trackres_ros.diagnosis.prepare.session import ALWAYS_KNOWN, Array
 from trackres_ros.effects.effect import Active, Effect
 from trackres_ros.effects.learned import EmpiricalEffect
