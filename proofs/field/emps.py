@@ -100,7 +100,7 @@ def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
 
 
 def _found(d: Diagnosis) -> str:
-    terms = [(f.name, f.graded.grade) for f in d.found] + [(t.described.name, t.graded.grade) for t in d.described]
+    terms = [(t.name, t.grade) for t in (*d.found, *d.described)]
     return ", ".join(f"`{name}` {grade}" for name, grade in terms) + f". It says: “{d.verdict.sentence}”"
 
 

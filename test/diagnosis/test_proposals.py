@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from worlds import driven, form, machine, named, scored
 
-from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposal, Proposals, Proposer, _begin, _stronger
-from trackres_ros.diagnosis.selection.candidate import same_variable
+from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposal, Proposals, Proposer, _begin, _stronger, same_variable
 from trackres_ros.diagnosis.selection.visibility import EffectSensitivity
 from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch, sized

@@ -22,9 +22,8 @@ from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, SLO
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock
 from trackres_ros.diagnosis.selection import locate
 from trackres_ros.diagnosis.selection.as_used import NORMAL_95, intervals
-from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.diagnosis.selection.locate import SHORTEST_PIECES, changes, segments
-from trackres_ros.diagnosis.selection.visibility import separability
+from trackres_ros.diagnosis.selection.visibility import FORM_ERROR, separability
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError

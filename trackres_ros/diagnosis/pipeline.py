@@ -21,21 +21,19 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.base.patterns import ByPlace
 from trackres_ros.diagnosis.empirical.finders import (
     closest_to_slow,
-    describe,
+    described,
     drift_on_held_out,
     drift_to_watch,
     slow_term,
     spells_to_watch,
-    variable_of,
 )
-from trackres_ros.diagnosis.empirical.routes import Route, roads_of
-from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm, by_improvement, changed_values
+from trackres_ros.diagnosis.empirical.routes import roads_of
+from trackres_ros.diagnosis.empirical.spells import Chain
+from trackres_ros.diagnosis.empirical.term import ONLY_BETWEEN, Round, Term, active_of, by_improvement
 from trackres_ros.diagnosis.findings.next_drives import Advice, advise
-from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict
+from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict, changed_values
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.findings.wording import assumed_sensor
 from trackres_ros.diagnosis.inference.failures import attempt, failures, one_blas_thread
@@ -49,8 +47,7 @@ from trackres_ros.diagnosis.search.choice import Choice, Chosen
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation
 from trackres_ros.diagnosis.search.explanations import Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed, Bounds, choose_written, inside_ranges, intervals
-from trackres_ros.diagnosis.selection.grade import ONLY_BETWEEN, Graded
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, MUCH_LARGER, REFUTED, HeldOut, HeldOutLaps, Improvement, held_out
+from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, REFUTED, HeldOut, HeldOutLaps, held_out
 from trackres_ros.diagnosis.selection.locate import (
     Change,
     RegimeMap,
@@ -67,7 +64,6 @@ from trackres_ros.diagnosis.selection.locate import (
     spans,
     thermal_check,
 )
-from trackres_ros.diagnosis.selection.steps import Step
 from trackres_ros.effects import learned
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.errors import InputError
@@ -125,15 +121,23 @@ def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions
 class Judgement:
     """Final terms, errors, intervals and residuals."""
 
-    found: tuple[NamedEffect, ...]  # confirmed named effects, the largest first
-    described: tuple[UnnamedTerm, ...]  # unnamed terms, the largest first
-    drift: Described | None  # the slow residual, where it is larger than expected
-    tracked: Improvement | None  # hold-out result of following the drift live
+    terms: tuple[Term, ...]  # of the final fit, named or not: confirmed ones first, then the largest
+    drift: Term | None  # the slow residual, where it is larger than expected, with the hold-out result of following it live
     held_out: HeldOut  # errors on hold-out laps
     tested_end: Fit  # the final fit with the noise that best whitens its residual
     at_end: RegimeMap  # its residual by regime
     bounds: Bounds  # intervals of the values of the final fit
     verdict: Verdict
+
+    @property
+    def found(self) -> tuple[Term, ...]:
+        """Named effects, in the order of the terms."""
+        return tuple(t for t in self.terms if t.is_named)
+
+    @property
+    def described(self) -> tuple[Term, ...]:
+        """Terms without a name, in the order of the terms."""
+        return tuple(t for t in self.terms if not t.is_named)
 
 
 def judge(
@@ -148,18 +152,18 @@ def judge(
     at_end = regime_map(tested_end, rng)
     options.on_stage("confidence intervals")
     bounds = intervals(final)
-    found, terms = _found(base, chosen, bounds), _terms(chosen, bounds)
+    terms = by_improvement([_in_final_fit(term, base, final, bounds) for term in chosen.explanation.terms.values()])
+    unnamed = any(not t.is_named for t in terms)
     left_over = slow_residual(final)
     if left_over.share > LARGE_SLOW_SHARE:
         left_over = replace(left_over, closest=closest_to_slow(final, left_over.seconds))
     later = only_later(base.refitted, worth.mae["refitted"])
-    drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not terms else None
-    tracked = drift_on_held_out(final, base.laps) if drift is not None else None
-    as_term = None if drift is None or tracked is None else UnnamedTerm(drift, [], [], {}, Graded(drift.form, tracked))
+    drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not unnamed else None
+    if drift is not None:
+        drift = replace(drift, improvement=drift_on_held_out(final, base.laps))
     changed = () if final.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
         Findings(
-            found=found,
             terms=terms,
             unconfirmed=chosen.unconfirmed,
             refitted=base.refitted,
@@ -167,7 +171,7 @@ def judge(
             left_over=left_over,
             hint=chosen.last.hint,
             held_out=worth,
-            drift=as_term,
+            drift=drift,
             changed=changed,
             shares=chosen.shares,
             sensors=prepared.gated.sensors,
@@ -177,13 +181,13 @@ def judge(
             unusable=unusable,
         )
     )
-    return Judgement(tuple(found), tuple(terms), drift, tracked, worth, tested_end, at_end, bounds, verdict)
+    return Judgement(tuple(terms), drift, worth, tested_end, at_end, bounds, verdict)
 
 
-def _by_load(unconfirmed: Sequence[Graded]) -> str:
+def _by_load(unconfirmed: Sequence[Term]) -> str:
     """A suspected form over the load that differs only between the recordings; empty without one."""
-    of_load = [g for g in unconfirmed if g.name.endswith(learned.VARIABLES[learned.LOAD].name)]
-    return next((g.name for g in of_load if any(fault.startswith(ONLY_BETWEEN) for fault in g.faults)), "")
+    of_load = [t for t in unconfirmed if t.name.endswith(learned.VARIABLES[learned.LOAD].name)]
+    return next((t.name for t in of_load if any(fault.startswith(ONLY_BETWEEN) for fault in t.faults)), "")
 
 
 def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
@@ -207,7 +211,7 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
     names = ", ".join(s.name for s in prepared.sessions)
     odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal, prepared.vehicle.known.is_vehicle)
     # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
-    has_name = any(c.is_name for c in chosen.explanation.candidates.values())
+    has_name = any(term.is_name for term in chosen.explanation.terms.values())
     stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]
     r2, mae = ({stage: of[stage] for stage in stages} for of in (worth.r2, worth.mae))
     refused = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), odd)
@@ -220,38 +224,25 @@ def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: 
     return replace(worth, without_sensor=error) if error > MUCH_LARGER * worth.mae["with_effects"] else worth
 
 
-def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
-    final, sessions, found = chosen.final, chosen.final.problem.sessions, []
-    for active in final.effects:
-        effect = active.effect
-        if not chosen.is_named(effect.name):
-            continue
-        adds = final.contribution(effect.name)
-        resists = against_travel(sessions, adds)
-        where = locate(final, resists)
-        if isinstance(effect, ByPlace):
-            where = replace(where, low=where.least, high=where.most)  # limits by place only
-        regime = regime_of(base.refitted, final, base.at_base, where)
-        place, seen = effect.acts(active.values)
-        found.append(
-            NamedEffect(
-                effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,
-                bounds_of(effect.name, bounds), adds, resists, spans(sessions, adds), where,
-                place or where.text, regime, seen or where.size(final.problem.base.noun), chosen.graded[effect.name],
-            )
-        )  # fmt: skip
-    return [f for f in by_improvement(found) if isinstance(f, NamedEffect)]
-
-
-def _terms(chosen: Chosen, bounds: Bounds) -> list[UnnamedTerm]:
-    final, terms = chosen.final, []
-    for name in final.effect_names:
-        if not chosen.is_named(name):
-            adds, term = final.contribution(name), chosen.term(name)
-            course, within, instead = variable_of(term, final), bounds_of(name, bounds), chosen.instead_of(name)
-            graded, alike = chosen.graded[name], chosen.variables_like(name)
-            terms.append(UnnamedTerm(describe(term, final), adds, course, within, graded, instead, alike))
-    return [t for t in by_improvement(terms) if isinstance(t, UnnamedTerm)]
+def _in_final_fit(term: Term, base: Refitted, final: Fit, bounds: Bounds) -> Term:
+    """A term with its values in the final fit, and its place or its sentences."""
+    values, adds = active_of(final, term.name).values, final.contribution(term.name)
+    term = replace(term, values=values, intervals=bounds_of(term.name, bounds), adds=adds)
+    if not term.is_named:
+        return described(term, final)
+    sessions = final.problem.sessions
+    where = locate(final, against_travel(sessions, adds))
+    if term.is_by_place:
+        where = replace(where, low=where.least, high=where.most)  # limits by place only
+    place, seen = term.effect.acts(values)
+    return replace(
+        term,
+        spans=spans(sessions, adds),
+        location=where,
+        place=place or where.text,
+        seen=seen or where.size(final.problem.base.noun),
+        regime=regime_of(base.refitted, final, base.at_base, where),
+    )
 
 
 def bounds_of(name: str, bounds: Bounds) -> dict[str, Interval]:
@@ -264,15 +255,16 @@ def conclude(
 ) -> tuple[tuple[Advice, ...], FileChanges]:
     """Next drives, and the changes that may be written."""
     options.on_stage("next drives")
+    terms = chosen.explanation.terms.values()
     # The manoeuvres are for drivers.
     of_vehicle = prepared.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in prepared.sessions)
-    asked = [partial(advise, step, prepared.vehicle.known.max_speed) for step in chosen.steps.values() if of_vehicle]
+    asked = [partial(advise, term, prepared.vehicle.known.max_speed) for term in terms if of_vehicle]
     advice = [a for ask in asked for a in attempt("the best next drive", ask) or ()]
     keep_suspected, final = options.keep_suspected, chosen.final
     kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
-    believed = believed_in(judged.found, judged.described, judged.verdict, kinds, keep_suspected)
-    confirmed = [g.name for g in chosen.graded.values() if g.confirmed]
-    passing = [name for name in confirmed if chosen.term(name).chain is not None]
+    believed = believed_in(judged.terms, judged.verdict, kinds, keep_suspected)
+    confirmed = [t.name for t in terms if t.confirmed]
+    passing = [t.name for t in terms if t.confirmed and isinstance(t.pattern, Chain)]
     kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, passing)
     names = {name for kind in BELONGS_TO for name in kept.names_of(kind)}
     # Those by place too, and those that have faded since: a disturbance is what the file lacks.
@@ -280,10 +272,9 @@ def conclude(
     expected = base.use.recorded(kept.values, written)
     old = prepared.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
     shown = (kept.values or {}).get("torque_scale", old) / old
-    watched = [chosen.term(t.described.name) for t in judged.described if may_be_kept(t, judged.verdict, keep_suspected)]
-    tracked = judged.tracked
-    drifts = tracked is not None and (tracked.confirmed or (keep_suspected and tracked.grade != REFUTED))
-    spells = next((term for term in watched if term.chain is not None), None)
+    watched = [t for t in judged.terms if isinstance(t.pattern, Chain) and may_be_kept(t, judged.verdict, keep_suspected)]
+    drift, spells = judged.drift, next(iter(watched), None)
+    drifts = drift is not None and (drift.confirmed or (keep_suspected and drift.grade != REFUTED))
     disturbance: LearnedDisturbance | None = None
     if spells is not None:
         disturbance = spells_to_watch(spells, final, expected, shown)
@@ -292,29 +283,23 @@ def conclude(
     return tuple(advice), kept.with_disturbance(disturbance)
 
 
-def believed_in(
-    found: Sequence[NamedEffect], terms: Sequence[UnnamedTerm], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
-) -> list[str]:
+def believed_in(terms: Sequence[Term], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool) -> list[str]:
     """Names of the effects that may be written: accepted by the verdict, confirmed on hold-out laps, and with
     all alternatives of the same kind, by the `kinds` of the catalogue. An unnamed term must depend on inputs known at the time.
     With `keep_suspected`, all found effects except refuted ones.
     """
 
-    def settled(f: NamedEffect) -> bool:
-        own = kinds.get(f.name)
-        return {kinds.get(m, own) for m in f.step.members} <= {own}
+    def settled(t: Term) -> bool:
+        own = kinds.get(t.name)
+        return keep_suspected or {kinds.get(m, own) for m in t.members} <= {own}
 
-    ahead = [t for t in terms if t.described.predictable]
-    return [f.name for f in found if may_be_kept(f, verdict, keep_suspected) and (keep_suspected or settled(f))] + [
-        t.described.name for t in ahead if may_be_kept(t, verdict, keep_suspected)
-    ]
+    kept = [t for t in terms if may_be_kept(t, verdict, keep_suspected)]
+    return [t.name for t in kept if (settled(t) if t.is_named else t.predictable)]
 
 
-def may_be_kept(f: NamedEffect | UnnamedTerm, verdict: Verdict, keep_suspected: bool) -> bool:
+def may_be_kept(t: Term, verdict: Verdict, keep_suspected: bool) -> bool:
     """Whether the verdict accepts the term and hold-out laps confirm it, or suspected ones are kept."""
-    if keep_suspected:
-        return f.graded.grade != REFUTED
-    return verdict.names and f.graded.grade == CONFIRMED
+    return t.grade != REFUTED if keep_suspected else verdict.names and t.confirmed
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,11 +316,9 @@ class Diagnosis(Judgement):
         The re-fitted base, with values from `levels.with_levels`, and its residual by regime.
     final, shares
         The same with the effects found; and the probability of each name, and of no name.
-    alone, steps, unconfirmed
-        The search round from the base alone; one round per term from the other terms, and a last one from all of them; and the
-        best-fitting terms that cross-validation does not confirm.
-    routes
-        Terms by place, named or unnamed: a slope, a torque, or a torque in addition to a slope.
+    alone, last, unconfirmed
+        The search rounds from the base alone and from all terms; and the best-fitting terms that cross-validation does not
+        confirm.
     advice, kept
         Next drives, and changes that may be written.
     """
@@ -348,10 +331,9 @@ class Diagnosis(Judgement):
     at_base: RegimeMap
     final: Fit
     shares: Mapping[str, float]
-    alone: Step
-    steps: tuple[Step, ...]
-    unconfirmed: tuple[Graded, ...]
-    routes: tuple[Route, ...]
+    alone: Round
+    last: Round
+    unconfirmed: tuple[Term, ...]
     advice: tuple[Advice, ...]
     kept: FileChanges
 
@@ -379,6 +361,11 @@ class Diagnosis(Judgement):
     def noise(self) -> Noise:
         """Noise model that best whitens the residual of the last fit."""
         return self.tested_end.noise
+
+    @property
+    def in_order(self) -> list[Term]:
+        """The terms in the order of the final fit."""
+        return [next(t for t in self.terms if t.name == name) for name in self.modelled]
 
     @property
     def modelled(self) -> tuple[str, ...]:
@@ -429,9 +416,8 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
         final=chosen.final,
         shares=chosen.shares,
         alone=chosen.alone,
-        steps=(*chosen.steps.values(), chosen.last),
+        last=chosen.last,
         unconfirmed=chosen.unconfirmed,
-        routes=chosen.routes,
         advice=advice,
         kept=kept,
     )

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.empirical.routes import Route
-from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
+from trackres_ros.diagnosis.empirical.finders import variable_of
+from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
+from trackres_ros.diagnosis.empirical.term import Term
 from trackres_ros.diagnosis.findings.wording import range_of
 from trackres_ros.diagnosis.inference.fitting import Fit, for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
@@ -58,27 +58,22 @@ AGAINST = "torque against travel [Nm]"
 PERCENT = 100.0
 
 
-def draw_effect(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
-    """The residual without the effect, and the effect's torque, over its main variable."""
-    left_over = against_travel(d.sessions, torque_residuals(d.final))
-    variable = BY_NAME[found.location.variable]
-    course = [variable.of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
-    label, title = axis_label(variable.name, stages(d)[-1].label), f"{found.name}: {found.text}"
-    return _over(d, course, found.resists, left_over, label, found.name, title, path)
-
-
-def draw_term(d: Diagnosis, term: UnnamedTerm, path: Path) -> Picture:
-    """The same for an unnamed term: over its variable, or over time without one."""
-    of = term.described
+def draw_term(d: Diagnosis, term: Term, path: Path) -> Picture:
+    """The residual without a term, and the term's torque: over its variable, or over time without one."""
     left_over = against_travel(d.sessions, torque_residuals(d.final))
     adds = against_travel(d.sessions, term.adds)
-    if term.course:
-        label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
-        course = [np.where(np.abs(x) > OFF_NM, c, np.nan) for c, x in zip(term.course, adds, strict=True)]
-        return _over(d, course if of.gate else term.course, adds, left_over, label, of.name, of.sentence, path)
-    if of.stretches:
-        return _by_stretch(d, of, path)
-    return _over_time(d, adds, left_over, of, path)
+    if term.location is not None:
+        variable = BY_NAME[term.location.variable]
+        course = [variable.of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
+        label, title = axis_label(variable.name, stages(d)[-1].label), f"{term.name}: {term.effect.text}"
+        return _over(d, course, adds, left_over, label, term.name, title, path)
+    if course := variable_of(term, d.final):
+        label = f"{term.variable} [{term.unit}]" if term.unit else term.variable or term.gate
+        gated = [np.where(np.abs(x) > OFF_NM, c, np.nan) for c, x in zip(course, adds, strict=True)]
+        return _over(d, gated if term.gate else course, adds, left_over, label, term.name, term.sentence, path)
+    if isinstance(term.pattern, Payload):
+        return _by_stretch(d, term, term.pattern.stretches, path)
+    return _over_time(d, adds, left_over, term, path)
 
 
 def _label(axis: Any, along: str, across: str, title: str) -> None:
@@ -88,24 +83,24 @@ def _label(axis: Any, along: str, across: str, title: str) -> None:
     axis.set_title(textwrap.fill(title, TITLE_LETTERS))
 
 
-def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
+def _by_stretch(d: Diagnosis, term: Term, stretches: Sequence[Stretch], path: Path) -> Picture:
     """The mass of each stretch with its interval, all recordings in sequence."""
     ends = np.cumsum([s.time[-1] + s.step for s in d.sessions]).tolist()
     begin = dict(zip((s.name for s in d.sessions), [0.0, *ends[:-1]], strict=True))  # [s]
-    edges = np.array([[begin[s.recording] + s.begin_s, begin[s.recording] + s.end_s] for s in of.stretches])
-    mass, std = np.array([s.mass for s in of.stretches]), np.array([s.std for s in of.stretches])
+    edges = np.array([[begin[s.recording] + s.begin_s, begin[s.recording] + s.end_s] for s in stretches])
+    mass, std = np.array([s.mass for s in stretches]), np.array([s.std for s in stretches])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
         middle, half = edges.mean(axis=1) / 60.0, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0
         label = "mass between two stops, with its 95 % interval"
         axis.errorbar(middle, mass, NORMAL_95 * std, half, fmt="none", color=VERMILION, linewidth=1.2, label=label)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, "time over consecutive recordings [min]", "mass minus the model's [kg]", of.sentence)
+        _label(axis, "time over consecutive recordings [min]", "mass minus the model's [kg]", term.sentence)
     text = "Mass of each fitted stretch between stops, minus the model's. Acceleration, rolling and climbing determine it."
-    return Picture(path, f"The term: {of.name}", text)
+    return Picture(path, f"The term: {term.name}", text)
 
 
-def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Described, path: Path) -> Picture:
+def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], term: Term, path: Path) -> Picture:
     """The recording with the largest torque of the term."""
     i = int(np.argmax([float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]))
     session = d.sessions[i]
@@ -113,14 +108,14 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], of: Desc
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
         axis.plot(session.time, left, color=BLUE, label=f"residual without the term, means over {lasting(d, SMOOTHED_S)}")
-        axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{of.name} as found")
+        axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{term.name} as found")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, f"time in {shortened(shown_names(d.sessions)[i], TITLE_LETTERS - 40)} [s]", AGAINST, of.sentence)
+        _label(axis, f"time in {shortened(shown_names(d.sessions)[i], TITLE_LETTERS - 40)} [s]", AGAINST, term.sentence)
     text = (
         "Residual without the term, and the term, over the recording in which it acts most; on hold-out laps the "
         "term is predicted from the torque up to a few seconds before."
     )
-    return Picture(path, f"The term: {of.name}", text)
+    return Picture(path, f"The term: {term.name}", text)
 
 
 def _over(
@@ -155,9 +150,9 @@ def _over(
     return Picture(path, f"The term: {name}", text)
 
 
-def draw_route(route: Route, final: Fit, path: Path) -> Picture:
+def draw_route(term: Term, final: Fit, path: Path) -> Picture:
     """Draw a slope or a torque by place, as learned on the fitted laps."""
-    learned = route.learned(final)
+    learned = term.learned(final)
     slope = learned.kind == SLOPE
     factor, unit = (PERCENT, "slope [%]") if slope else (1.0, "torque [Nm]")
     way = 0.001 * SPACING_M * np.arange(len(learned.passes))
@@ -210,13 +205,13 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
         draw_times(d, folder / "where_time.svg"),
         draw_regimes(d, folder / "where_regime.svg"),
     ]
-    found += [draw_effect(d, f, folder / f"effect_{f.name}.svg") for f in d.found]
-    by_place = [route.candidate.name for route in d.routes]
-    found += [draw_term(d, t, folder / f"term_{t.described.name}.svg") for t in d.described if t.described.name not in by_place]
-    found += [draw_route(route, d.final, folder / name) for name, route in zip(ROUTE_PICTURES, d.routes, strict=False)]
+    found += [draw_term(d, t, folder / f"effect_{t.name}.svg") for t in d.found]
+    found += [draw_term(d, t, folder / f"term_{t.name}.svg") for t in d.described if not t.is_by_place]
+    by_place = [t for t in d.in_order if t.is_by_place]
+    found += [draw_route(term, d.final, folder / name) for name, term in zip(ROUTE_PICTURES, by_place, strict=False)]
     found.append(_laps(d, folder / "held_out.svg"))
     found.append(_noise(d, folder / "noise.svg"))
-    if len(d.steps[-1].separability.of_names.names) > 1:
+    if len(d.last.separability.of_names.names) > 1:
         found.append(_matrix(d, folder / "separability.svg"))
     return found
 
@@ -266,7 +261,7 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
                 line = thinned(session.time / unit, of[i], MOST_POINTS)
                 axis.plot(*line, color=stage.colour, label=stage.label, linewidth=0.7 if stage.key == "nominal" else 1.1)
             for found in d.found[:1]:
-                for span in found.where:
+                for span in found.spans:
                     if span.recording == session.name:
                         ends = span.begin / unit, span.end / unit
                         axis.axvspan(*ends, ymax=0.05, color=ORANGE, linewidth=0, label=f"{found.name} acts most")
@@ -373,7 +368,7 @@ def _uncertainty_of_laps(d: Diagnosis, expected: Sequence[Array]) -> list[float]
 
 
 def _matrix(d: Diagnosis, path: Path) -> Picture:
-    s = d.steps[-1].separability.of_names
+    s = d.last.separability.of_names
     n = len(s.names)
     with picture(path, WIDTH, max(0.17 * n + 1.8, 2.6)) as figure:
         axis = figure.subplots()

@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.findings.found import NamedEffect, by_improvement
+from trackres_ros.diagnosis.empirical.term import Term
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
 from trackres_ros.diagnosis.inference.fitting import Fit, for_tests, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, shown_names
 from trackres_ros.diagnosis.selection.as_used import NORMAL_95
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.diagnosis.selection.locate import Bin, against_travel, regime_map, smoothed, within
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
@@ -152,10 +151,10 @@ def bins_of_steps(d: Diagnosis) -> list[dict[str, str]]:
     return found
 
 
-def acts_most(effect: NamedEffect, session: DriveSession) -> Mask:
+def acts_most(effect: Term, session: DriveSession) -> Mask:
     """The steps of a session where an effect acts most."""
     inside = np.zeros(len(session), bool)
-    for span in effect.where:
+    for span in effect.spans:
         if span.recording == session.name:
             inside |= (session.time >= span.begin) & (session.time < span.end)
     return inside
@@ -257,7 +256,7 @@ def _line(d: Diagnosis, text: str, colour: str, expected: Sequence[Array]) -> Li
 
 def terms(d: Diagnosis) -> list[Line]:
     """Part of the re-fitted base's residual due to each term of the last fit. Their sum is the difference of the fits."""
-    of = [t for t in by_improvement([*d.found, *d.described]) if t.adds]
+    of = [t for t in d.terms if len(t.adds)]
     if not of:
         return []
     total = [after.torque - before.torque for after, before in zip(d.final.predicted, d.refitted.predicted, strict=True)]
@@ -267,7 +266,7 @@ def terms(d: Diagnosis) -> list[Line]:
     lines = []
     for i, t in enumerate(of):
         share = float(sizes[i] / max(sizes.sum(), 1e-300))
-        sure = t.graded.grade == CONFIRMED
+        sure = t.confirmed
         name = f"{short(t).replace('_', ' ')}{'' if sure else ' (suspected)'}"
         averaged = [smoothed(s, x + share * r, AVERAGED_S) for s, x, r in zip(d.sessions, shown[i], rest, strict=True)]
         lines.append(Line(name, COLOURS[i % len(COLOURS)], sure, True, averaged))
@@ -300,13 +299,13 @@ def held_out_times(d: Diagnosis) -> Iterator[tuple[float, float]]:
 
 def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
     """Times of the difference in the verdict's sentence: words, and begin and end of each [unit of `clock`]; or none."""
-    lead = next(iter(by_improvement([*d.found, *d.described])), None)
+    lead = next(iter(d.terms), None)
     left = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
     if d.verdict.status == "unexplained" and left:
         b = largest_of(left)
         inside = [within(b.variable, b.low, b.high, s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
         return range_of(b), list(_times(d, inside))
-    if isinstance(lead, NamedEffect) and (d.verdict.names or d.verdict.seen == differs(lead)):
+    if lead is not None and lead.location is not None and (d.verdict.names or d.verdict.seen == differs(lead)):
         of, final = lead.location, d.final.predicted
         if of.text:
             inside = [within(of.variable, of.low, of.high, s, p) for s, p in zip(d.sessions, final, strict=True)]

@@ -21,14 +21,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.empirical.finders import Term, find_terms
+from trackres_ros.diagnosis.empirical.finders import find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
+from trackres_ros.diagnosis.empirical.term import Route, Term, compared, share
 from trackres_ros.diagnosis.inference.fitting import Fit, bounded, first_look, fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
-from trackres_ros.diagnosis.search.proposals import Proposals, Proposer
-from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared, same_variable, share
+from trackres_ros.diagnosis.search.proposals import Proposals, Proposer, same_variable
 from trackres_ros.diagnosis.selection.level_errors import PRIOR, RIDGE
 from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns, is_name
 from trackres_ros.effects.effect import Effect
@@ -167,23 +167,28 @@ class Explanation:
     fit: Fit
     score: Score
     worth: float = 0.0  # level score over the base alone, less the logarithm of the number of proposals for each one of them
-    candidates: Mapping[str, Candidate] = field(default_factory=dict)  # each term, as added
-    terms: Mapping[str, Term] = field(default_factory=dict)  # properties outside the fit of terms by clock or place
+    terms: Mapping[str, Term] = field(default_factory=dict)  # as added, by name
     settled: bool = False  # whether fit and noise were alternated until they settled
 
     @property
     def key(self) -> Key:
         """Names of its terms."""
-        return frozenset(self.candidates)
+        return frozenset(self.terms)
 
     @property
     def without_a_name(self) -> int:
         """Number of its unnamed terms; one of the clock counts twice, as a recorded channel goes before the clock."""
-        return sum(c.kind for c in self.candidates.values())
+        return sum(term.kind for term in self.terms.values())
 
-    def goes_by_place(self, name: str) -> bool:
-        """Whether one of its terms was learned for each place of a route."""
-        return name in self.terms and self.terms[name].route is not None
+    @property
+    def searched(self) -> Key:
+        """Names of its terms by clock or place that were searched in the residual, not proposed."""
+        return frozenset(name for name, term in self.terms.items() if term.pattern is not None)
+
+    @property
+    def by_place(self) -> Term | None:
+        """Its term that was learned for each place of a route."""
+        return next((term for term in self.terms.values() if isinstance(term.pattern, Route)), None)
 
 
 class Search:
@@ -212,7 +217,7 @@ class Search:
         self._combine(self.expand(self.nothing))
         for explanation in {e.key: e for e in (self._best_known(), self.nothing)}.values():
             self._follow_clock(explanation)
-        if self._best_known().terms:  # a slope by place and spells may pass only together
+        if self._best_known().searched:  # a slope by place and spells may pass only together
             self._follow_clock(self._best_known())
         for explanation in self._best_unexpanded(1):
             self._swap(self.polished(explanation))
@@ -257,13 +262,13 @@ class Search:
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
             found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
             seen = {p.effect.name: p.sensitivity for p in chosen}
-            candidates = {name: compared(base, found, name, 0.0, s.kept, s.d_prime) for name, s in seen.items()}
-            self._keep(self._explained(found, self.validation.score(found, columns), candidates, {}))
+            added = {name: compared(base, found, s.effect, 0.0, s.kept, s.d_prime) for name, s in seen.items()}
+            self._keep(self._explained(found, self.validation.score(found, columns), added))
 
     def _swap(self, explanation: Explanation) -> None:
         """Expand an explanation, and look at what it is without each of its terms."""
         self.expand(explanation)
-        for name in explanation.candidates if len(explanation.key) > 1 else ():
+        for name in explanation.terms if len(explanation.key) > 1 else ():
             self.without(explanation, name)
 
     def polished(self, explanation: Explanation) -> Explanation:
@@ -272,14 +277,15 @@ class Search:
         if known.settled:
             return known
         found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {})
-        candidates = {name: replace(c, share=share(found, name)) for name, c in known.candidates.items()}
-        explained = self._explained(found, self.validation.score(found), candidates, known.terms)
+        terms = {name: replace(term, share=share(found, name)) for name, term in known.terms.items()}
+        explained = self._explained(found, self.validation.score(found), terms)
         self.known[known.key] = replace(explained, settled=True)
         return self.known[known.key]
 
-    def _explained(self, found: Fit, score: Score, candidates: Mapping[str, Candidate], terms: Mapping[str, Term]) -> Explanation:
-        worth = self.validation.gain(self.nothing.score, score) - self.cost * len(candidates.keys() - terms.keys())
-        return Explanation(found, score, worth, candidates, terms)
+    def _explained(self, found: Fit, score: Score, terms: Mapping[str, Term]) -> Explanation:
+        explained = Explanation(found, score, terms=terms)
+        worth = self.validation.gain(self.nothing.score, score) - self.cost * len(explained.key - explained.searched)
+        return replace(explained, worth=worth)
 
     def expand(self, explanation: Explanation) -> Proposals:
         """Add each proposal for the remaining residual, one at a time."""
@@ -292,7 +298,7 @@ class Search:
         return found
 
     def _add_best(self, explanation: Explanation, found: Proposals) -> None:
-        current, by_place = explanation.fit, any(map(explanation.goes_by_place, explanation.key))
+        current, by_place = explanation.fit, explanation.by_place is not None
         best = [p for p in found.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
         own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
         for proposal in counted(best, "fits of candidate effects", len(best)):
@@ -300,8 +306,7 @@ class Search:
             known = own | proposal.derivatives
             start = {(effect.name, q): value for q, value in proposal.start.items()}
             fitted, columns = first_look(current, [*effects, effect], known, start, SHORT_ROOT)
-            candidate = compared(current, fitted, effect.name, 0.0, s.kept, s.d_prime)
-            self._add(explanation, candidate, None, columns)
+            self._add(explanation, compared(current, fitted, effect, 0.0, s.kept, s.d_prime), columns)
 
     @property
     def cost(self) -> float:
@@ -315,29 +320,23 @@ class Search:
         current = explanation.fit
         effects = [a.effect for a in current.effects]
         tested = fit(current.problem, effects, current.at)  # with the noise that best whitens: a drift is no spell
-        routes = {name: term.route for name, term in explanation.terms.items() if term.route is not None}
-        for term in find_terms(tested, self._roads, self._kinds, routes, waves=not explanation.key):
-            effect = term.candidate.effect
-            fitted = self._fitted(current, [*effects, effect], term.candidate.fit.at)
-            self._add(explanation, replace(term.candidate, fit=fitted), term)
+        for term in find_terms(tested, self._roads, self._kinds, explanation.by_place, waves=not explanation.key):
+            fitted = self._fitted(current, [*effects, term.effect], term.fit.at)
+            self._add(explanation, replace(term, fit=fitted))
 
     def _fitted(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
         """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
         return fit(self.nothing.fit.problem, effects, {**current.at, **start}, current.noises, largest_root=SHORT_ROOT)
 
-    def _add(self, explanation: Explanation, candidate: Candidate, term: Term | None, columns: Array | None = None) -> None:
-        score = self.validation.score(candidate.fit, columns)
-        candidate = replace(candidate, level=self.validation.gain(explanation.score, score))
-        terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
-        added = {**explanation.candidates, candidate.name: candidate}
-        self._keep(self._explained(candidate.fit, score, added, terms))
+    def _add(self, explanation: Explanation, term: Term, columns: Array | None = None) -> None:
+        score = self.validation.score(term.fit, columns)
+        term = replace(term, level=self.validation.gain(explanation.score, score))
+        self._keep(self._explained(term.fit, score, {**explanation.terms, term.name: term}))
 
     def _keep(self, explanation: Explanation) -> None:
         """Keep the better one of two ways to the same set. A slope by place has the name of a constant one."""
         same = self.known.get(explanation.key)
-        if same is None or (
-            explanation.worth > same.worth and not (same.settled and same.terms.keys() == explanation.terms.keys())
-        ):
+        if same is None or (explanation.worth > same.worth and not (same.settled and same.searched == explanation.searched)):
             self.known[explanation.key] = explanation
             self.rounds.pop(explanation.key, None)
 
@@ -348,9 +347,8 @@ class Search:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
             known = _by_parameter(explanation.fit, base_columns(explanation.fit))
             found, columns = first_look(explanation.fit, effects, known, {}, SHORT_ROOT)
-            kept = {n: c for n, c in explanation.candidates.items() if n != name}
-            terms = {n: t for n, t in explanation.terms.items() if n != name}
-            self.known[key] = self._explained(found, self.validation.score(found, columns), kept, terms)
+            kept = {other: term for other, term in explanation.terms.items() if other != name}
+            self.known[key] = self._explained(found, self.validation.score(found, columns), kept)
         return self.known[key]
 
     def _best_known(self) -> Explanation:
@@ -369,4 +367,4 @@ def _by_parameter(found: Fit, columns: Array) -> dict[tuple[str, str], Array]:
 
 def names_of(explanation: Explanation) -> list[str]:
     """Its terms of the catalogue."""
-    return [name for name, c in explanation.candidates.items() if c.kind == NAME]
+    return [name for name, term in explanation.terms.items() if term.is_name]

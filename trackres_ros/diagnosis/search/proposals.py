@@ -18,7 +18,6 @@ import numpy as np
 from trackres_ros.diagnosis.empirical.forms import candidates, followed, found_by_clock, found_by_scan, series
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.diagnosis.selection.candidate import same_variable
 from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels
 from trackres_ros.diagnosis.selection.visibility import (
     EffectColumns,
@@ -112,6 +111,13 @@ class Proposer:
             self._columns.give(effect, rows[:, np.newaxis])
             found[f"scanned {form.name}"] = effect
         return found
+
+
+def same_variable(one: Effect, other: Effect) -> bool:
+    """Whether both are forms over the same variable: then one of them describes it, and not a sum of both."""
+    if not (isinstance(one, EmpiricalEffect) and isinstance(other, EmpiricalEffect) and one.is_function and other.is_function):
+        return False
+    return one.variable == other.variable
 
 
 def _stronger(one: Proposal, other: Proposal) -> Proposal:

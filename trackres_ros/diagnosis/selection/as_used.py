@@ -24,20 +24,46 @@ from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, fit, free_parameters, with_levels
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
-from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
-from trackres_ros.diagnosis.selection.grade import ON_BOUND, at_implausible_bounds
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
-from trackres_ros.diagnosis.selection.visibility import base_columns
+from trackres_ros.diagnosis.selection.visibility import FORM_ERROR, base_columns
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.progress import counted
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
+ON_BOUND = 1e-3  # of the span between the bounds
+MOVED = 1.5  # standard deviations of the file's own range
+FAR = 5.0  # such standard deviations
 DROP = 0.5 * float(chdtri(1, 0.05))  # half of the 95 % quantile of chi-squared
 NORMAL_95 = 1.96
 MOST_TRIES = 8
 GROWTH = 2.0
+
+
+def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
+    """Base parameters on a bound, more than `MOVED` standard deviations from the vehicle file's value."""
+    return tuple(
+        q.name for q, value in moved_parameters(found) if min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low)
+    )
+
+
+def moved_parameters(found: Fit) -> list[tuple[BaseParameter, float]]:
+    """Base parameters that moved by more than `MOVED` standard deviations of their range, furthest first."""
+    moved = [(q, found.base_values[q.name]) for q in found.problem.base.parameters if np.isfinite(q.std)]
+    far = [(q, value) for q, value in moved if abs(value - q.nominal) > MOVED * q.std]
+    return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
+
+
+def far_from_file(found: Fit) -> list[tuple[BaseParameter, float]]:
+    """Several base parameters `FAR` outside their range, or as far as is plausible: they compensate another error of the file."""
+    furthest = at_implausible_bounds(found)
+    far = [
+        (q, value)
+        for q, value in moved_parameters(found)
+        if abs(value - q.nominal) > FAR * q.std or (q.name in furthest and q.outside(value))
+    ]
+    return far if len(far) > 1 else []
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:

@@ -349,6 +349,13 @@ class Location:
         return f"from {low} to {high} {self.unit} of {self.variable}"
 
     @property
+    def tightest_m(self) -> float | None:
+        """Radius of the widest curve in which an effect acts that needs a curvature, as its text has it [m]; else None."""
+        above = self.low > self.least and self.high >= self.most and not self.both_ways
+        edge = float(on_scale(self.low, self.most - self.least)) if above and self.variable == "curvature" else 0.0
+        return 1.0 / edge if edge > 0.0 else None
+
+    @property
     def both_ways(self) -> bool:
         """Whether the effect increases the torque in one part of the range and reduces it in another."""
         return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)

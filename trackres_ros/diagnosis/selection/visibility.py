@@ -21,6 +21,7 @@ from trackres_ros.progress import counted
 
 LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
 ALIKE_COSINE = 0.95
+FORM_ERROR = 0.1  # of an effect's torque: standard deviation of its function's error
 SLOPES = ("grade", "grade_profile")  # effects that a measured slope replaces
 
 
