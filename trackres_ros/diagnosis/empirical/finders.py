@@ -23,6 +23,18 @@ from trackres_ros.diagnosis.empirical.forms import series
 from trackres_ros.diagnosis.empirical.payload import PAYLOAD, Payload, find_payload
 from trackres_ros.diagnosis.empirical.places import Place, Wave, find_place, find_wave, followed, part_of
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, find_route
+from trackres_ros.diagnosis.empirical.sentences import (
+    of_clock,
+    of_drift,
+    of_learned,
+    of_payload,
+    of_place,
+    of_recordings,
+    of_route,
+    of_spells,
+    of_wave,
+    possible_in,
+)
 from trackres_ros.diagnosis.empirical.spells import (
     Blocks,
     Chain,
@@ -36,24 +48,7 @@ from trackres_ros.diagnosis.empirical.spells import (
     path_cost,
     spell_probability,
 )
-from trackres_ros.diagnosis.empirical.term import (
-    Route,
-    Term,
-    active_of,
-    compared,
-    of_clock,
-    of_drift,
-    of_learned,
-    of_payload,
-    of_place,
-    of_recordings,
-    of_route,
-    of_spells,
-    of_wave,
-    possible_in,
-    rms,
-    spurious_gain,
-)
+from trackres_ros.diagnosis.empirical.term import Route, Term, active_of, compared, rms, spurious_gain
 from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask

@@ -251,18 +251,22 @@ class Choice:
 
         return max(unbeaten or confirmed, key=rank, default=self._search.nothing)
 
-    def _beats(self, one: Explanation, other: Explanation) -> bool:
-        """Whether one explanation predicts significantly better than another.
+    def _beats(self, rival: Explanation, explanation: Explanation) -> bool:
+        """Whether a rival predicts significantly better than an explanation.
 
         A further form, or one in place of a name, needs a larger margin, because a function is accurate to about 10 %: the
         mean square error must fall by more than the square of a tenth of the others' torque. A map learned by place has no form.
         """
-        more_forms = one.without_a_name > other.without_a_name
-        if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
+        more_forms = rival.without_a_name > explanation.without_a_name
+        if self._validation.least_gain(explanation.score, rival.score) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
-        torques = [self._beyond_base(other.fit.contribution(name)) for name, term in other.terms.items() if not term.is_by_place]
+        torques = [
+            self._beyond_base(explanation.fit.contribution(name))
+            for name, term in explanation.terms.items()
+            if not term.is_by_place
+        ]
         by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2
-        return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
+        return not more_forms or float((explanation.score.square - rival.score.square).sum()) > by_form
 
     def _round(self, explanation: Explanation) -> Round:
         """The round from an explanation, with the fitted candidates and their grades, where laps left out have judged them."""
@@ -313,9 +317,9 @@ class Choice:
         return dict(sorted(found.items(), key=lambda pair: -pair[1]))
 
 
-def _competes(one: Explanation, chosen: Explanation) -> bool:
-    """Whether the share of a confirmed explanation shows a doubt about the chosen one: not with more forms, which bend."""
-    return one.without_a_name <= chosen.without_a_name
+def _competes(rival: Explanation, chosen: Explanation) -> bool:
+    """Whether a confirmed rival casts doubt on the chosen explanation: not with more forms, which bend."""
+    return rival.without_a_name <= chosen.without_a_name
 
 
 def _class_of(name: str, shares: Mapping[str, float], alike: Collection[str]) -> list[str]:

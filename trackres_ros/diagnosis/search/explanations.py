@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,7 @@ from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
 from trackres_ros.diagnosis.search.proposals import Proposals, Proposer, same_variable
 from trackres_ros.diagnosis.selection.level_errors import PRIOR, RIDGE
-from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns, is_name
+from trackres_ros.diagnosis.selection.visibility import Proposal, amplitude_bounds, amplitude_spans, base_columns, is_name
 from trackres_ros.effects.effect import Effect
 from trackres_ros.progress import counted
 
@@ -38,16 +37,6 @@ Names = tuple[str, ...]
 
 EXPANDED_SETS = 8  # best sets of each size that get a further term
 FEWEST_RECORDINGS = 3  # to leave whole ones out
-
-
-class Columns(NamedTuple):
-    """Derivatives by a term's amplitudes, shape (n, amplitudes), their typical sizes, and bounds in units of these."""
-
-    effect: Effect
-    derivatives: Array
-    sizes: Array
-    low: Array
-    high: Array
 
 
 class LinearSets:
@@ -58,13 +47,13 @@ class LinearSets:
     fit, own
         The fit without the terms, and the derivatives of its own parameters, shape (n, parameters).
     terms
-        Columns of each term.
+        The proposal of each term.
     lap, recording
         Number of the fold and of the recording of each row, shape (n,); a row of fold -1 is never left out.
     """
 
     def __init__(
-        self, fit: Fit, own: Array, terms: Mapping[str, Columns], lap: NDArray[np.int64], recording: NDArray[np.int64]
+        self, fit: Fit, own: Array, terms: Mapping[str, Proposal], lap: NDArray[np.int64], recording: NDArray[np.int64]
     ) -> None:
         scale, std, nominal, low, high = (
             np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal", "low", "high")
@@ -73,15 +62,14 @@ class LinearSets:
         self._own, count = len(scale), len(scale)
         self._at: dict[str, NDArray[np.int64]] = {}
         for name, term in terms.items():
-            self._at[name] = np.arange(count, count + len(term.low))
-            count += len(term.low)
+            self._at[name] = np.arange(count, count + term.columns.shape[1])
+            count += term.columns.shape[1]
         used = np.isfinite(weights := fit.weights)
         root = np.sqrt(weights[used])
         x, y = np.empty((len(root), count)), valid_rows(fit.white) * root
         # Term by term: together they would be the largest arrays of a diagnosis.
-        for at, derivatives, sizes in [
-            (np.arange(self._own), own, scale), *((self._at[name], t.derivatives, t.sizes) for name, t in terms.items()),
-        ]:  # fmt: skip
+        of_terms = ((self._at[name], term.columns, amplitude_spans(term.effect)) for name, term in terms.items())
+        for at, derivatives, sizes in [(np.arange(self._own), own, scale), *of_terms]:
             white = fit.problem.white(fit.problem.split(derivatives * sizes), fit.noises)
             x[:, at] = valid_rows(white) * root[:, np.newaxis]
         prior = np.full(count, PRIOR)
@@ -89,8 +77,8 @@ class LinearSets:
         self._prior = np.diag(prior**2 + RIDGE * len(y))
         self._pull = np.zeros(count)
         self._pull[: self._own] = scale / std * np.nan_to_num((nominal - fit.point) / std)
-        self._low = np.concatenate([(low - fit.point) / scale, *(t.low for t in terms.values())])
-        self._high = np.concatenate([(high - fit.point) / scale, *(t.high for t in terms.values())])
+        bounds = [((low - fit.point) / scale, (high - fit.point) / scale), *(amplitude_bounds(e) for e in self._effects.values())]
+        self._low, self._high = (np.concatenate(sides) for sides in zip(*bounds, strict=True))
         pairs, group = np.unique(np.stack([lap[used], recording[used]]), axis=1, return_inverse=True)
         order = np.argsort(group.ravel(), kind="stable")
         parts = np.split(order, np.cumsum(np.bincount(group.ravel()))[:-1])
@@ -244,12 +232,9 @@ class Search:
     def _add_sets(self, proposals: Proposals) -> None:
         """Fit the sets of proposals that predict laps and recordings left out best to first order."""
         base = self.nothing.fit
-        terms, sensed = {}, {a.effect.name for a in base.instrument}  # an error of the sensors is free in the base already
-        for name, p in proposals.every.items():
-            if name in sensed or name in self._left_out:
-                continue
-            low, high = amplitude_bounds(p.effect)
-            terms[name] = Columns(p.effect, p.sensitivity.columns, amplitude_spans(p.effect), low, high)
+        # An error of the sensors is free in the base already.
+        excluded = self._left_out | {a.effect.name for a in base.instrument}
+        terms = {name: p for name, p in proposals.every.items() if name not in excluded}
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
         own = _by_parameter(base, proposals.own)
         catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
@@ -261,8 +246,7 @@ class Search:
                 known |= p.derivatives
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
             found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
-            seen = {p.effect.name: p.sensitivity for p in chosen}
-            added = {name: compared(base, found, s.effect, 0.0, s.kept, s.d_prime) for name, s in seen.items()}
+            added = {p.effect.name: compared(base, found, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
             self._keep(self._explained(found, self.validation.score(found, columns), added))
 
     def _swap(self, explanation: Explanation) -> None:
@@ -301,12 +285,10 @@ class Search:
         current, by_place = explanation.fit, explanation.by_place is not None
         best = [p for p in found.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
         own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
-        for proposal in counted(best, "fits of candidate effects", len(best)):
-            s, effect = proposal.sensitivity, proposal.effect
-            known = own | proposal.derivatives
-            start = {(effect.name, q): value for q, value in proposal.start.items()}
-            fitted, columns = first_look(current, [*effects, effect], known, start, SHORT_ROOT)
-            self._add(explanation, compared(current, fitted, effect, 0.0, s.kept, s.d_prime), columns)
+        for p in counted(best, "fits of candidate effects", len(best)):
+            start = {(p.effect.name, q): value for q, value in p.start.items()}
+            fitted, columns = first_look(current, [*effects, p.effect], own | p.derivatives, start, SHORT_ROOT)
+            self._add(explanation, compared(current, fitted, p.effect, 0.0, p.kept, p.d_prime), columns)
 
     @property
     def cost(self) -> float:

@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels
 from trackres_ros.diagnosis.selection.visibility import (
     EffectColumns,
-    EffectSensitivity,
+    Proposal,
     Separability,
     amplitude_bounds,
     amplitude_spans,
@@ -37,23 +37,6 @@ TIED = ("torque_gain", "speed_scale", "rotating_inertia", "drivetrain_efficiency
 """Names that most drives hardly separate: where one is proposed, the others are, too."""
 LEAST_BEGUN = 0.05  # of the typical size: at zero, the shape of a term has no influence
 BEGUN_WITHIN = 20.0  # typical sizes
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """An effect to fit, with its initial values."""
-
-    effect: Effect
-    start: Mapping[str, float]
-    sensitivity: EffectSensitivity  # about the start of these
-    level: float  # gain by the level of the torque, in log-likelihood of block means left out
-    fast: float  # gain by the whitened residual
-
-    @property
-    def derivatives(self) -> dict[tuple[str, str], Array]:
-        """Derivatives of the predictions by the amplitudes, each of shape (n,)."""
-        amplitudes = [(self.effect.name, q.name) for q in self.effect.parameters if q.off is not None]
-        return dict(zip(amplitudes, self.sensitivity.columns.T, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,16 +109,16 @@ def _stronger(one: Proposal, other: Proposal) -> Proposal:
     return replace(better, level=max(one.level, other.level), fast=max(one.fast, other.fast))
 
 
-def _proposal(s: EffectSensitivity, levels: Levels) -> Proposal:
+def _proposal(s: Proposal, levels: Levels) -> Proposal:
     """Gains of an effect from one start, and initial values by the list that favours it."""
     spans, (low, high) = amplitude_spans(s.effect), amplitude_bounds(s.effect)
     candidate = Amplitudes(levels.means(s.columns) * spans, low, high)
     level = levels.gain(candidate)
     moved = levels.start(candidate) if level >= s.fast else s.moved
-    return Proposal(s.effect, _begin(s, moved), s, level, s.fast)
+    return replace(s, start=_begin(s, moved), level=level)
 
 
-def _begin(s: EffectSensitivity, moved: Array) -> dict[str, float]:
+def _begin(s: Proposal, moved: Array) -> dict[str, float]:
     """Initial values: the first-order optimum, but not zero, where the shape has no influence."""
     values = dict(s.start)
     amplitudes = [q for q in s.effect.parameters if q.off is not None]
