@@ -368,7 +368,7 @@ def test_sentence_and_table_have_the_same_figures(diagnosed):
 def test_sentence_and_tile_have_the_same_range(low, width):
     b = Bin("distance", low, low + width, 93.0, "m", 50, 0.001)
     d = of("unexplained", "suspected", at_end=RegimeMap((b,), 0.001, 50))
-    assert tiles(d, {})[0].answer == upper(range_of(b))
+    assert tiles(d, {})[0].answer == f"At {range_of(b)}"
 
 
 def test_white_noise_is_white_and_a_wandering_one_is_not():

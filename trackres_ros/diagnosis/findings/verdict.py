@@ -174,7 +174,7 @@ class Findings:
     def rest(self) -> list[str]:
         """Sentences about the residual that the confirmed terms leave."""
         return [
-            f"A small error remains {range_of(self.left[0])}" if self.left else "",
+            f"A small error remains at {range_of(self.left[0])}" if self.left else "",
             *(slow(self.left_over) if self.has_slow_residual else []),
         ]
 

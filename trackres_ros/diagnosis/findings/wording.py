@@ -293,7 +293,7 @@ def likelier(term: Term, rival: Term) -> str:
 
 def range_of(b: Bin) -> str:
     """The range of a bin."""
-    return f"at {b.variable} {from_to(b.low, b.high)} {b.unit}"
+    return f"{b.variable} {from_to(b.low, b.high)} {b.unit}"
 
 
 def largest_of(left: Sequence[Bin]) -> Bin:
@@ -305,7 +305,7 @@ def unexplained(left: Sequence[Bin], noun: str) -> str:
     """Location and size of the largest difference between measured torque and model."""
     first = largest_of(left)
     way = "more" if first.mean_residual > 0 else "less"
-    return f"{upper(range_of(first))} the {noun} needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
+    return f"At {range_of(first)} the {noun} needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
 
 
 def slow(s: SlowResidual) -> list[str]:

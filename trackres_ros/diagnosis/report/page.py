@@ -22,19 +22,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from trackres_ros.diagnosis.empirical.term import FOLLOWED, Term
+from trackres_ros.diagnosis.empirical.term import FOLLOWED, Term, by_improvement
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
-from trackres_ros.diagnosis.findings.wording import either, form_words, is_small, upper
+from trackres_ros.diagnosis.findings.wording import either, form_words, is_small, largest_of, range_of, upper
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.report.series import MOST_RECORDINGS, Picture
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
-from trackres_ros.diagnosis.selection.locate import Bin
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.files.file_sets import present
 from trackres_ros.files.own_files import write
 from trackres_ros.text.names import told_apart
-from trackres_ros.text.numbers import alike, decimals, figures, from_to
+from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
 from trackres_ros.vehicle.writing.sensor_lines import replaced
 from trackres_ros.version import __version__
@@ -121,11 +120,6 @@ def stage_of(d: Diagnosis) -> str:
     return "with_effects" if d.terms else "refitted"
 
 
-def _range(b: Bin) -> str:
-    """The range of a bin in words."""
-    return f"{b.variable} {from_to(b.low, b.high)} {b.unit}"
-
-
 def lights(d: Diagnosis) -> Iterator[tuple[str, str]]:
     """Keys and words of highlightable items: effects where they act most, and significant bins."""
     for t in d.found:
@@ -138,17 +132,17 @@ def lights(d: Diagnosis) -> Iterator[tuple[str, str]]:
             bins.append((b, f"{b.variable}:{numbers[b.variable]}"))
         numbers[b.variable] += 1
     for b, key in sorted(bins, key=lambda pair: (pair[0].p, -abs(pair[0].mean_residual)))[:MOST_LIGHTS]:
-        yield key, f"{_range(b)}: {decimals(b.mean_residual, signed=True)} Nm"
+        yield key, f"{range_of(b)}: {decimals(b.mean_residual, signed=True)} Nm"
+
+
+def _told(d: Diagnosis) -> list[Term]:
+    """All terms and a drift: confirmed ones first, then those that reduce the hold-out error most."""
+    return by_improvement([*d.terms, *([] if d.drift is None else [d.drift])])
 
 
 def leading(d: Diagnosis) -> Term | None:
     """The confirmed term, named or not, that reduces the hold-out error most; without one, an unconfirmed term."""
-    return max(_told(d), key=lambda t: (t.confirmed, _gained(t)), default=None)
-
-
-def _told(d: Diagnosis) -> tuple[Term, ...]:
-    """All terms, named ones first, and a drift."""
-    return (*d.found, *d.described, *(() if d.drift is None else (d.drift,)))
+    return next(iter(_told(d)), None)
 
 
 def _where(d: Diagnosis) -> Tile:
@@ -160,8 +154,8 @@ def _where(d: Diagnosis) -> Tile:
     unexplained = verdict.status == "unexplained"
     left = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
     if unexplained and left:
-        b = max(left, key=lambda b: abs(b.mean_residual))
-        return Tile(name, f"At {_range(b)}", f"{decimals(b.mean_residual, signed=True)} Nm on average")
+        b = largest_of(left)
+        return Tile(name, f"At {range_of(b)}", f"{decimals(b.mean_residual, signed=True)} Nm on average")
     if lead is None or verdict.slow:
         return Tile(name, "At times unrelated to any recorded channel", verdict.seen)
     if not lead.is_named:
@@ -280,13 +274,8 @@ def _sure(d: Diagnosis) -> list[Term]:
     """
     if d.verdict.status == "unexplained":
         return []
-    sure = sorted((t for t in _told(d) if t.confirmed), key=lambda t: -_gained(t))
+    sure = [t for t in _told(d) if t.confirmed]
     return [t for t in sure if not is_small(t)] or sure
-
-
-def _gained(t: Term) -> float:
-    """Reduction of the mean hold-out error by a term [Nm]."""
-    return t.improvement.before - t.improvement.after
 
 
 def _names(d: Diagnosis) -> str:

@@ -320,7 +320,7 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
         body.supylabel("mean residual against travel [Nm]", fontsize=9)
     texts = []
     for b in d.at_base.significant[:5]:
-        texts.append(f"{'+' if b.mean_residual > 0.0 else ''}{figures(b.mean_residual)} Nm {range_of(b)}")
+        texts.append(f"{'+' if b.mean_residual > 0.0 else ''}{figures(b.mean_residual)} Nm at {range_of(b)}")
     text = (
         "Mean residual against travel by bins of each variable, each with as many samples; the numbers are the edges of the "
         "bins, lines are 95 % intervals over laps, and a star marks bins beyond noise. With the base re-fitted: "

@@ -304,7 +304,7 @@ def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
     if d.verdict.status == "unexplained" and left:
         b = largest_of(left)
         inside = [within(b.variable, b.low, b.high, s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
-        return range_of(b), list(_times(d, inside))
+        return f"at {range_of(b)}", list(_times(d, inside))
     if lead is not None and lead.location is not None and (d.verdict.names or d.verdict.seen == differs(lead)):
         of, final = lead.location, d.final.predicted
         if of.text:
