@@ -1,14 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The whole diagnosis: prepare, refit, search, judge, conclude. Each stage returns a frozen result.
-
-Sessions come in; the re-fitted base and the laps for comparing all further models go out.
-
-The chosen explanation comes in; the range of each term, intervals and the verdict go out.
-
-The verdict comes in; next drives and the changes to write go out.
-"""
+"""The whole diagnosis: prepare, refit, search, judge, conclude. Each stage returns a frozen result."""
 
 from __future__ import annotations
 
@@ -78,7 +71,7 @@ from trackres_ros.vehicle.writing.changes import FileChanges, Interval, LearnedD
 class Refitted:
     """The base re-fitted."""
 
-    refitted: Fit  # with values by `levels.with_levels`
+    refitted: Fit  # with values by `fitting.with_levels`
     compared: Fit  # what terms are added to: the same, or one with values further outside the file's ranges, if surely better
     laps: HeldOutLaps
     validation: CrossValidation  # over laps
@@ -313,7 +306,7 @@ class Diagnosis(Judgement):
     nominal
         Torque of each session with the values of the vehicle file [Nm].
     refitted, at_base
-        The re-fitted base, with values from `levels.with_levels`, and its residual by regime.
+        The re-fitted base, with values from `fitting.with_levels`, and its residual by regime.
     final, shares
         The same with the effects found; and the probability of each name, and of no name.
     alone, last, unconfirmed

@@ -1,10 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings come in; sessions with numbered laps go out, split into fitted and hold-out laps, with the candidate effects.
-
-Options of a diagnosis.
-"""
+"""The first stage: recordings come in; sessions with fitted and hold-out laps go out, with the candidate effects."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ class DiagnosisOptions:
     """Options of a diagnosis."""
 
     hide: Sequence[str] = ()  # roles that are not read
-    holdout: int | Sequence[str] | None = None  # see `split.split`
+    holdout: int | Sequence[str] | None = None  # see `session.split`
     seed: int = 1  # of all random draws: equal seeds give equal results
     quick: bool = False  # fewer draws
     effects_dir: Path | None = None  # folder with user effects

@@ -1,12 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds terms that follow the clock or the place in the residual of a fit: spells, a place, a mass by
-stretch, a wave, a route. A term of the clock must gain more than noise and the model's own error would.
+"""Finds terms that follow the clock or the place in the residual of a fit: spells, a place, a mass by stretch, a wave, a route.
 
-Describes a found term with the values of the last fit: its sentence and its variable.
-
-Converts spells and a drift to the live disturbance, relative to the written vehicle file's torque.
+A term of the clock must gain more than noise and the model's own error would. A chosen one is described with the values of the
+last fit. Spells and a drift become the live disturbance, relative to the torque of the written vehicle file.
 """
 
 from __future__ import annotations

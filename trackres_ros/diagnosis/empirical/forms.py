@@ -3,10 +3,8 @@
 
 """Unnamed candidate forms of a mismatch over a variable, and the thresholds that a scan of the residual finds for them.
 
-Finds the thresholds of steps, hinges and latches, and the scale of a fade, by linear algebra on block means of a residual.
-
-Each threshold of a grid makes a column. The best one of each variable and form becomes a candidate; laps and recordings left out
-judge it like any other.
+Steps, hinges, latches and fades are found by linear algebra on block means of a residual. Each threshold of a grid makes a
+column. The best one of each variable and form becomes a candidate; laps and recordings left out judge it like any other.
 """
 
 from __future__ import annotations

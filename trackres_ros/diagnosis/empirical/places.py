@@ -1,18 +1,15 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds a torque that repeats with distance, or at the same places of a route.
+"""Finds a torque that repeats with distance, or at the same place of a route on each pass.
 
-Finds a torque that repeats with distance, caused by a rotating part of a belt or a wheel.
+A rotating part of a belt or a wheel repeats with distance. Source: Lomb (1976) and Scargle (1982), over distance instead of
+time, on residuals whitened as in the fit. The step means of a short wave are smaller by the sinc of step over wavelength, which
+is exact here.
 
-Source: Lomb (1976) and Scargle (1982), over distance instead of time, on residuals whitened as in the fit. The step means
-of a short wave are smaller by the sinc of step over wavelength, which is exact here.
-
-A torque that repeats at the same place of a route on each pass: a slope, soft ground, a bend.
-
-The driven distance is folded with many lap lengths. Each place of the lap has its own mean with a zero-mean prior (random
-effects; Laird and Ware 1982). So the evidence of a length includes the cost of its places. A result must hold on passes
-not used for learning.
+A slope, soft ground or a bend is at a place. The driven distance is folded with many lap lengths. Each place of the lap has its
+own mean with a zero-mean prior (random effects; Laird and Ware 1982). So the evidence of a length includes the cost of its
+places. A result must hold on passes not used for learning.
 """
 
 from __future__ import annotations

@@ -200,7 +200,7 @@ def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
     parameters within their uncertainty, shape (n, n).
 
     The last fit has none of the effects. Distances from it are smaller by the gain allowed for the model's own error, see
-    `candidate.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
+    `term.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
     """
     moving = np.abs(session.speed) > SLOWEST_MPS  # the gate excludes standstill
     shown = [_torque(found, found.point, session) for found in fits]

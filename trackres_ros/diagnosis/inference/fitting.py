@@ -3,14 +3,10 @@
 
 """Fit a base model, with effects or without: most likely under coloured noise with heavy tails, priors and bounds.
 
-Linear least squares within bounds.
-
-Values that respect levels: a fit under noise that is not a random walk.
-
-Tests use the best whitening. On a road its autoregression comes near a unit root, and the whitened residual is nearly the
-difference between seconds. Then a small misfit of the acceleration dominates, and a constant of hundreds of Nm hardly
-matters. Asymmetric innovations shift the level further, because the whitening magnifies their mean. For predictive
-values, the roots of the autoregression are bounded further inside; docs/diagnosis.md lists the trials.
+Tests use the best whitening, `for_tests`. On a road its autoregression comes near a unit root, and the whitened residual is
+nearly the difference between seconds. Then a small misfit of the acceleration dominates, and a constant of hundreds of Nm
+hardly matters. Asymmetric innovations shift the level further, because the whitening magnifies their mean. For predictive
+values, `with_levels`, the roots of the autoregression are bounded further inside; docs/diagnosis.md lists the trials.
 """
 
 from __future__ import annotations

@@ -3,10 +3,8 @@
 
 """Step 0 of the diagnosis: recordings come in; evenly spaced sessions with numbered laps and the rejected samples go out.
 
-Adds the learned values of a route's places to sessions, by position.
-
-Gives a replay the acceleration that a diagnosis has, from the speeds before and after, and compares its torques as a diagnosis
-does: in means over its steps, in the steps that it compares.
+Sessions on a known route get the learned values of its places. A replay gets the acceleration that a diagnosis has, from the
+speeds before and after, and is compared as a diagnosis compares: in means over its steps.
 """
 
 from __future__ import annotations

@@ -130,7 +130,7 @@ class DriveSession:
 
     @property
     def pace(self) -> float:
-        """Time scale over that of a drive, see `settings.pace`."""
+        """Time scale over that of a drive, see `pace`."""
         return pace(self.step)
 
     def stretches(self, inside: Mask) -> Iterator[tuple[float, float]]:

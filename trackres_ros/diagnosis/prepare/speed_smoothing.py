@@ -8,7 +8,7 @@ rounding to the sensor's steps. Jerk and noise maximise the likelihood of all in
 Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2.3; backward pass: Rauch, Tung and
 Striebel, AIAA Journal 3 (1965) 1445.
 
-Derives a slope from a recorded altitude of sufficient accuracy, with its standard deviation.
+A recorded altitude of sufficient accuracy gives a slope the same way, with its standard deviation.
 """
 
 from __future__ import annotations

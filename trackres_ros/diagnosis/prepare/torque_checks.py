@@ -3,7 +3,7 @@
 
 """Step 0, second half: checks units, signs and clocks of the torque against the vehicle file.
 
-Checks the clocks of one recording: steps back in time, and offsets of minutes or hours to the speed's clock.
+Clocks of one recording step back in time, or are minutes or hours off the speed's clock.
 """
 
 from __future__ import annotations

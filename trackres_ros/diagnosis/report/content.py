@@ -159,12 +159,12 @@ def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
             "level_score": c.level,
             "kept": c.kept,
             "d_prime": c.d_prime,
-            "threshold": of.cost,
+            "threshold": search_round.cost,
             "chosen": c in chosen,
-            "why": why(c, of.cost, *chosen),
+            "why": why(c, search_round.cost, *chosen),
         }
-        for number, (of, chosen) in enumerate([*rounds, (d.last, ())], 1)
-        for c in (*chosen, *of.candidates)
+        for number, (search_round, chosen) in enumerate([*rounds, (d.last, ())], 1)
+        for c in (*chosen, *search_round.candidates)
     ]
 
 

@@ -1,10 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""report.html: one page without a network, readable on paper and on a phone.
-
-The four tiles of the page and the sentence over them: where, what, how much better, next step.
-"""
+"""report.html: one page without a network, readable on paper and on a phone. Its first view is a sentence and four tiles."""
 
 from __future__ import annotations
 
@@ -281,7 +278,9 @@ def _sure(d: Diagnosis) -> list[Term]:
 def _names(d: Diagnosis) -> str:
     """The names; for a large class, the number of its members."""
     classes = [t.members for t in _sure(d) if t.is_named]
-    return " and ".join(" or ".join(map(_plain, of)) if len(of) <= FEW else f"one of {len(of)} effects" for of in classes)
+    return " and ".join(
+        " or ".join(map(_plain, names)) if len(names) <= FEW else f"one of {len(names)} effects" for names in classes
+    )
 
 
 def _plain(name: str) -> str:

@@ -1,10 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The pictures of a diagnosis. Each has an alternative text.
-
-Pictures of named effects and unnamed terms: the residual without the term, and its torque, over its variable or place.
-"""
+"""The pictures of a diagnosis. Each has an alternative text."""
 
 from __future__ import annotations
 

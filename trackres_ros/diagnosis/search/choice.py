@@ -283,20 +283,21 @@ class Choice:
     def _with_class(self, best: Explanation, term: Term) -> Term:
         """A term with the round without it and its class: the term and the rivals of its kind that it does not surely beat."""
         without, name = self._search.without(best, term.name), term.name
-        found = self._round(without)
+        search_round = self._round(without)
         level = self._validation.gain(without.score, best.score)
-        near = [c for c in found.candidates if c.is_name == term.is_name and c.level > level - NEAR]
+        near = [c for c in search_round.candidates if c.is_name == term.is_name and c.level > level - NEAR]
         rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in near}
         rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._rivals(e, other, name)} | {name: best}
         worse = {other for other, e in rivals.items() if e is not best and self._beats(best, e)}
         shares = dict(zip(rivals, self._validation.shares([e.score for e in rivals.values()]).tolist(), strict=True))
-        alike = set(found.separability.alike(name)) & rivals.keys() if name in found.separability.names else {name}
+        separability = search_round.separability
+        alike = set(separability.alike(name)) & rivals.keys() if name in separability.names else {name}
         members = _class_of(name, shares, (rivals.keys() - worse) | alike)
         total = sum(shares[m] for m in members)
         return replace(
             term,
             level=level,
-            rivals=replace(found, candidates=tuple(c for c in found.candidates if c.name != name)),
+            rivals=replace(search_round, candidates=tuple(c for c in search_round.candidates if c.name != name)),
             members=tuple(members),
             weights={m: shares[m] / max(total, 1e-12) for m in members},
             stability=float(total),

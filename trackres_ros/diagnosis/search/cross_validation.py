@@ -66,7 +66,7 @@ class CrossValidation:
         self._draws: dict[int, Array] = {}
 
     def score(self, found: Fit, columns: Array | None = None) -> Score:
-        """Score a fit by `levels.with_levels`; `columns` are its derivatives, where they are known."""
+        """Score a fit by `fitting.with_levels`; `columns` are its derivatives, where they are known."""
         problem = found.problem
         columns = base_columns(found) if columns is None else columns
         white = np.concatenate(problem.white(problem.split(columns), found.noises))

@@ -6,9 +6,8 @@
 It starts from the base alone. In each turn the best few are expanded by the proposals for their residual, and by removing one
 term. Sets that no lap confirms are expanded too: two effects may pass only together. Laps left out score every set.
 
-Sets of terms scored by laps and recordings left out, all to first order about one fit.
-
-Each set then costs one small system of equations instead of a fit, so that pairs which only help together are found too.
+`LinearSets` scores sets of proposals to first order about one fit. Each set then costs one small system of equations instead of a
+fit, so that pairs which only help together are found too.
 """
 
 from __future__ import annotations

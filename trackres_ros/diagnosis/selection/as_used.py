@@ -1,13 +1,14 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decides which results to write: each file is judged on the hold-out laps the way it is used. A controller runs vehicle.yaml
-alone, without surroundings and without sensor errors, from a first start without a saved state. So vehicle.yaml alone is
-compared with its original, each drive from a cold belt by itself, with the torque that was measured. The surroundings and the
-sensor lines are compared together with the written vehicle.yaml.
+"""Decides which results to write: each file is judged on the hold-out laps the way it is used.
 
-Step 7: intervals of a chosen effect's parameters: profile likelihood, widened by the scatter over laps and by the error of
-the functional form.
+A controller runs vehicle.yaml alone, without surroundings and without sensor errors, from a first start without a saved state. So
+vehicle.yaml alone is compared with its original, each drive from a cold belt by itself, with the torque that was measured. The
+surroundings and the sensor lines are compared together with the written vehicle.yaml.
+
+Written values have intervals (step 7): by profile likelihood, widened by the scatter over laps and by the error of the
+functional form.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def far_from_file(found: Fit) -> list[tuple[BaseParameter, float]]:
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
-    """Intervals of all parameters of a fit by `levels.with_levels`: the base's from the curvature, those of effects from their
+    """Intervals of all parameters of a fit by `fitting.with_levels`: the base's from the curvature, those of effects from their
     profile; both from laps and sessions where wider. A value at the end of its range is only bounded. One fixed at a
     typical value may lie anywhere within its bounds.
 

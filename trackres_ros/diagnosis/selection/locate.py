@@ -1,17 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 3: locates a mismatch: when an effect acts, and the shares of sensors, belt temperature and model.
+"""Step 3: locates a mismatch: by regime, in time, and by the variable that an effect or a residual follows.
 
-Torque residuals of a fit, and torques as a resistance.
-
-Mean residuals by bins of the physical variables, with a correction for multiple tests.
-
-Finds lasting level changes of a residual: another ground, a new load, a failed part.
-
-The recorded channel that comes closest to a torque of the clock, a place or a drift, and how much of it that explains.
-
-The torque of a lap is predicted by the means of the other laps in cells of equal samples: of one channel, or of two.
+Mean residuals by bins of the physical variables are corrected for multiple tests. Lasting changes of a residual's level show
+another ground, a new load or a failed part. A torque of a lap is predicted by the means of the other laps in cells of equal
+samples, of one recorded channel or of two: so the channel that comes closest is known, and how much of the torque it explains.
 """
 
 from __future__ import annotations
@@ -418,7 +412,7 @@ def locate(found: Fit, adds: Sequence[Array]) -> Location:
 
 
 def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
-    """Moving averages of a residual over some seconds of a drive, see `settings.pace`; nan in gaps."""
+    """Moving averages of a residual over some seconds of a drive, see `session.pace`; nan in gaps."""
 
     def summed(values: Array, over_s: float) -> Array:
         window = np.ones(min(max(1, int(over_s * session.pace / session.step)), len(values)))
