@@ -1,28 +1,25 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings come in; sessions with numbered laps go out, split into fitted and hold-out laps, with the candidate effects."""
+"""The first stage: recordings come in; sessions with fitted and hold-out laps go out, with the candidate effects."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.prepare.gate import Gated, gate
-from trackres_ros.diagnosis.prepare.notes import SensorFinding
-from trackres_ros.diagnosis.prepare.on_route import on_route, with_fewer_steps
-from trackres_ros.diagnosis.prepare.refuse import Refusal
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, Split
-from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.prepare.checks import Refusal
+from trackres_ros.diagnosis.prepare.gate import Gated, gate, on_route, with_fewer_steps
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, SensorFinding, Split, split
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock, check_torque, faulty_torques, inconsistent_scale_notes
-from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
@@ -33,6 +30,24 @@ from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import STANDSTILL_MPS
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisOptions:
+    """Options of a diagnosis."""
+
+    hide: Sequence[str] = ()  # roles that are not read
+    holdout: int | Sequence[str] | None = None  # see `session.split`
+    seed: int = 1  # of all random draws: equal seeds give equal results
+    quick: bool = False  # fewer draws
+    effects_dir: Path | None = None  # folder with user effects
+    keep_suspected: bool = False  # keep effects that fit but are not confirmed on hold-out laps
+    on_stage: Callable[[str], None] = lambda _: None  # callback with the name of each stage
+    unread: Sequence[Refusal] = ()  # recordings that could not be read
+
+
+BY_DEFAULT = DiagnosisOptions()
+
 
 LEAST_S = 60.0  # of stops with a reading of zero, or of one other value
 FEWEST_STOPS, ALIKE = 2.0, 0.25  # with one other value, as many as equally long ones; and their spread over it

@@ -1,25 +1,262 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 3: locates a mismatch: when an effect acts, and the shares of sensors, belt temperature and model."""
+"""Step 3: locates a mismatch: by regime, in time, and by the variable that an effect or a residual follows.
+
+Mean residuals by bins of the physical variables are corrected for multiple tests. Lasting changes of a residual's level show
+another ground, a new load or a failed part. A torque of a lap is predicted by the means of the other laps in cells of equal
+samples, of one recorded channel or of two: so the channel that comes closest is known, and how much of the torque it explains.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import kolmogorov
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
-from trackres_ros.diagnosis.empirical.closest import CLEARLY, FOLLOWS_LEAST, evenly_filled
-from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
-from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.text.numbers import figures, on_scale
 from trackres_ros.units import GRAVITY
+
+
+def torque_residuals(found: Fit) -> list[Array]:
+    """Measured less expected torque of each session [Nm]."""
+    return [s.torque - p.torque for s, p in zip(found.problem.sessions, found.predicted, strict=True)]
+
+
+def against_travel(sessions: Sequence[DriveSession], torques: Sequence[Array]) -> list[Array]:
+    """A torque as a resistance: positive against travel in both directions."""
+    return [x * np.sign(s.speed) for s, x in zip(sessions, torques, strict=True)]
+
+
+REGIME_BINS = 6
+FEWEST_IN_BIN = 30
+FLIPPED_TOGETHER = 20
+REPLICATES = 4000  # determines a probability of 0.01 to a sixth of its value
+AT_ONCE = 100  # of these: a hundred hours have ten thousand pieces
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """A range of a variable, the mean residual against travel there [Nm], and the probability that noise alone reaches it in
+    any bin.
+    """
+
+    variable: str
+    low: float
+    high: float
+    mean_residual: float
+    unit: str
+    samples: int
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
+class RegimeMap:
+    """All bins, and the probability that noise alone makes the largest of them."""
+
+    bins: tuple[Bin, ...]
+    p: float
+    samples: int
+
+    @property
+    def significant(self) -> tuple[Bin, ...]:
+        """Significant bins, the clearest first."""
+        return tuple(sorted((b for b in self.bins if b.p < 0.05), key=lambda b: (b.p, -abs(b.mean_residual))))
+
+    def likeliest(self, variable: str, low: float, high: float) -> float:
+        """Least probability of the bins of a variable that overlap a range; 1 without any."""
+        return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
+
+
+def regime_map(fit: Fit, rng: np.random.Generator, predicted: Sequence[Predicted] | None = None) -> RegimeMap:
+    """Bin the residual of a fit over every variable that varies.
+
+    `predicted`: belt temperatures and the like that divide into bins, if not those of the fit.
+
+    Notes
+    -----
+    The mean is of the plain residual against travel [Nm]. Its significance is tested on the whitened one, against the
+    largest over all bins with random sign flips of whole pieces (max-T). Steps in which the vehicle turns back are left out:
+    they have no direction of travel.
+    """
+    sessions = fit.problem.sessions
+    rows = fit.white[: len(sessions)]
+    turns_back = np.concatenate([np.abs(s.speed) < 0.5 * s.step * np.abs(s.accel) for s in sessions])
+    valid = np.isfinite(np.concatenate(rows)) & ~turns_back
+    e, plain = (np.concatenate(against_travel(sessions, of))[valid] for of in (rows, torque_residuals(fit)))
+    pieces = _pieces(rows)[valid]
+    members, bins = [], []
+    for name, series in varying(sessions, predicted or fit.predicted).items():
+        of = series[valid]
+        for low, high in _edges(of):
+            inside = (of >= low) & (of <= high)
+            if inside.sum() >= FEWEST_IN_BIN:
+                members.append(inside)
+                bins.append((name, low, high, float(plain[inside].mean()), BY_NAME[name].unit, int(inside.sum())))
+    if not bins:
+        return RegimeMap((), 1.0, len(e))
+    number = np.unique(pieces, return_inverse=True)[1]
+    sums = np.array([np.bincount(number, weights=np.where(inside, e, 0.0), minlength=number.max() + 1) for inside in members])
+    middle = sums - sums.mean(axis=1, keepdims=True) if sums.shape[1] > 1 else sums
+    spread = np.sqrt((middle**2).sum(axis=1)) + 1e-12
+    found = np.abs(sums.sum(axis=1)) / spread
+    flips = (rng.choice((-1.0, 1.0), (AT_ONCE, sums.shape[1])) for _ in range(REPLICATES // AT_ONCE))
+    reached = np.concatenate([np.abs(signs @ middle.T / spread).max(axis=1) for signs in flips])
+    p = (1.0 + (reached[:, np.newaxis] >= found).sum(axis=0)) / (REPLICATES + 1.0)
+    return RegimeMap(tuple(Bin(*of, p=float(q)) for of, q in zip(bins, p, strict=True)), float(p.min()), len(e))
+
+
+def cumulative_periodogram(fit: Fit) -> float:
+    """Probability that white noise deviates as far from a flat spectrum as the whitened residual (Bartlett's test).
+
+    Each recording has its own scale, and all are cumulated together from the lowest frequency on.
+    """
+    rows = [white[np.isfinite(white)] for white in fit.white[: len(fit.problem.sessions)]]
+    spectra = [(np.fft.rfftfreq(len(e))[1:-1], np.abs(np.fft.rfft(e)[1:-1]) ** 2) for e in rows if len(e)]  # of those fitted on
+    flat = [(f, p / p.mean()) for f, p in spectra if p.sum() > 0.0]
+    frequency, power = np.concatenate(flat, axis=1) if flat else np.empty((2, 0))
+    cumulative = np.cumsum(power[np.argsort(frequency, kind="stable")])[:-1] / max(len(power), 1)
+    count = len(cumulative)
+    if not count:  # too short to show a shape
+        return 1.0
+    steps = np.arange(count + 1) / count
+    distance = max(np.max(steps[1:] - cumulative), np.max(cumulative - steps[:-1]))
+    return float(kolmogorov(distance * (math.sqrt(count) + 0.12 + 0.11 / math.sqrt(count))))  # Stephens (1970), of finite samples
+
+
+def _edges(series: Array) -> list[tuple[float, float]]:
+    edges = np.unique(np.quantile(series, np.linspace(0.0, 1.0, REGIME_BINS + 1))).tolist()
+    return list(pairwise(edges)) or [(edges[0], edges[0])]
+
+
+def _pieces(rows: Sequence[Array]) -> NDArray[np.int64]:
+    """Number of the piece of each row, whose sign is flipped together."""
+    first, found = 0, []
+    for row in rows:
+        found.append(first + np.arange(len(row)) // FLIPPED_TOGETHER)
+        first = int(found[-1][-1]) + 1
+    return np.concatenate(found)
+
+
+PIECE_S, MOST_PIECES = 30.0, 400  # the search time grows with their number squared; longer recordings have longer pieces
+SHORTEST_PIECES = 4
+COST_OF_A_CHANGE = 3.0  # times the logarithm of the number of pieces: for position, size, and the possible positions
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A time in a recording [s], and the mean residuals of the segments before and after it [Nm]."""
+
+    recording: str
+    time: float
+    before: float
+    after: float
+
+
+def changes(found: Fit) -> list[Change]:
+    """Change points of the torque residual in each recording, by means of the whitened one over the std of such a mean."""
+    listed = []
+    sessions, masks = found.problem.sessions, found.problem.masks
+    of_torque = found.white[: len(sessions)], torque_residuals(found)
+    for session, mask, white, residual in zip(sessions, masks, *of_torque, strict=True):
+        valid = np.isfinite(white)
+        shortest = PIECE_S * session.pace
+        length = shortest * max(1, -(-int(session.time[-1] // shortest + 1) // MOST_PIECES))
+        piece = (session.time // length).astype(int)
+        count = np.bincount(piece[valid], minlength=piece[-1] + 1)
+        there = count > 0
+        if there.sum() < 2 * SHORTEST_PIECES:
+            continue
+        influence = white[valid] * found.noise.weights(white[valid])
+        level = np.bincount(piece[valid], weights=influence, minlength=len(count))[there] / np.sqrt(count[there])
+        penalty = COST_OF_A_CHANGE * math.log(len(level))
+        starts = np.flatnonzero(there)
+        edges = [0.0, *(length * starts[first] for first in segments(level, penalty)), np.inf]
+        means = [float(residual[mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
+        listed += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
+    return listed
+
+
+def segments(level: Array, penalty: float) -> list[int]:
+    """First index of each segment after the first one, of the split into constant segments with the least squares.
+
+    A segment has at least `SHORTEST_PIECES` levels and costs `penalty` more. Exact, by dynamic programming (Jackson et al., IEEE
+    Signal Processing Letters 12 (2005) 105, "An algorithm for optimal partitioning of data on an interval").
+    """
+    sums, squares = (np.concatenate(([0.0], np.cumsum(level**power))) for power in (1, 2))
+    cost, first = np.full(len(sums), np.inf), np.zeros(len(sums), int)
+    cost[0] = 0.0
+    for end in range(SHORTEST_PIECES, len(sums)):
+        begin = np.arange(end - SHORTEST_PIECES + 1)
+        total = cost[begin] + squares[end] - squares[begin] - (sums[end] - sums[begin]) ** 2 / (end - begin) + penalty
+        first[end] = int(total.argmin())
+        cost[end] = total[first[end]]
+    found = [int(first[-1])]
+    while found[-1]:
+        found.append(int(first[found[-1]]))
+    return found[-2::-1]
+
+
+FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that a torque follows no variable
+CLEARLY = 1.25  # times the share of a simpler or better known variable: needed to attribute a torque to another
+CELLS, CELLS_OF_PAIR = 12, 4  # of a channel, alone and with another
+
+
+def closest_channel(fit: Fit, torques: Sequence[Array]) -> str:
+    """Sentence on the recorded channel, or the two, that explain most of a torque of each session; nan where unknown."""
+    sessions, torque = fit.problem.sessions, np.concatenate(torques)
+    used = np.concatenate([s.used for s in sessions]) & np.isfinite(torque)
+    _, laps = np.unique(np.concatenate([s.block for s in sessions])[used], return_inverse=True)
+    known = {name: x for name, x in varying(sessions, fit.predicted).items() if not BY_NAME[name].as_clock}
+    known["driving torque"] = np.concatenate([p.at_sprockets * s.ahead for p, s in zip(fit.predicted, sessions, strict=True)])
+    if all("grade" in s.given for s in sessions):
+        known["slope"] = np.concatenate([s.grade for s in sessions])
+    channels = {name: x[used] for name, x in known.items() if np.isfinite(x[used]).all() and used.any()}
+    if not channels:
+        return "No channel is known throughout"
+    coarse = {name: _cells(x, CELLS_OF_PAIR) for name, x in channels.items()}
+    shares: dict[tuple[str, ...], float] = {}
+    for name, x in channels.items():
+        shares[(name,)] = _explained(torque[used], _cells(x, CELLS), laps)
+    for a, b in combinations(channels, 2):
+        shares[a, b] = _explained(torque[used], CELLS_OF_PAIR * coarse[a] + coarse[b], laps)
+    best = max(shares, key=lambda names: shares[names] / (CLEARLY if len(names) > 1 else 1.0))
+    name, share = " with ".join(best), f"{100.0 * shares[best]:.0f} %"
+    if shares[best] < FOLLOWS_LEAST:
+        return f"It follows no recorded or simulated channel: the best, {name}, explains {share} of it"
+    return f"Of the recorded and simulated channels, {name} comes closest: it explains {share} of it"
+
+
+def evenly_filled(x: Array, bins: int) -> tuple[Array, NDArray[np.int64]]:
+    """Edges of at most `bins` equally filled bins, and the bin of each sample."""
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)))
+    return edges, np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+
+
+def _cells(x: Array, bins: int) -> NDArray[np.int64]:
+    return evenly_filled(x, bins)[1]
+
+
+def _explained(torque: Array, cells: NDArray[np.int64], laps: NDArray[np.int64]) -> float:
+    """Share of the variance of a torque that the means of its cells over the other laps explain, at least zero."""
+    number, width = int(laps.max()) + 1, int(cells.max()) + 1
+    at = laps * width + cells
+    size = number * width
+    count, total = (np.bincount(at, w, size).reshape(number, width) for w in (None, torque))
+    others, sums = (x.sum(axis=0) - x if number > 1 else x for x in (count, total))
+    means = np.where(others > 0.0, sums / np.maximum(others, 1.0), torque.mean()).ravel()
+    variance = float(np.var(torque))
+    return max(0.0, 1.0 - float(np.mean((torque - means[at]) ** 2)) / variance) if variance > 0.0 else 0.0
+
 
 ACTING_SHARE = 0.5  # of its 95th percentile
 BOTH_WAYS_SHARE = 0.25  # of the larger side: an effect with more than this on the other side changes its sign
@@ -106,6 +343,13 @@ class Location:
         return f"from {low} to {high} {self.unit} of {self.variable}"
 
     @property
+    def tightest_m(self) -> float | None:
+        """Radius of the widest curve in which an effect acts that needs a curvature, as its text has it [m]; else None."""
+        above = self.low > self.least and self.high >= self.most and not self.both_ways
+        edge = float(on_scale(self.low, self.most - self.least)) if above and self.variable == "curvature" else 0.0
+        return 1.0 / edge if edge > 0.0 else None
+
+    @property
     def both_ways(self) -> bool:
         """Whether the effect increases the torque in one part of the range and reduces it in another."""
         return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)
@@ -168,7 +412,7 @@ def locate(found: Fit, adds: Sequence[Array]) -> Location:
 
 
 def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
-    """Moving averages of a residual over some seconds of a drive, see `settings.pace`; nan in gaps."""
+    """Moving averages of a residual over some seconds of a drive, see `session.pace`; nan in gaps."""
 
     def summed(values: Array, over_s: float) -> Array:
         window = np.ones(min(max(1, int(over_s * session.pace / session.step)), len(values)))
