@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import Drift, Spells
-from trackres_ros.vehicle.schema import DISTURBANCES
+from trackres_ros.vehicle.description import DISTURBANCES
 from trackres_ros.vehicle.writing.changes import LearnedDisturbance
 
 Range = tuple[float, float]

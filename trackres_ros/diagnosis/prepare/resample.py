@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from trackres_ros.dataclass_reader import limits_of
 from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
 from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
@@ -278,8 +279,8 @@ def _live_filter(accel: Array, noise: float, jerk: float) -> LiveFilter | None:
         return None
     std = float(np.sqrt(np.mean(changes**2)))
     values = LiveFilter(noise, std, 2.0 * (std / jerk) ** 2)
-    limits = {one.name: one.metadata for one in fields(Settings)}
-    return LiveFilter(*(float(np.clip(x, limits[name]["low"], limits[name]["high"])) for name, x in values._asdict().items()))
+    limits = limits_of(Settings)
+    return LiveFilter(*(float(np.clip(x, limits[name].low, limits[name].high)) for name, x in values._asdict().items()))
 
 
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:
