@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "trackres_ros"
 DIVIDED = ("diagnosis", "node", "tools", "vehicle")  # rooms with rooms of their own
 HEAD = (Path(__file__).parent / "architecture.in.md").read_text(encoding="utf-8")
-COMMON = ("arrays", "errors", "units", "checks", "dataclass_reader", "files", "text", "kernels")  # used from everywhere: left out of the picture
+COMMON = ("arrays", "errors", "units", "checks", "files", "text", "kernels")  # used from everywhere: left out of the picture
 
 
 @cache

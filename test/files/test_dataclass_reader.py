@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros import checks
-from trackres_ros.dataclass_reader import FILLED, DataReader, Limits, check_values, fields_of, limits_of, words_of
 from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import FILLED, DataReader, Limits, check_values, fields_of, limits_of, words_of
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from trackres_ros.dataclass_reader import limits_of
+from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.node.mismatch import KNOWN_AFTER, MismatchDetector, MismatchSettings
 
 START_NS = 10**18

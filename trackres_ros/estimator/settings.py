@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
-from trackres_ros.dataclass_reader import Limits, check_values
+from trackres_ros.files.dataclass_reader import Limits, check_values
 from trackres_ros.recording.roles import PASSENGER_KG
 
 FeedforwardPart = Literal["hysteresis", "bearing", "wind", "grade", "inertia"]

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackres_ros.arrays import Array
-from trackres_ros.dataclass_reader import Limits
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.dataclass_reader import Limits
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.description import BELT, CHASSIS, RUBBER
 from trackres_ros.vehicle.road import ROAD_LOAD, SECTION

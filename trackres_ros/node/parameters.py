@@ -22,9 +22,9 @@ from types import MappingProxyType
 from typing import Any
 
 from trackres_ros import checks
-from trackres_ros.dataclass_reader import Limits, fields_of, limits_of, words_of
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.dataclass_reader import Limits, fields_of, limits_of, words_of
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.learning.learner import MODES
 from trackres_ros.node.mismatch import MismatchSettings

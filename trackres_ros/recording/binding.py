@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros import checks
-from trackres_ros.dataclass_reader import FILLED, Limits
 from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import FILLED, Limits
 from trackres_ros.recording.directions import Ways
 from trackres_ros.recording.roles import BRAKE_ON_PA
 

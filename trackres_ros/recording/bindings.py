@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import Any
 
 from trackres_ros import checks
-from trackres_ros.dataclass_reader import DataReader
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.dataclass_reader import DataReader
 from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import IN_DEGREES, Numbers, TopicBinding

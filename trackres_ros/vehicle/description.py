@@ -20,8 +20,8 @@ import numpy as np
 
 from trackres_ros import checks
 from trackres_ros.arrays import Array
-from trackres_ros.dataclass_reader import ABSENT, FILLED, Limits, fields_of, limits_of
 from trackres_ros.effects.effect import Active, VehicleKind
+from trackres_ros.files.dataclass_reader import ABSENT, FILLED, Limits, fields_of, limits_of
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.units import GRAVITY
 

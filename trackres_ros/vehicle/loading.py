@@ -14,16 +14,16 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from trackres_ros import checks
 from trackres_ros.arrays import Array
-from trackres_ros.dataclass_reader import DataReader, Limits
 from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.dataclass_reader import DataReader, Limits
 from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.files.small_files import is_there, read_text
 from trackres_ros.files.yamls import read_yaml
@@ -44,10 +44,6 @@ from trackres_ros.vehicle.description import (
     TrackVehicleFile,
     Vehicle,
 )
-
-if TYPE_CHECKING:
-    from trackres_ros.vehicle.road import RoadVehicleFile
-    from trackres_ros.vehicle.surroundings import SurroundingsFile
 
 EFFECT_KEYS = ("effects", "effect_files")
 DISTURBANCE = "disturbance"
@@ -200,7 +196,9 @@ def build(
         parameters=MappingProxyType(reader.parameters),
         disturbance=checked_disturbance(reader, file.disturbance),
     )
-    vehicle = replace(vehicle, effects=listed_effects(reader, file, vehicle.size, vehicle.kind, "vehicle"))
+    vehicle = replace(
+        vehicle, effects=listed_effects(reader, file.effects, file.effect_files, vehicle.size, vehicle.kind, "vehicle")
+    )
     reader.check_overrides_used()
     return vehicle
 
@@ -214,7 +212,8 @@ def checked_disturbance(reader: VehicleReader, disturbance: Disturbance | None) 
 
 def listed_effects(
     reader: VehicleReader,
-    content: TrackVehicleFile | RoadVehicleFile | SurroundingsFile,
+    effects: Mapping[str, Any],
+    effect_files: Sequence[str],
     size: float,
     kind: VehicleKind,
     belongs_to: str,
@@ -223,14 +222,14 @@ def listed_effects(
 
     Only Python files named there are run, relative to the file that names them.
     """
-    if not content.effect_files and not content.effects:
+    if not effect_files and not effects:
         return ()
-    files = [reader.path.parent / name for name in content.effect_files]
+    files = [reader.path.parent / name for name in effect_files]
     for file in files:
         if not (is_there(file) and file.is_file()):
             raise InputError(reader.where("effect_files"), str(file), "existing Python files, relative to this file")
     known = catalogue(size=size, on_tyres=not kind.has_belt, files=files)
-    return check_effects(content.effects, reader.where("effects"), known, belongs_to, size, kind)
+    return check_effects(effects, reader.where("effects"), known, belongs_to, size, kind)
 
 
 def _rubber(reader: VehicleReader, section: RubberSection) -> tuple[Rubber, Path]:

@@ -14,12 +14,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from trackres_ros.arrays import Array
-from trackres_ros.dataclass_reader import ABSENT, Limits, limits_of
 from trackres_ros.effects.effect import Active, Effect, VehicleConstants, VehicleKind
 from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.viscous_friction import ViscousFriction
 from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import ABSENT, Limits, limits_of
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
@@ -232,4 +232,6 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     _check_rolling(reader, values)
     watched = checked_disturbance(reader, file.disturbance)
     vehicle = RoadVehicle(file.name, file.title, path, values, reader.parameters, file.friction_brakes, disturbance=watched)
-    return replace(vehicle, effects=listed_effects(reader, file, vehicle.size, vehicle.kind, "vehicle"))
+    return replace(
+        vehicle, effects=listed_effects(reader, file.effects, file.effect_files, vehicle.size, vehicle.kind, "vehicle")
+    )

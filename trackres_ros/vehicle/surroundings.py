@@ -67,7 +67,7 @@ def load_surroundings(path: Path, vehicle: str, size: float, kind: VehicleKind) 
     if file.vehicle != vehicle:
         remedy = "surroundings are fitted for one vehicle: run trackres diagnose with this vehicle"
         raise InputError(reader.where("vehicle"), file.vehicle, vehicle, remedy)
-    return listed_effects(reader, file, size, kind, "surroundings")
+    return listed_effects(reader, file.effects, file.effect_files, size, kind, "surroundings")
 
 
 def _read(path: Path) -> tuple[VehicleReader, SurroundingsFile]:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackres_ros.dataclass_reader import limits_of
 from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
 from trackres_ros.diagnosis.prepare.notes import WarningNote
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
@@ -33,6 +32,7 @@ from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smoot
 from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, base_role

@@ -19,7 +19,6 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 import trackres_ros as tr
-from trackres_ros.dataclass_reader import limits_of
 from trackres_ros.effects import stepping
 from trackres_ros.effects.effect import FACTS, Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
@@ -27,6 +26,7 @@ from trackres_ros.estimator.columns import Motion
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
 from trackres_ros.kernels.extension import filled

@@ -12,8 +12,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
-from trackres_ros.dataclass_reader import FILLED, DataReader, Limits
 from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import FILLED, DataReader, Limits
 from trackres_ros.files.resources import find_topics, find_vehicle
 from trackres_ros.files.small_files import read_text
 from trackres_ros.files.yamls import MOST_BYTES, read_yaml

@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.dataclass_reader import Limits
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import Limits
 from trackres_ros.files.file_sets import file_set, is_free, present
 from trackres_ros.files.own_files import remove, write
 from trackres_ros.files.small_files import read_text

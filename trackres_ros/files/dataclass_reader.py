@@ -112,8 +112,7 @@ class DataReader:
             return self._mapping(get_args(kind)[1], given, key, filled)
         if kind in CHECKS:
             return CHECKS[kind](given, self.where(key))
-        assert kind is Any, kind
-        return given
+        return given  # of any kind
 
     def noted(self, kind: Any, note: Any, given: Any, key: str) -> Any:
         """Read a value with a note: its limits, `FILLED`, or a function of the value and its place that checks it."""
@@ -148,11 +147,11 @@ class DataReader:
         allowed = [*required, *optional]
         if not isinstance(given, Mapping):
             raise InputError(self.where(key), given, f"a mapping with the keys {', '.join(allowed)}")
+        for name in given:
+            checks.one_of(name, self.where(self.below(key, name)), allowed)
         for name in required:
             if name not in given:
                 raise InputError(self.where(self.below(key, name)), "nothing", "this key is required")
-        for name in given:
-            checks.one_of(name, self.where(self.below(key, name)), allowed)
 
     def _choice(self, allowed: tuple[Any, ...], given: Any, key: str) -> Any:
         words = [word for word in allowed if isinstance(word, str) and word]
