@@ -535,7 +535,7 @@ def test_of_a_vehicle_without_belts_nothing_of_belts_is_taken(ask):
 )
 def test_a_library_that_is_missing_says_how_to_install_itself(replayed, monkeypatch, module, ask):
     monkeypatch.setitem(sys.modules, module, None)
-    for name in [name for name in sys.modules if name.startswith(f"{module}.") or name == "trackres_ros.text.numbers.figures"]:
+    for name in [name for name in sys.modules if name.startswith(f"{module}.") or name == "trackres_ros.output.figures"]:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(tr.MissingExtraError, match=f"pip install {module}"):
         getattr(replayed, ask)()
