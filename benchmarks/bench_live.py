@@ -81,9 +81,8 @@ class Client:
     def __init__(self) -> None:
         from dds_echo import SPEED, STAMP, TORQUE, TWIST, WRENCH
 
-        from trackres_ros.node.dds.participant import Participant, serialized
-        from trackres_ros.node.dds.wire import typestore
-        from trackres_ros.node.endpoints import Quality
+        from trackres_ros.node.dds.wire import Participant, serialized, typestore
+        from trackres_ros.node.transport import Quality
 
         self._stamp, self._twist = STAMP, TWIST
         self._participant = Participant("client", "/")

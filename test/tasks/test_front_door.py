@@ -44,8 +44,8 @@ EXPORTED = {
 PRINTING = {"tasks", "text", "files", "errors", "units", "progress"}
 STARTED = {
     "layouts": {"output.layouts"},
-    "live": {"node.application", "node.parameter_file", "node.parameters", "node.record", "node.record_files", "node.report",
-             "node.signals", "node.ros.main", "node.dds.node"},
+    "live": {"node.application", "node.parameters", "node.process", "node.record", "node.status", "node.ros.estimator",
+             "node.dds.node"},
     "play": {"node.dds.player"},
     "recordings": {"recording.topics_files"},
     "simulate": {"estimator.energy"},

@@ -12,11 +12,10 @@ import pytest
 from rich.console import Console
 
 from trackres_ros.estimator.disturbance import Belief
-from trackres_ros.node.mismatch import Mismatch
+from trackres_ros.node.measured_torque import Mismatch
 from trackres_ros.node.notices import KINDS, Notice
-from trackres_ros.node.report import Overview
+from trackres_ros.node.status import InputState, Overview
 from trackres_ros.node.transport import Level
-from trackres_ros.node.watch import InputState
 from trackres_ros.tasks.live_display import LiveJson, LiveTable, as_dict, line, table
 
 ASSEMBLIES = ("front_left", "front_right", "rear_left", "rear_right")

@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.units import NANOSECOND
 
 LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: data of a longer step are unknown
-HEAD = 1  # columns of a row of the picture before the results: the time
+HEAD = 1  # columns of a picture row before the results: the time
 PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half
 
 
@@ -21,7 +22,7 @@ def longest_step(time_s: NDArray[np.float64]) -> float:
     return max(LONGEST_STEP_S, UNUSUAL * float(np.median(np.diff(time_s, prepend=time_s[:1]))))
 
 
-def picture_columns(columns: Sequence[str], picture: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
     """The series of a picture by column name; its first column is the time."""
     return {name: picture[:, HEAD + i] for i, name in enumerate(columns)}
 

@@ -37,7 +37,7 @@ from trackres_ros.tasks.terminal import Command, Commands, emit
 from trackres_ros.text import figures, listed, panel, table
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity, mass_per_length
-from trackres_ros.vehicle.reading import FITTED, FLAGS
+from trackres_ros.vehicle.description import FITTED, FLAGS
 from trackres_ros.vehicle.writing.vehicle_file import copied
 from trackres_ros.vehicle.writing.yaml_edit import Document
 
