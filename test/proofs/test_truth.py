@@ -6,15 +6,11 @@
 import numpy as np
 import pytest
 
-from proofs.native import native
-from proofs.sealed.belt_heat import LAYERS, roll
-from proofs.sealed.belt_loss import LOG_SPEEDS, belt_loss
+from proofs.sealed.belt import LAYERS, LOG_SPEEDS, belt_loss, fit_material, native, roll
 from proofs.sealed.cases import CATALOGUE, LEVELS, draw_cases
 from proofs.sealed.drives import drive
-from proofs.sealed.generate import write_vehicle
-from proofs.sealed.material import fit_material
-from proofs.sealed.sensors import Sensors, record
-from proofs.sealed.truth import Build, simulate_truth
+from proofs.sealed.recordings import write_vehicle
+from proofs.sealed.truth import Build, Sensors, record, simulate_truth
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.findings.locate import slow_residual
 from trackres_ros.diagnosis.inference.fitting import Problem, fit

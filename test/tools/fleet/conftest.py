@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from proofs.fleet.draw import draw_fleet, write_recording
+from proofs.fleet import draw_fleet, write_recording
 
 
 @pytest.fixture(scope="session")

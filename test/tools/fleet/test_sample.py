@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
-from proofs.fleet import draw
-from proofs.fleet.draw import DAY_S, MOVES_MPS, MOVES_S, draw_fleet, write_recording
+from proofs import fleet
+from proofs.fleet import DAY_S, MOVES_MPS, MOVES_S, draw_fleet, write_recording
 from proofs.sealed.drives import drive
 from trackres_ros.errors import InputError
 from trackres_ros.tools.fleet.sample import SAMPLE_CHANGES
@@ -86,7 +86,7 @@ def test_a_short_recording_holds_enough_driving(tmp_path, monkeypatch):
         drawn.append(float((one.speed > MOVES_MPS).sum()) * one.step)
         return one
 
-    monkeypatch.setattr(draw, "drive", standing_first)
+    monkeypatch.setattr(fleet, "drive", standing_first)
     (vehicle,) = draw_fleet(1, 1, 1.0, 3.0, (), seed=1)
     path = write_recording(tmp_path, vehicle, 0, 3.0)
     assert drawn[0] < MOVES_S <= drawn[-1]
