@@ -88,9 +88,29 @@ class DelayProof(LearningProof):
         """See `Proof`."""
         return draw(self.settings["seed"], self.settings["vehicles"], self.settings["hostile"])
 
-    def record(self, case: Delayed) -> None:
-        """See `Proof`."""
-        record_one(self.folder / "cases" / case.name, self.settings["minutes"], case)
+    def record(self, delayed: Delayed) -> None:
+        """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
+        case, into = delayed.case, self.folder / "cases" / delayed.name
+        into.mkdir(parents=True, exist_ok=True)
+        write_vehicle(into / "vehicle.yaml", case.lumped)
+        weight, radius = weight_and_radius()
+        rng = np.random.default_rng([case.seed, 2])
+        make = trapezoids if delayed.stop_and_go else drive
+        planned = make(
+            self.settings["minutes"], float(rng.choice(LOADS)) * weight, float(rng.choice(AIRS_DEGC)), FASTEST_MPS, rng
+        )
+        driven = replace(planned, weight=planned.weight * weight_shares(case, planned.speed))
+        (run,) = simulate_truth(find_vehicle(VEHICLE), Build(**case.build), {}, [driven])
+        sensors = drawn_sensors(rng)
+        torque = run.shown + road_slopes(driven, sensors, rng) * driven.weight * radius
+        torque = torque + added_torque(case, driven, weight, radius)
+        rows = [*_speeds(delayed, driven, sensors, rng), *_torques(delayed, driven, torque, sensors, rng)]
+        lines = [
+            f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}"
+            for stamp, speed, measured in sorted(rows)
+        ]
+        head = "time_s,speed_mps,torque_nm,weight_n,ambient_degc"
+        (into / "drive.csv").write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
 
     def cases(self, labels: Mapping[str, Any]) -> list[Delayed]:
         """See `Proof`."""
@@ -98,35 +118,12 @@ class DelayProof(LearningProof):
 
     def scores(self, cases: Sequence[Delayed]) -> list[dict[str, Any]]:
         """See `Proof`."""
-        return [_scored(one, np.load(self.folder / "results" / f"{one.name}.npz")["rows"]) for one in cases]
+        return [_score(case, np.load(self.folder / "results" / f"{case.name}.npz")["rows"]) for case in cases]
 
-    def report(self, scored: list[dict[str, Any]], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+    def report(self, scores: list[dict[str, Any]], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
-        scores = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scored}
-        return scores, page(scores)
-
-
-def record_one(into: Path, minutes: float, one: Delayed) -> None:
-    """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
-    case = one.case
-    into.mkdir(parents=True, exist_ok=True)
-    write_vehicle(into / "vehicle.yaml", case.lumped)
-    weight, radius = weight_and_radius()
-    rng = np.random.default_rng([case.seed, 2])
-    make = trapezoids if one.stop_and_go else drive
-    planned = make(minutes, float(rng.choice(LOADS)) * weight, float(rng.choice(AIRS_DEGC)), FASTEST_MPS, rng)
-    driven = replace(planned, weight=planned.weight * weight_shares(case, planned.speed))
-    (run,) = simulate_truth(find_vehicle(VEHICLE), Build(**case.build), {}, [driven])
-    sensors = drawn_sensors(rng)
-    torque = run.shown + road_slopes(driven, sensors, rng) * driven.weight * radius
-    torque = torque + added_torque(case, driven, weight, radius)
-    rows = [*_speeds(one, driven, sensors, rng), *_torques(one, driven, torque, sensors, rng)]
-    lines = [
-        f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}"
-        for stamp, speed, measured in sorted(rows)
-    ]
-    head = "time_s,speed_mps,torque_nm,weight_n,ambient_degc"
-    (into / "drive.csv").write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+        content = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scores}
+        return content, page(content)
 
 
 def _speeds(one: Delayed, driven: SealedDrive, sensors: Sensors, rng: np.random.Generator) -> list[tuple[float, str, str]]:
@@ -175,7 +172,7 @@ def learn(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     return {}, {"rows": np.column_stack([(stamps[seconds] - stamps[0]) * 1e-9, rows[seconds]])}
 
 
-def _scored(one: Delayed, rows: Array) -> dict[str, Any]:
+def _score(one: Delayed, rows: Array) -> dict[str, Any]:
     """Error at the end, and at how many seconds it was sure of a wrong delay."""
     off, known = rows[:, 1] - one.delay_s, rows[:, 3] == LEARNED
     wrong = known & (np.abs(off) > WITHIN_STD * rows[:, 2])

@@ -90,7 +90,7 @@ def _moves_s(one: SealedDrive) -> float:
     return float((one.speed > MOVES_MPS).sum()) * one.step
 
 
-OPEN, FOUND = "fleet", "found.json"
+OPEN, FOUND = "fleet", "found.json"  # recordings and fleet.yaml; answers of `trackres fleet`
 KINDS = (
     (BEARING, STEP, 0.10),
     (BEARING, STEP, -0.10),
@@ -138,9 +138,9 @@ class FleetProof(Proof):
         vehicles, days, every, minutes, seed = (self.settings[name] for name in ("vehicles", "days", "every", "minutes", "seed"))
         return draw_fleet(vehicles, days, every, minutes, changes_of(vehicles), seed)
 
-    def record_all(self, drawn: Sequence[DrawnVehicle]) -> None:
+    def record_all(self, cases: Sequence[DrawnVehicle]) -> None:
         """Write the file of the fleet and all recordings; those that are there are kept."""
-        each(_record, begin_recordings(self.folder / OPEN, list(drawn), self.settings["minutes"]), "recorded")
+        each(_record, begin_recordings(self.folder / OPEN, list(cases), self.settings["minutes"]), "recorded")
 
     def cases(self, labels: Mapping[str, Any]) -> list[DrawnVehicle]:
         """See `Proof`."""
@@ -152,12 +152,12 @@ class FleetProof(Proof):
     def scores(self, cases: Sequence[DrawnVehicle]) -> list[ScoredVehicle]:
         """See `Proof`."""
         vehicles = read_json(self.folder / FOUND)["vehicles"]
-        return [score_vehicle(v, vehicles.get(v.name, {"changes": []})) for v in cases]
+        return [score_vehicle(case, vehicles.get(case.name, {"changes": []})) for case in cases]
 
-    def report(self, scored: list[ScoredVehicle], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+    def report(self, scores: list[ScoredVehicle], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
         known = known_of_the_type(FleetDataset(self.folder / "results"))
-        counts = summary(scored, labels["seed"], seal) | {"known_of_the_type": known}
+        counts = summary(scores, labels["seed"], seal) | {"known_of_the_type": known}
         return counts, page(counts)
 
 
@@ -169,10 +169,10 @@ def analyse(folder: Path) -> None:
     """Have `trackres fleet` find the changes; it sees recordings and fleet.yaml and nothing else."""
     words = ["fleet", folder / OPEN / "recordings", "--vehicles", folder / OPEN / "fleet.yaml"]
     command = python("trackres_ros", *words, "--period", "none", "-o", folder / "results", "--json")
-    with (folder / FOUND).open("w", encoding="utf-8") as found:
-        done = subprocess.run(**command, stdout=found, check=False)
-    if done.returncode:
-        sys.exit(done.returncode)
+    with (folder / FOUND).open("w", encoding="utf-8") as file:
+        code = subprocess.run(**command, stdout=file, check=False).returncode
+    if code:
+        sys.exit(code)
 
 
 def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:

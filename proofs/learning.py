@@ -125,36 +125,6 @@ def misled(case: LearningCase, torque: Array, step: float, rng: np.random.Genera
 REFIT = "refit"  # marks a vehicle that is re-fitted too, the slowest part
 
 
-def make_case(folder: Path, minutes: float, case: LearningCase) -> None:
-    """Write one vehicle with drives of so many minutes."""
-    into, sheet = folder / "cases" / case.name, find_vehicle(VEHICLE)
-    into.mkdir(parents=True, exist_ok=True)
-    write_vehicle(into / "vehicle.yaml", case.lumped)
-    if not case.hostile:
-        (into / REFIT).touch()
-    numbers = read_data_sheet(sheet)
-    weight, radius = numbers["weight"], numbers["track.sprocket_radius"]
-    rng = np.random.default_rng([case.seed, 1])
-    airs = rng.permutation(AIRS_DEGC)
-    planned = [drive(minutes, share * weight, air, FASTEST_MPS, rng) for share, air in zip(LOADS, airs, strict=True)]
-    driven = [replace(one, weight=one.weight * weight_shares(case, one.speed)) for one in planned]
-    runs = simulate_truth(sheet, Build(**case.build), {}, driven)
-    sensors = drawn_sensors(rng)
-    kept: dict[str, Any] = {}
-    for i, (plan, one, run) in enumerate(zip(planned, driven, runs, strict=True)):
-        added = added_torque(case, one, weight, radius)
-        path, off = into / f"drive_{i + 1}.csv", float(rng.normal(0.0, AIR_OFF_K))
-        with_added = replace(run, torque=run.torque + added, shown=run.shown + added)
-        record(path, plan, with_added, replace(sensors, ambient_off_k=off), radius, START_S + i * APART_S, rng)
-        if case.hostile in SENSORS:
-            _mislead(path, case, one.step, rng)
-        inertia = radius * numbers["chassis.rotating_mass_factor"] * one.weight / G * one.accel
-        kept[f"torque_{i + 1}"], kept[f"speed_{i + 1}"] = run.torque + added - inertia, one.speed
-        # Disturbances are outside of any model: on a hill without a recorded slope they cannot be known.
-        kept[f"known_{i + 1}"] = run.torque - inertia + (added if case.hostile in REAL and case.hostile != "hill" else 0.0)
-    np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **kept)
-
-
 def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generator) -> None:
     names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
     rows = np.loadtxt(path, delimiter=",", skiprows=1)
@@ -259,7 +229,7 @@ START_NS = 1_700_000_000_000_000_000
 class LearningProof(Proof):
     """Vehicles of `draw_cases`, with the ageing run of `grow_old`."""
 
-    noun, noted, page = "vehicles", ("seed", "minutes"), "proof-learning.md"
+    noun, label_settings, page = "vehicles", ("seed", "minutes"), "proof-learning.md"
 
     def draw(self) -> Sequence[Any]:
         """See `Proof`."""
@@ -272,7 +242,32 @@ class LearningProof(Proof):
 
     def record(self, case: Any) -> None:
         """See `Proof`."""
-        make_case(self.folder, self.settings["minutes"], case)
+        into, sheet, minutes = self.folder / "cases" / case.name, find_vehicle(VEHICLE), self.settings["minutes"]
+        into.mkdir(parents=True, exist_ok=True)
+        write_vehicle(into / "vehicle.yaml", case.lumped)
+        if not case.hostile:
+            (into / REFIT).touch()
+        numbers = read_data_sheet(sheet)
+        weight, radius = numbers["weight"], numbers["track.sprocket_radius"]
+        rng = np.random.default_rng([case.seed, 1])
+        airs = rng.permutation(AIRS_DEGC)
+        planned = [drive(minutes, share * weight, air, FASTEST_MPS, rng) for share, air in zip(LOADS, airs, strict=True)]
+        driven = [replace(one, weight=one.weight * weight_shares(case, one.speed)) for one in planned]
+        runs = simulate_truth(sheet, Build(**case.build), {}, driven)
+        sensors = drawn_sensors(rng)
+        kept: dict[str, Any] = {}
+        for i, (plan, one, run) in enumerate(zip(planned, driven, runs, strict=True)):
+            added = added_torque(case, one, weight, radius)
+            path, off = into / f"drive_{i + 1}.csv", float(rng.normal(0.0, AIR_OFF_K))
+            with_added = replace(run, torque=run.torque + added, shown=run.shown + added)
+            record(path, plan, with_added, replace(sensors, ambient_off_k=off), radius, START_S + i * APART_S, rng)
+            if case.hostile in SENSORS:
+                _mislead(path, case, one.step, rng)
+            inertia = radius * numbers["chassis.rotating_mass_factor"] * one.weight / G * one.accel
+            kept[f"torque_{i + 1}"], kept[f"speed_{i + 1}"] = run.torque + added - inertia, one.speed
+            # Disturbances are outside of any model: on a hill without a recorded slope they cannot be known.
+            kept[f"known_{i + 1}"] = run.torque - inertia + (added if case.hostile in REAL and case.hostile != "hill" else 0.0)
+        np.savez_compressed(self.folder / "sealed" / f"{case.name}.npz", **kept)
 
     def cases(self, labels: Mapping[str, Any]) -> Sequence[Any]:
         """See `Proof`."""
@@ -282,17 +277,17 @@ class LearningProof(Proof):
         """See `Proof`."""
         return [score_case(self, case) for case in cases]
 
-    def report(self, scored: list[dict[str, Any]], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+    def report(self, scores: list[dict[str, Any]], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
-        scores = {
+        content = {
             "seed": labels["seed"],
             "minutes": labels["minutes"],
             "seal": seal,
             "sealed": len(labels["cases"]),
-            "cases": scored,
+            "cases": scores,
             "ageing": read_json(self.folder / AGEING) if (self.folder / AGEING).exists() else None,
         }
-        return scores, page(self.folder, scores)
+        return content, page(self.folder, content)
 
 
 def grow_old(folder: Path, hours: float) -> None:

@@ -69,7 +69,7 @@ class Proof(ABC):
 
     noun = "cases"
     key = "cases"  # of the labels in labels.json
-    noted: tuple[str, ...] = ("seed",)  # settings that labels.json has too
+    label_settings: tuple[str, ...] = ("seed",)  # that labels.json has too
     page = "proof.md"
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
@@ -79,10 +79,10 @@ class Proof(ABC):
     def draw(self) -> Sequence[Any]:
         """All cases of the seed. Each has a `name` that says nothing."""
 
-    def labels(self, drawn: Sequence[Any]) -> str:
+    def labels(self, cases: Sequence[Any]) -> str:
         """Content of labels.json."""
-        noted = {name: self.settings[name] for name in self.noted}
-        return json.dumps({**noted, self.key: [asdict(case) for case in drawn]}, indent=1)
+        settings = {name: self.settings[name] for name in self.label_settings}
+        return json.dumps({**settings, self.key: [asdict(case) for case in cases]}, indent=1)
 
     def seal(self, labels: str) -> str:
         """SHA-256 of the content of labels.json."""
@@ -92,9 +92,9 @@ class Proof(ABC):
         """Write into cases/NAME what the answer may use, and into sealed/ what the score needs."""
         raise NotImplementedError
 
-    def record_all(self, drawn: Sequence[Any]) -> None:
+    def record_all(self, cases: Sequence[Any]) -> None:
         """Record all cases that are not yet recorded."""
-        each(self._record, [case for case in drawn if not self._mark(case).exists()], "recorded")
+        each(self._record, [case for case in cases if not self._mark(case).exists()], "recorded")
 
     def _record(self, case: Any) -> None:
         self.record(case)
@@ -105,9 +105,9 @@ class Proof(ABC):
 
     @abstractmethod
     def cases(self, labels: Mapping[str, Any]) -> Sequence[Any]:
-        """The drawn cases, from their labels."""
+        """The cases, from their labels."""
 
-    def chosen(self, cases: Sequence[Any], first: int | None) -> Sequence[Any]:
+    def choice(self, cases: Sequence[Any], first: int | None) -> Sequence[Any]:
         """So many cases in the order of their names; without a number all as drawn."""
         return cases if first is None else sorted(cases, key=lambda case: case.name)[:first]
 
@@ -116,7 +116,7 @@ class Proof(ABC):
         """Scores of the answers to the cases."""
 
     @abstractmethod
-    def report(self, scored: list[Any], labels: Mapping[str, Any], seal: str) -> tuple[Mapping[str, Any], str]:
+    def report(self, scores: list[Any], labels: Mapping[str, Any], seal: str) -> tuple[Mapping[str, Any], str]:
         """Content of scores.json and of the page; writes pictures and further pages."""
 
     def result(self, name: str, results: str = "results") -> Any:
@@ -141,14 +141,14 @@ def prove(
 
 def begin(name: str, folder: Path, settings: Mapping[str, Any], fresh: bool = False) -> None:
     """Make the folder of a run, and note its settings; InputError if it holds another run."""
-    noted, text = output_folder(folder) / SETTINGS, json.dumps({"proof": name, **settings}, indent=1)
-    if fresh and noted.exists():
+    file, text = output_folder(folder) / SETTINGS, json.dumps({"proof": name, **settings}, indent=1)
+    if fresh and file.exists():
         for part in FOLDERS:
             shutil.rmtree(folder / part, ignore_errors=True)
-    same = noted.exists() and noted.read_text(encoding="utf-8") == text
+    same = file.exists() and file.read_text(encoding="utf-8") == text
     if not same and any((folder / part).exists() for part in FOLDERS):
         raise InputError("-o", str(folder), "an empty folder, or one of a run with the same options")
-    noted.write_text(text, encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
 
 
 def run_step(step: Step, as_json: bool = False) -> None:
@@ -182,7 +182,7 @@ def run_process(name: str, **how: Any) -> None:
 def proof_of(folder: Path) -> Proof:
     """The proof whose run is in a folder."""
     settings = read_json(folder / SETTINGS)
-    proof: Proof = _named(PROOFS[settings["proof"]])(folder, settings)
+    proof: Proof = _member(PROOFS[settings["proof"]])(folder, settings)
     return proof
 
 
@@ -190,18 +190,18 @@ def draw(folder: Path, first: int | None = None) -> None:
     """Draw the cases, print and write their seal, and record all, or the first."""
     proof = proof_of(folder)
     (folder / "sealed").mkdir(exist_ok=True)
-    drawn = proof.draw()
-    labels = proof.labels(drawn)
+    cases = proof.draw()
+    labels = proof.labels(cases)
     seal = proof.seal(labels)
     print(f"sealed: {len(json.loads(labels)[proof.key])} {proof.noun}, SHA-256 {seal}", flush=True)
     (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
     (folder / "sealed" / "labels.json").write_text(labels, encoding="utf-8", newline="")
-    proof.record_all(proof.chosen(drawn, first))
+    proof.record_all(proof.choice(cases, first))
 
 
 def answer(function: str, cases: Path, results: Path, first: int | None = None) -> None:
     """Answer all cases without a result yet, or those of the first; the function of `proofs` gets the folder of a case only."""
-    answer_all(_named(function), cases, results, first)
+    answer_all(_member(function), cases, results, first)
 
 
 def answer_all(function: Callable[[Path], Answer], cases: Path, results: Path, first: int | None = None) -> None:
@@ -213,13 +213,13 @@ def answer_all(function: Callable[[Path], Answer], cases: Path, results: Path, f
 
 
 def _answer(function: Callable[[Path], Answer], results: Path, folder: Path) -> None:
-    said, arrays = function(folder)
+    content, arrays = function(folder)
     if arrays:
         np.savez_compressed(results / f"{folder.name}.npz", **dict[str, Any](arrays))
-    write(results / f"{folder.name}.json", json.dumps(said).encode())
+    write(results / f"{folder.name}.json", json.dumps(content).encode())
 
 
-def opened_seal(folder: Path) -> tuple[Proof, dict[str, Any], str]:
+def unseal(folder: Path) -> tuple[Proof, dict[str, Any], str]:
     """The proof of a run, its labels, and their seal. InputError if other labels were sealed."""
     proof, text = proof_of(folder), (folder / "sealed" / "labels.json").read_bytes().decode()
     seal = proof.seal(text)
@@ -231,11 +231,11 @@ def opened_seal(folder: Path) -> tuple[Proof, dict[str, Any], str]:
 
 def score(folder: Path, first: int | None = None) -> None:
     """Open the seal, score all answers, or the first, and write scores and page."""
-    proof, labels, seal = opened_seal(folder)
-    scored = proof.scores(proof.chosen(proof.cases(labels), first))
+    proof, labels, seal = unseal(folder)
+    scores = proof.scores(proof.choice(proof.cases(labels), first))
     with file_set():
-        scores, page = proof.report(scored, labels, seal)
-        write(folder / "scores.json", json.dumps(scores, indent=1).encode())
+        content, page = proof.report(scores, labels, seal)
+        write(folder / "scores.json", json.dumps(content, indent=1).encode())
         write(folder / proof.page, page.encode())
     print(page)
 
@@ -293,7 +293,7 @@ def run_command(*words: str | Path) -> None:
         raise RuntimeError(f"trackres {' '.join(map(str, words))} ended with {done.returncode}: {done.stderr}")
 
 
-def _named(name: str) -> Any:
+def _member(name: str) -> Any:
     """A function or class of `proofs`, by module and name."""
     module, _, member = name.rpartition(".")
     return getattr(import_module(f"proofs.{module}"), member)
@@ -301,7 +301,7 @@ def _named(name: str) -> Any:
 
 def call(name: str, *words: str) -> None:
     """Call a function of `proofs` with words as the types of its parameters."""
-    function = _named(name)
+    function = _member(name)
     kinds = [next(iter(get_args(p.annotation)), p.annotation) for p in signature(function, eval_str=True).parameters.values()]
     function(*(kind(word) for kind, word in zip(kinds, words, strict=False)))
 

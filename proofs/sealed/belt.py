@@ -240,9 +240,8 @@ def roll(
     rates: Array,
     force: Array,
     mean: Array,
-    surface: Array,
 ) -> None:
-    """Fill loss per metre [N], mean and outer surface temperature [degC]; change the layers' temperatures.
+    """Fill loss per metre [N] and mean temperature [degC]; change the layers' temperatures.
 
     Parameters
     ----------
@@ -295,7 +294,6 @@ def roll(
         outer = (to_face * layers[count - 1] + (face + ground[i]) * ambient[i] + outer_flux[i] * 0.5 * area) / (
             to_face + face + ground[i]
         )
-        surface[i] = outer
         rates[0] += to_face * (inner - layers[0])
         rates[count - 1] += to_face * (outer - layers[count - 1])
         for j in range(count - 1):

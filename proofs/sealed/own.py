@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from proofs.pipeline import Proof, answer_all, each, opened_seal, read_json
+from proofs.pipeline import Proof, answer_all, each, read_json, unseal
 from proofs.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, SOURCES, Case, draw_cases
 from proofs.sealed.diagnosing import HELD_OUT, by_trees
 from proofs.sealed.drives import STEP_S, SealedDrive, read_profiles
@@ -84,9 +84,9 @@ class OwnProof(Proof):
         trees = by_trees([s["features"] for s in simple], expected, list(CATALOGUE)) or [""] * len(cases)
         return each(partial(_scored, self), list(zip(cases, trees, strict=True)), "oracle fitted")
 
-    def report(self, scored: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+    def report(self, scores: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
-        return scores_and_page(self.folder, scored, seal, labels["seed"], len(labels["cases"]))
+        return scores_and_page(self.folder, scores, seal, labels["seed"], len(labels["cases"]))
 
 
 def earlier(cases: Path, results: Path, checkout: Path, first: int | None = None) -> None:
@@ -115,7 +115,7 @@ def follow(folder: Path, first: int | None = None) -> None:
 
     It knows the vehicles, so it opens the seal. The diagnosis then gets a copy of the recordings with the new one.
     """
-    proof, labels, _ = opened_seal(folder)
+    proof, labels, _ = unseal(folder)
     tasks = []
     for case in sorted(proof.cases(labels), key=lambda case: str(case.name))[:first]:
         found = proof.result(case.name)["report"]

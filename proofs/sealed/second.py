@@ -79,7 +79,7 @@ class SecondProof(Proof):
         """None."""
         return []
 
-    def labels(self, _drawn: Sequence[Groomer]) -> str:
+    def labels(self, _cases: Sequence[Groomer]) -> str:
         """The labels of the folder, word for word."""
         return (Path(self.settings["source"]) / "labels.json").read_bytes().decode()
 
@@ -98,9 +98,9 @@ class SecondProof(Proof):
     def _score(self, label: Label) -> Scored:
         return scored(self.case_folder, label, self.result(label.name))
 
-    def report(self, scored: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+    def report(self, scores: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
-        return scores_and_page(self.folder, scored, seal, labels["seed"], len(labels["cases"]), self.case_folder)
+        return scores_and_page(self.folder, scores, seal, labels["seed"], len(labels["cases"]), self.case_folder)
 
 
 class GroomerProof(SecondProof):
@@ -115,9 +115,9 @@ class GroomerProof(SecondProof):
         """See `Proof`."""
         return draw_groomers(self.settings["counts"], self.settings["seed"])
 
-    def labels(self, drawn: Sequence[Groomer]) -> str:
+    def labels(self, cases: Sequence[Groomer]) -> str:
         """See `Proof`."""
-        return json.dumps({"seed": self.settings["seed"], "cases": each(label, drawn)}, indent=1)
+        return json.dumps({"seed": self.settings["seed"], "cases": each(label, cases)}, indent=1)
 
     def record(self, case: Groomer) -> None:
         """See `Proof`."""

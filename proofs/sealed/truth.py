@@ -64,7 +64,6 @@ class TruthRun:
     torque: Array  # at the sprockets [Nm]
     shown: Array  # at the sensor [Nm]
     belt: Array  # mean temperature [degC]
-    surface: Array  # temperature outside [degC]
     added: dict[str, Array]  # torque of each phenomenon [Nm]; for a program, or with friction brakes: at the sensor
     weight: Array  # including the load [N]
 
@@ -108,20 +107,20 @@ def _with_load(hidden: Hidden, drive: SealedDrive, driven: float) -> SealedDrive
     return loaded(drive, hidden[LOAD], driven) if LOAD in hidden else drive
 
 
-def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driven: float) -> tuple[Array, Array, Array, Array]:
+def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driven: float) -> tuple[Array, Array, Array]:
     sheet = design.sheet
     drive = _with_load(hidden, drive, driven)
     at = Journey(sheet, drive, driven)
     acts: dict[str, Array] = {}
     if PROGRAM in hidden:  # it follows the torque and the belt as they are without it
-        torque, _, belt, _ = _one(design, build, _without(hidden, PROGRAM), drive, driven)
+        torque, _, belt = _one(design, build, _without(hidden, PROGRAM), drive, driven)
         acts = acting(hidden, Seen(at, belt, torque))
     rub = _run(design, build, hidden, at, np.ones(len(drive)), acts)
     if "tension_torque" in hidden:  # the torque stretches the belt, which changes the torque: once round is near enough
         pull = np.abs(_resistance(sheet, build, hidden, at, rub[0])) / (sheet.assemblies * sheet["track.sprocket_radius"])
         more = np.sqrt(1.0 + 2.0 * hidden["tension_torque"]["share"] * pull / sheet["track.belt.pretension"])
         rub = _run(design, build, hidden, at, more, acts)
-    force, belt, surface = rub
+    force, belt = rub
     torque = _resistance(sheet, build, hidden, at, force)
     torque = torque * (1.0 + acts.get("gain", 0.0)) + acts.get("torque", 0.0) * at.direction
     if "drivetrain_efficiency" in hidden:
@@ -130,13 +129,13 @@ def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driv
         torque = torque + losses * at.direction
     if "drivetrain_drag" in hidden:
         torque = torque + hidden["drivetrain_drag"]["drag"] * (1.0 + 0.01 * at.travel) * at.direction
-    return torque, _sensor(torque, hidden, at) + acts.get("sensor", 0.0), belt, surface
+    return torque, _sensor(torque, hidden, at) + acts.get("sensor", 0.0), belt
 
 
 def _run(
     design: _Design, build: Build, hidden: Hidden, at: Journey, more: Array, acts: Mapping[str, Array]
-) -> tuple[Array, Array, Array]:
-    """Loss per metre of one belt [N], mean and outer temperature [degC]."""
+) -> tuple[Array, Array]:
+    """Loss per metre of one belt [N], and mean temperature [degC]."""
     drive, n, sheet, material = at.drive, len(at.drive), design.sheet, design.material
     belt = _belt(sheet)
     rubber = belt["width"] * belt["thickness"] - belt["cord_section"] + belt["lug_section"]
@@ -146,7 +145,7 @@ def _run(
     )  # fmt: skip
     area = belt["exposed_share"] * 2.0 * (belt["width"] + belt["thickness"]) * belt["loop_length"]
     heights = (np.arange(LAYERS) + 0.5) / LAYERS * belt["thickness"] - belt["cord_height"]
-    force, mean, surface = np.empty(n), np.empty(n), np.empty(n)
+    force, mean = np.empty(n), np.empty(n)
     row = np.interp(at.load, LOAD_SHARES, np.arange(len(LOAD_SHARES)))
     sun = hidden.get("solar", {}).get("flux", 0.0) + acts.get("heat", np.zeros(n))
     ground = hidden.get("ground_conduction", {}).get("conductance", 0.0)
@@ -173,9 +172,8 @@ def _run(
         np.empty(LAYERS),
         force,
         mean,
-        surface,
     )
-    return force, mean, surface
+    return force, mean
 
 
 def _belt(sheet: DataSheet) -> dict[str, float]:

@@ -217,7 +217,7 @@ def test_the_recording_has_the_instruments_gain_and_offset(sheet, tmp_path):
     still = np.full(len(one), 15.0)
     good = {"torque_nm": 0.0, "torque_share": 0.0, "torque_step_nm": 0.01, "road": 0.0, "dropouts": 0.0}
     sensors = Sensors(**good, torque_lag_s=0.05, torque_offset_nm=12.0, torque_gain=1.004)
-    run = TruthRun(shown, shown, still, still, {}, one.weight)
+    run = TruthRun(shown, shown, still, {}, one.weight)
     record(tmp_path / "a.csv", one, run, sensors, 0.36, 1.7e9, np.random.default_rng(1))
     torque = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True)["torque_nm"]
     even = one.accel == 0.0  # the sensor's noise grows with the acceleration

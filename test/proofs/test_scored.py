@@ -249,5 +249,5 @@ def test_the_first_cases_are_the_first_by_name_of_any_level(tmp_path):
         Case(name, level, {}, {}, False, False, False, True, 1) for name, level in (("c", "none"), ("a", "two"), ("b", "outside"))
     ]
     proof = OwnProof(tmp_path, {})
-    assert [one.name for one in proof.chosen(named, 2)] == ["a", "b"]
-    assert proof.chosen(named, None) == named
+    assert [one.name for one in proof.choice(named, 2)] == ["a", "b"]
+    assert proof.choice(named, None) == named

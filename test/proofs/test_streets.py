@@ -220,7 +220,7 @@ def test_brakes_take_part_of_hard_braking_and_hold_at_standstill():
 def recorded(folder, one, sensors, seed=1):
     still = np.full(len(one), 15.0)
     torque = np.where(one.speed > 0.0, 2000.0, 0.0)
-    run = TruthRun(torque, torque, still, still, {}, one.weight)
+    run = TruthRun(torque, torque, still, {}, one.weight)
     record(folder / "a.csv", one, run, sensors, 0.36, 1.7e9, np.random.default_rng(seed))
     return np.genfromtxt(folder / "a.csv", delimiter=",", names=True)
 
