@@ -12,6 +12,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from proofs import pipeline
@@ -94,6 +95,37 @@ def test_labels_as_they_were_sealed_are_scored(tmp_path):
     pipeline.draw(tmp_path, 0)
     pipeline.score(tmp_path, 0)
     assert json.loads((tmp_path / "scores.json").read_text())["sealed"] == 3
+
+
+def test_a_recording_that_was_interrupted_is_made_again(tmp_path):
+    begin("groomer", tmp_path, {"seed": 7, "counts": {"none": 2}})
+    pipeline.draw(tmp_path)
+    broken, finished = (case / "session1.csv" for case in sorted((tmp_path / "cases").iterdir()))
+    whole = broken.read_bytes()
+    (tmp_path / "sealed" / f"{broken.parent.name}.recorded").unlink()
+    for table in (broken, finished):
+        table.write_text("half")
+    pipeline.draw(tmp_path)
+    assert broken.read_bytes() == whole
+    assert finished.read_text() == "half"
+
+
+def length(folder):
+    """Stands for an answer: what is in the folder of a case, and an array."""
+    return {"files": len(list(folder.iterdir()))}, {"numbers": np.arange(3.0)}
+
+
+def test_the_first_cases_without_an_answer_get_one(tmp_path):
+    for name in "abcd":
+        (tmp_path / "cases" / name).mkdir(parents=True)
+    results = tmp_path / "results"
+    results.mkdir()
+    (results / "b.json").write_text("kept")
+    pipeline.answer_all(length, tmp_path / "cases", results, 3)
+    assert {path.name for path in results.iterdir()} == {"a.json", "a.npz", "b.json", "c.json", "c.npz"}
+    assert (results / "b.json").read_text() == "kept"
+    assert json.loads((results / "c.json").read_text()) == {"files": 0}
+    assert np.load(results / "c.npz")["numbers"].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_wilson():
