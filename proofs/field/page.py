@@ -31,10 +31,9 @@ from proofs.field.trials import (
 )
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis.base.base import Predicted
-from trackres_ros.diagnosis.empirical.closest import evenly_filled
-from trackres_ros.diagnosis.inference.fitting import Fit, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.selection.intervals import NORMAL_95
+from trackres_ros.diagnosis.inference.fitting import Fit, fit, with_levels
+from trackres_ros.diagnosis.selection.as_used import NORMAL_95
+from trackres_ros.diagnosis.selection.locate import evenly_filled
 from trackres_ros.effects.vehicle.warmup import WarmUp
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture
 from trackres_ros.text.numbers import decimals

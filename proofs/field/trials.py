@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED
+from trackres_ros.diagnosis.empirical.payload import Payload
 from trackres_ros.errors import InputError
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.output.table import write_table
@@ -149,12 +149,12 @@ class FieldTrial:
     def named(self) -> tuple[tuple[str, ...], ...]:
         """Classes of named effects; empty if the verdict names none."""
         names_any = self.found.verdict.status in ("named", "one_of")
-        return tuple(f.step.members for f in self.found.found) if names_any else ()
+        return tuple(t.members for t in self.found.found) if names_any else ()
 
     @property
     def described(self) -> tuple[str, ...]:
         """Forms of the unnamed terms that hold-out laps confirm."""
-        return tuple(t.described.form for t in self.found.described if t.graded.grade == CONFIRMED)
+        return tuple(str(t.form) for t in self.found.described if t.confirmed)
 
     @property
     def outcome(self) -> str:
@@ -233,7 +233,7 @@ def starts(data: Path, tried: FieldTrial) -> list[Start]:
 def acts_early(tried: FieldTrial, index: int) -> float:
     """Time during which the first named effect acts in the first `COLD_S` of one recording [s]."""
     name = tried.found.sessions[index].name
-    spans = tried.found.found[0].where if tried.found.found else ()
+    spans = tried.found.found[0].spans if tried.found.found else ()
     return sum(max(0.0, min(s.end, COLD_S) - s.begin) for s in spans if s.recording == name)
 
 
@@ -360,7 +360,7 @@ def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, dist
 
 def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
     """Compare the found masses with the passengers, which `given` has; None without any."""
-    stretches = next((t.described.stretches for t in tried.found.described if t.described.stretches), ())
+    stretches = next((t.pattern.stretches for t in tried.found.described if isinstance(t.pattern, Payload)), ())
     if not stretches:
         return None
     known = {s.name: s for s in given.found.sessions}

@@ -24,10 +24,11 @@ from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.variables import varying
-from trackres_ros.diagnosis.empirical.torque import torque_residuals
+from trackres_ros.diagnosis.empirical.finders import variable_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Split
 from trackres_ros.diagnosis.report.content import report
+from trackres_ros.diagnosis.selection.locate import torque_residuals
 from trackres_ros.diagnosis.selection.visibility import Separability, base_columns
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.recording.bindings import Topics
@@ -71,14 +72,15 @@ def _over(found: Diagnosis) -> dict[str, list[list[float]]]:
     """Of each described term: values of its variable, rising, and its torque there [Nm]; without those that have none."""
     shown = {}
     for term in found.described:
-        x, torque = (np.concatenate(list(of)) if of else np.empty(0) for of in (term.course, term.adds))
+        course = variable_of(term, found.final)
+        x, torque = (np.concatenate(list(of)) if of else np.empty(0) for of in (course, term.adds))
         speed = np.concatenate([s.speed for s in found.refitted.problem.sessions])
         if len(x) != len(speed):
             continue
         drives = np.flatnonzero((speed > DRIVING_MPS) & np.isfinite(x))
         rising = drives[np.argsort(x[drives])]
         kept = rising[np.linspace(0, len(rising) - 1, min(SHOWN, len(rising))).astype(int)]
-        shown[term.described.name] = [x[kept].tolist(), torque[kept].tolist()]
+        shown[term.name] = [x[kept].tolist(), torque[kept].tolist()]
     return shown
 
 

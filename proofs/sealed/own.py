@@ -49,9 +49,9 @@ from proofs.sealed.scoring import (
 from proofs.sealed.truth import G
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.empirical.closest import evenly_filled
 from trackres_ros.diagnosis.findings.next_drives import menu
 from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.selection.locate import evenly_filled
 from trackres_ros.errors import InputError
 from trackres_ros.files.interpreter import python
 

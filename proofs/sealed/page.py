@@ -31,7 +31,7 @@ from proofs.sealed.scoring import (
     wilson,
 )
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.report.page import write_page
+from trackres_ros.diagnosis.report.page import glance, write_page
 from trackres_ros.diagnosis.report.pictures import draw_all
 from trackres_ros.files.own_files import write
 from trackres_ros.output.style import picture
@@ -130,7 +130,8 @@ def write_case(folder: Path, cases: Path, s: Scored, path: Path) -> None:
     found, paths = diagnosed(cases / s.case.name)
     into = folder / "pictures" / s.case.name
     title = f"Case {s.case.name}; hidden: {s.case.title}"
-    write_page(path, report(found, [Path(p.name) for p in paths]), draw_all(found, into), title)
+    content = report(found, [Path(p.name) for p in paths])
+    write_page(path, content, glance(found, content["topics_lines"]), draw_all(found, into), title)
 
 
 def table(

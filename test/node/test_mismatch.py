@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from trackres_ros.node.mismatch import KNOWN_AFTER, MismatchDetector, MismatchSettings
+from trackres_ros.node.measured_torque import KNOWN_AFTER, MismatchDetector, MismatchSettings
 
 START_NS = 10**18
 DRIVE_NM, STD_NM, NOISE_NM = 3000.0, 300.0, 300.0  # tolerated are 300 Nm

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.node.endpoints import input_topics
-from trackres_ros.node.input_reader import InputReader
+from trackres_ros.node.inputs import InputReader
+from trackres_ros.node.transport import input_topics
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.corrected_lines import corrected, line_of, line_to_write

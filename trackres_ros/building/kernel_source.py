@@ -21,7 +21,7 @@ from trackres_ros.kernels.machine import NAME, sources_digest
 from trackres_ros.kernels.marks import ENTRIES
 
 MODULES = (
-    "estimator.entry_points", "diagnosis.base.own", "diagnosis.prepare.speed_smoothing", "diagnosis.prepare.gaps",
+    "estimator.entry_points", "diagnosis.base.own", "diagnosis.prepare.speed_smoothing", "diagnosis.prepare.sampling",
     "diagnosis.empirical.spells",
 )  # fmt: skip
 """Modules with entries."""

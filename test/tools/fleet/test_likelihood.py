@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proofs.fleet import FASTEST_MPS, VEHICLE
+from proofs.fleet import FASTEST_MPS
 from proofs.sealed.belt import read_data_sheet
 from proofs.sealed.drives import drive
 from proofs.sealed.truth import Build, Sensors, record, simulate_truth
@@ -16,6 +16,7 @@ from trackres_ros import read
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.tools.fleet.likelihood import evidence, whatever_others
+from trackres_ros.tools.fleet.sample import VEHICLE
 
 ROUNDING = 1e-12
 
