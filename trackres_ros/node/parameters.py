@@ -20,12 +20,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.topic_settings import FIELDS, given_by, settings_for
+from trackres_ros.files.dataclass_reader import Limits, fields_of, limits_of, words_of
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.learning.learner import MODES
@@ -102,18 +103,15 @@ class NodeParameter:
 
 
 def _of(settings: type[Settings | MismatchSettings]) -> tuple[NodeParameter, ...]:
-    """Parameters out of a dataclass of settings, by its metadata."""
-    choices = {"feedforward_parts": PARTS, "belt_sensor": BELT_SENSORS}
-    kinds = get_type_hints(settings)
+    """Parameters out of an annotated dataclass of settings."""
+    limits, choices = limits_of(settings), {field.name: words_of(field.kind) for field in fields_of(settings)}
     return tuple(
         NodeParameter(
             item.name,
-            kinds[item.name](item.default) if kinds[item.name] in (int, float) else item.default,  # type: ignore[arg-type]
+            item.default,  # type: ignore[arg-type]
             item.metadata["meaning"],
-            item.metadata.get("unit", ""),
-            item.metadata.get("low", math.nan),
-            item.metadata.get("high", math.nan),
-            choices.get(item.name, ()),
+            *limits.get(item.name, Limits("", math.nan, math.nan, ""))[:3],
+            choices[item.name],
         )
         for item in dataclasses.fields(settings)
     )

@@ -56,7 +56,7 @@ from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.progress import counted
 from trackres_ros.vehicle import Drift, Spells
-from trackres_ros.vehicle.schema import DISTURBANCES
+from trackres_ros.vehicle.description import DISTURBANCES
 from trackres_ros.vehicle.writing.changes import BY_PLACE, LearnedDisturbance
 
 Search = Callable[[Fit, Fit], "Term | None"]

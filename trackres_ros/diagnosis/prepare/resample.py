@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +43,7 @@ from trackres_ros.diagnosis.prepare.session import (
 )
 from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smooth_speed
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, base_role
@@ -419,8 +420,8 @@ def _live_filter(accel: Array, noise: float, jerk: float) -> LiveFilter | None:
         return None
     std = float(np.sqrt(np.mean(changes**2)))
     values = LiveFilter(noise, std, 2.0 * (std / jerk) ** 2)
-    limits = {one.name: one.metadata for one in fields(Settings)}
-    return LiveFilter(*(float(np.clip(x, limits[name]["low"], limits[name]["high"])) for name, x in values._asdict().items()))
+    limits = limits_of(Settings)
+    return LiveFilter(*(float(np.clip(x, limits[name].low, limits[name].high)) for name, x in values._asdict().items()))
 
 
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:
