@@ -1,21 +1,204 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Combines a case with the answers to it, and computes the scores of many."""
+"""Scores answers: puts them into one form, and compares them with the case and with an oracle.
+
+The oracle is the best possible result: the true structure is fitted to the same laps by the same optimiser.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from scipy.stats import binomtest
 
-from proofs.sealed.answers import DESCRIBED, Answer, error_left
 from proofs.sealed.cases import NOT_IN_CATALOGUE, RIGHT_NAMES, STREET, Case, sensors_of
-from proofs.sealed.drives import Array
-from proofs.sealed.oracle import OracleAnswer
+from proofs.sealed.diagnosing import opened
+from proofs.sealed.recordings import means
+from trackres_ros.arrays import Array
+from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
+from trackres_ros.diagnosis.base.track import TrackBase
+from trackres_ros.diagnosis.empirical.term import FOLLOWED
+from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.session import DriveSession, split
+from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
+from trackres_ros.effects import catalogue
+from trackres_ros.effects.effect import Active
+from trackres_ros.vehicle import Vehicle
+
+SURE = ("named", "one_of")
+DESCRIBED, CONFIRMED = "described", "confirmed"
+ABOUT = ("variable", "gate", "memory")
+EARLIER = "earlier"
+BASELINES = {
+    "naive": "regression of the residual on one effect",
+    "aic": "AIC, not whitened",
+    "sparse": "lasso on the residual",
+    "trees": "boosted trees",
+    EARLIER: "an earlier version of this tool",
+}
+
+
+@dataclass(frozen=True)
+class Description:
+    """A term with a form and no name: the form, and the words for its variable, its gate and its memory."""
+
+    form: str
+    about: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A status as in the verdict; the classes of named effects, one for each missing effect; the described terms
+    without a name; and the confirmed classes.
+    """
+
+    status: str
+    classes: tuple[tuple[str, ...], ...]
+    described: tuple[Description, ...] = ()
+    confirmed: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def first(self) -> str:
+        """The name given first; without any the status."""
+        return self.classes[0][0] if self.classes else self.status
+
+    def holds(self, true: set[str]) -> int:
+        """How many classes have a true effect in them."""
+        return sum(bool(true & set(members)) for members in self.classes)
+
+    def surely_wrong(self, allowed: set[str]) -> bool:
+        """Whether a name is confirmed that is neither allowed nor in a class with an allowed one."""
+        return any(not allowed & set(members) for members in self.confirmed)
+
+
+def of_report(report: dict[str, Any]) -> Answer:
+    """The answer of a report, with its first name at the head of each class."""
+    status = str(report["verdict"]["status"])
+    described = tuple(
+        Description(str(term["form"]), " ".join(filter(None, (words(term.get(key)) for key in ABOUT))))
+        for term in report.get("described", ())
+    )
+    if status not in SURE:
+        return Answer(status, (), described)
+    overall = report["verdict"].get("grade", CONFIRMED)
+    classes = [(e["name"], *(m for m in e["class"] if m != e["name"])) for e in report["effects"]]
+    sure = [c for c, e in zip(classes, report["effects"], strict=True) if e.get("grade", overall) == CONFIRMED]
+    return Answer(status, tuple(classes), described, tuple(sure))
+
+
+def words(value: Any) -> str:
+    """The words in a part of a report; for a mapping the keys with a content, and the content."""
+    if isinstance(value, dict):
+        return " ".join(f"{key} {words(held)}" for key, held in value.items() if held not in (None, False))
+    if isinstance(value, list):
+        return " ".join(words(one) for one in value)
+    return value.lower() if isinstance(value, str) else ""
+
+
+def error_left(report: dict[str, Any]) -> float:
+    """Mean absolute error on hold-out laps with all terms of the fit, or following a drift that is not refuted [Nm].
+
+    The `heldout` of a term of the fit is of all laps, each held out in turn, so it does not compare with that of the base.
+    """
+    drifts = [term for term in report.get("described", ()) if term["form"] in FOLLOWED and term["grade"] != "refuted"]
+    return float(drifts[-1]["heldout"]["mae"][1] if drifts else report["heldout"]["mae"]["with_effects"])
+
+
+def of_names(names: Sequence[str]) -> Answer:
+    """The answer of a method that only gives names."""
+    classes = tuple((name,) for name in names)
+    return Answer("named" if names else "none", classes, (), classes)
+
+
+LEAST_GAIN = 10.0  # in log-likelihood: 4.5 standard deviations
+AS_WELL = 3.0  # a name with a gain smaller by at most this fits as well
+ADDITION, LARGEST_ADDITION = "addition", 5.0  # times the true value
+
+
+@dataclass(frozen=True)
+class OracleAnswer:
+    """Findings of an oracle in one case. Physics outside the catalogue is identifiable if its gain is clear."""
+
+    gain: float  # in log-likelihood, of the true effects over the re-fitted base
+    alike: tuple[str, ...]  # effects that look like the first true one (cosine above 0.95), or outside the catalogue fit as well
+    identifiable: bool  # the gain is clear, no other effect looks alike, and the base does not absorb it
+    plain_both: bool  # of two effects: each gains as much in addition to the other
+    mae_base: float  # mean error on hold-out laps [Nm] without the true effects
+    mae: float  # and with them
+
+
+class WithAddition(TrackBase):
+    """The base with an added torque known except for its size: `added` [Nm], of each session a series of at least its
+    length.
+    """
+
+    def __init__(self, vehicle: Vehicle, added: Sequence[Array]) -> None:
+        super().__init__(vehicle)
+        self._added = added
+        self.parameters += (BaseParameter(ADDITION, "1", 0.0, np.inf, -LARGEST_ADDITION, LARGEST_ADDITION),)
+
+    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+        """See `base.Base`."""
+        plain = super().predict(sessions, values, effects)
+        return [
+            replace(p, torque=p.torque + values[ADDITION] * added[: len(p.torque)])
+            for p, added in zip(plain, self._added, strict=True)
+        ]
+
+
+def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), rivals: Sequence[str] = ()) -> OracleAnswer:
+    """Fit the true structure to the laps of a case: its effects in the catalogue, or the torque added by other physics.
+
+    That torque is given in each second of each drive [Nm]. Of the `rivals`, those with nearly the same gain are `alike`.
+    """
+    _, recordings, loaded = opened(folder)
+    base = loaded.base
+    effects = catalogue(size=base.facts.weight * base.facts.radius)
+    sessions = gate(recordings, loaded.known).sessions
+    chosen = split(sessions)
+    before = fit(Problem(base, sessions, tuple(chosen.training_mask(s) for s in sessions)))
+    held = [chosen.held_out_mask(s) for s in sessions]
+    measured = np.concatenate([s.torque[m] for s, m in zip(sessions, held, strict=True)])
+
+    def error(predicted: Sequence[np.ndarray]) -> float:
+        return float(np.abs(measured - np.concatenate([p[m] for p, m in zip(predicted, held, strict=True)])).mean())
+
+    mae_base = error([p.torque for p in with_levels(before).predicted])
+    if added:
+        assert isinstance(base, TrackBase)
+        by_step = [means(one, round(s.step)) for one, s in zip(added, sessions, strict=True)]
+        found = fit(replace(before.problem, base=WithAddition(base.vehicle, by_step)), start=before.at, noises=before.noises)
+        gain = found.log_likelihood - before.log_likelihood
+        mae = error([p.torque for p in with_levels(found).predicted])
+        gains = {
+            name: fit(before.problem, [effects[name]], before.at, before.noises).log_likelihood - before.log_likelihood
+            for name in rivals
+            if name in effects
+        }
+        alike = tuple(name for name, gained in gains.items() if gained > gain - AS_WELL)
+        return OracleAnswer(gain, alike, gain > LEAST_GAIN, False, mae_base, mae)
+    if not true:
+        return OracleAnswer(0.0, (), False, False, mae_base, mae_base)
+    wanted = [effects[name] for name in true]
+    found = fit(before.problem, wanted, before.at, before.noises)
+    gain = found.log_likelihood - before.log_likelihood
+    seen = separability(effects, before)
+    alike = seen.alike(true[0]) if true[0] in seen.names else (true[0],)
+    kept = max((s.kept for s in seen.visible if s.effect.name == true[0]), default=0.0)
+    plain = gain > LEAST_GAIN and len(alike) == 1 and kept >= LEAST_KEPT
+    both = len(wanted) > 1 and all(
+        found.log_likelihood - fit(before.problem, [e for e in wanted if e is not one], found.at, found.noises).log_likelihood
+        > LEAST_GAIN
+        for one in wanted
+    )
+    return OracleAnswer(gain, alike, plain, both, mae_base, error([p.torque for p in with_levels(found).predicted]))
+
 
 Tried = TypeVar("Tried")
 
@@ -80,7 +263,7 @@ class Scored:
     overlap: float  # of the first true effect that was named, in time; nan without one
     jaccard: float  # and over the range of its variable
     resolved: bool | None
-    learned: Mapping[str, float]  # errors on hold-out laps, see `discrepancy.learned_errors`
+    learned: Mapping[str, float]  # errors on hold-out laps, see `diagnosing.learned_errors`
     stated: bool | None = None  # whether the first description is true of the hidden physics; None without one to judge
     comparable: Mapping[str, tuple[str, float]] = field(default_factory=dict)  # an equivalent parameter, and its true value
     masses: Sequence[MassError] = ()  # of a payload that was hidden and described

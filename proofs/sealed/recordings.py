@@ -1,30 +1,24 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them."""
+"""Records cases: their drives as sensors show them, and vehicle files that say nothing of the hidden physics."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from proofs.processes import each, write_sealed
-from proofs.sealed.cases import LOADS, RECORDED, SOURCES, Case, draw_cases, draws, sensors_of, streets_of
-from proofs.sealed.data_sheet import read_data_sheet
-from proofs.sealed.drives import Array, SealedDrive, drive, recorded, trapezoids
-from proofs.sealed.profiles import read_profiles
-from proofs.sealed.sensors import Sensors, record
-from proofs.sealed.size import sized
-from proofs.sealed.street import loaded
-from proofs.sealed.street_drives import street_drive
-from proofs.sealed.town import draw_town
-from proofs.sealed.truth import Build, Hidden, TruthRun, simulate_truth
+from proofs.sealed.belt import read_data_sheet
+from proofs.sealed.cases import LOADS, RECORDED, Case, draws, sensors_of, sized, streets_of
+from proofs.sealed.drives import SealedDrive, draw_town, drive, recorded, street_drive, trapezoids
+from proofs.sealed.phenomena import loaded
+from proofs.sealed.truth import Build, Hidden, Sensors, TruthRun, record, simulate_truth
+from trackres_ros.arrays import Array
 from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
 
@@ -37,21 +31,6 @@ DULL_MPS = (6.0, 8.0)
 STREET_TIMES = 2.0  # as long drives in towns: they stand at crossings, and streets are to come again
 START_S, APART_S = 1_750_000_000.0, 1_300_000.0  # two weeks: each begins soaked
 EVERY = 10  # samples: kept part of the truth for the score
-
-
-def main(folder: Path, seed: int, minutes: float, *words: str) -> None:
-    """Draw and record cases: words are LEVEL=COUNT, and profiles=DIR for some drives at the recorded speeds of real vehicles."""
-    given = dict(word.split("=", 1) for word in words)
-    data = given.pop(PROFILES, None)
-    if data:
-        (folder / "sealed").mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(folder / "sealed" / f"{PROFILES}.npz", *read_profiles(Path(data)))
-    drawn = draw_cases({level: int(count) for level, count in given.items()}, seed, SOURCES if data else SOURCES[:-1])
-    cases = each(partial(_sized, folder, minutes), drawn)
-    labels = {"seed": seed, "cases": [asdict(case) for case in cases]}
-    write_sealed(folder, f"{len(cases)} cases", labels, labels)
-    missing = [case for case in cases if not (folder / "sealed" / f"{case.name}.npz").exists()]
-    each(partial(make_case, folder, minutes), missing, "recorded")
 
 
 def make_case(folder: Path, minutes: float, case: Case) -> None:
@@ -69,9 +48,7 @@ def make_case(folder: Path, minutes: float, case: Case) -> None:
             path.unlink()
     driven = _drives(case, minutes, "drive", profiles)
     runs, _ = record_all(into, "drive", build, case.hidden, driven, sensors_of(case), draws(case, "drive"))
-    kept, partial = folder / "sealed" / f"{case.name}.npz", folder / "sealed" / f"{case.name}.part.npz"
-    np.savez_compressed(partial, **_kept(case, driven, runs))
-    partial.rename(kept)
+    np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **_kept(case, driven, runs))
 
 
 def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -> dict[str, Any]:
@@ -129,7 +106,8 @@ def write_vehicle(path: Path, lumped: bool) -> Path:
     return path
 
 
-def _sized(folder: Path, minutes: float, case: Case) -> Case:
+def sized_case(folder: Path, minutes: float, case: Case) -> Case:
+    """A case whose hidden program, if it has one, is as large as drawn."""
     if case.level != "outside":
         return case
     return sized(case, find_vehicle(VEHICLE), _drives(case, minutes, "drive", _profiles(folder)))

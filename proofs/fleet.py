@@ -1,16 +1,17 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Counts how many changes of a concealed fleet are found, how soon and by which name, and the false alarms.
+"""The proof of the fleet's tools: how many changes of a concealed fleet are found, how soon, by which name, and false alarms.
 
-`generate` draws, seals and records; `score` opens the seal. Between them runs `trackres fleet`, which sees recordings and
-fleet.yaml and nothing else.
+It uses the truth of the sealed drives, which shares nothing with the model, and of the fleet's tools only their output.
 """
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,25 +19,78 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from proofs.fleet.draw import GAIN, write_recording
-from proofs.processes import check_seal, each, read_json, read_labels, write_scores, write_sealed
+from proofs.pipeline import Proof, each, read_json
+from proofs.sealed.belt import read_data_sheet
+from proofs.sealed.drives import SealedDrive, drive
+from proofs.sealed.truth import Build, drawn_sensors, record, simulate_truth
+from trackres_ros.files.interpreter import python
+from trackres_ros.files.own_files import PART
+from trackres_ros.files.resources import find_vehicle
 from trackres_ros.tools.fleet.dataset import FleetDataset
 from trackres_ros.tools.fleet.pooling import Vehicles, pool
 from trackres_ros.tools.fleet.sample import (
     BEARING,
     DAY_S,
+    LOADS,
     LOSS,
+    MOVES_MPS,
+    MOVES_S,
     RAMP,
     START_S,
     STEP,
+    VEHICLE,
     DrawnVehicle,
     Hidden,
+    air_at,
     begin_recordings,
+    change_at,
     draw_fleet,
 )
 from trackres_ros.tools.fleet.trends import NUMBERS, TEXTS
 
-OPEN, RESULTS = "fleet", "results"
+FASTEST_MPS = 16.7
+WIND_MPS = 3.0  # most, from anywhere
+RAIN_SHARE, RAIN = 0.12, (0.1, 0.8)  # of recordings; how much more a wet belt gives off
+GAIN = "torque_gain.error"
+
+
+def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: float) -> Path:
+    """Drive and record once; an existing file is kept."""
+    begin = START_S + vehicle.days[number] * DAY_S
+    path = folder / vehicle.name / f"drive_{number + 1:04d}.csv"
+    if path.exists():
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet = find_vehicle(VEHICLE)
+    numbers = read_data_sheet(sheet)
+    rng = np.random.default_rng([vehicle.seed, number])
+    air = air_at(vehicle.days[number], rng)
+    weight = float(rng.choice(LOADS)) * numbers["weight"]
+    one = drive(minutes, weight, air, FASTEST_MPS, rng)
+    while _moves_s(one) < MOVES_S:  # the driver stood nearly all the time
+        one = drive(minutes, weight, air, FASTEST_MPS, rng)
+    weather = {"headwind": {"wind": rng.uniform(0.0, WIND_MPS), "towards": rng.uniform(0.0, 2.0 * np.pi)}}
+    if rng.random() < RAIN_SHARE:
+        weather["rain"] = {"factor": 1.0 + rng.uniform(*RAIN)}
+    build, sensors = Build(**vehicle.build), drawn_sensors(np.random.default_rng([vehicle.seed, *b"sensors"]))
+    if vehicle.hidden is not None:
+        share = 1.0 + change_at(vehicle, number)
+        if vehicle.hidden.parameter == GAIN:
+            sensors = replace(sensors, torque_gain=sensors.torque_gain * share)
+        else:
+            name = "bearing" if vehicle.hidden.parameter == BEARING else "loss"
+            build = replace(build, **{name: getattr(build, name) * share})
+    (run,) = simulate_truth(sheet, build, weather, [one])
+    part = path.with_name(path.name + PART)
+    record(part, one, run, sensors, numbers["track.sprocket_radius"], begin, rng)
+    return part.rename(path)
+
+
+def _moves_s(one: SealedDrive) -> float:
+    return float((one.speed > MOVES_MPS).sum()) * one.step
+
+
+OPEN, FOUND = "fleet", "found.json"  # recordings and fleet.yaml; answers of `trackres fleet`
 KINDS = (
     (BEARING, STEP, 0.10),
     (BEARING, STEP, -0.10),
@@ -74,31 +128,51 @@ def changes_of(count: int) -> list[tuple[str, str, float]]:
     return [KINDS[i % len(KINDS)] for i in range(int(CHANGED_SHARE * count))]
 
 
-def generate(folder: Path, seed: int, vehicles: int, days: int, every: float, minutes: float) -> None:
-    """Draw a fleet, seal its changes, and record it."""
-    fleet = draw_fleet(vehicles, days, every, minutes, changes_of(vehicles), seed)
-    labels = {"seed": seed, "fleet": [asdict(v) for v in fleet]}
-    write_sealed(folder, f"{len(fleet)} vehicles", labels, labels)
-    each(_record, begin_recordings(folder / OPEN, fleet, minutes), "recorded")
+class FleetProof(Proof):
+    """A drawn fleet, in which half of the vehicles change. Between drawing and score, `analyse` answers for all vehicles."""
+
+    noun, key, page = "vehicles", "fleet", "fleet.md"
+
+    def draw(self) -> list[DrawnVehicle]:
+        """See `Proof`."""
+        vehicles, days, every, minutes, seed = (self.settings[name] for name in ("vehicles", "days", "every", "minutes", "seed"))
+        return draw_fleet(vehicles, days, every, minutes, changes_of(vehicles), seed)
+
+    def record_all(self, cases: Sequence[DrawnVehicle]) -> None:
+        """Write the file of the fleet and all recordings; those that are there are kept."""
+        each(_record, begin_recordings(self.folder / OPEN, list(cases), self.settings["minutes"]), "recorded")
+
+    def cases(self, labels: Mapping[str, Any]) -> list[DrawnVehicle]:
+        """See `Proof`."""
+        return [
+            DrawnVehicle(**{**v, "days": tuple(v["days"]), "hidden": Hidden(**v["hidden"]) if v["hidden"] else None})
+            for v in labels["fleet"]
+        ]
+
+    def scores(self, cases: Sequence[DrawnVehicle]) -> list[ScoredVehicle]:
+        """See `Proof`."""
+        vehicles = read_json(self.folder / FOUND)["vehicles"]
+        return [score_vehicle(case, vehicles.get(case.name, {"changes": []})) for case in cases]
+
+    def report(self, scores: list[ScoredVehicle], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+        """See `Proof`."""
+        known = known_of_the_type(FleetDataset(self.folder / "results"))
+        counts = summary(scores, labels["seed"], seal) | {"known_of_the_type": known}
+        return counts, page(counts)
 
 
 def _record(task: tuple[Path, DrawnVehicle, int, float]) -> None:
     write_recording(*task)
 
 
-def score(folder: Path) -> None:
-    """Open the seal, count, and write the counts and the page."""
-    labels = read_labels(folder)
-    seal = check_seal(folder, labels)
-    fleet = [
-        DrawnVehicle(**{**v, "days": tuple(v["days"]), "hidden": Hidden(**v["hidden"]) if v["hidden"] else None})
-        for v in labels["fleet"]
-    ]
-    found = read_json(folder / "found.json")
-    scored = [score_vehicle(v, found["vehicles"].get(v.name, {"changes": []})) for v in fleet]
-    known = known_of_the_type(FleetDataset(folder / RESULTS))
-    counts = summary(scored, labels["seed"], seal) | {"known_of_the_type": known}
-    write_scores(folder, counts, "fleet.md", page(counts))
+def analyse(folder: Path) -> None:
+    """Have `trackres fleet` find the changes; it sees recordings and fleet.yaml and nothing else."""
+    words = ["fleet", folder / OPEN / "recordings", "--vehicles", folder / OPEN / "fleet.yaml"]
+    command = python("trackres_ros", *words, "--period", "none", "-o", folder / "results", "--json")
+    with (folder / FOUND).open("w", encoding="utf-8") as file:
+        code = subprocess.run(**command, stdout=file, check=False).returncode
+    if code:
+        sys.exit(code)
 
 
 def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:

@@ -3,21 +3,134 @@
 
 """Draws physics outside of any catalogue, as programs: where it acts, its variable, when, and its memory.
 
-The parts are drawn independently, so a run has unforeseen combinations. Half of the programs are of the kinds in `kinds`
-instead. No code of the effects or of the described terms is used here, as a test checks.
+The parts are drawn independently, so a run has unforeseen combinations. Half of the programs are of the kinds in `KINDS`
+instead: slow physics, with a memory that no drawn program has. At the end stands the hidden physics of a town. No code of the
+effects or of the described terms is used here, as a test checks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from proofs.sealed.drives import Array
-from proofs.sealed.kinds import KINDS
-from proofs.sealed.phenomenon import Journey
+from proofs.sealed.belt import DataSheet
+from proofs.sealed.drives import SealedDrive
+from trackres_ros.arrays import Array
+
+CREEP_MPS = 0.04  # over it friction changes its sign
+
+
+@dataclass(frozen=True, eq=False)
+class Journey:
+    """A drive as input of phenomena; `driven` is the vehicle's distance before it [m]."""
+
+    sheet: DataSheet
+    drive: SealedDrive
+    driven: float
+
+    @property
+    def step(self) -> float:
+        """Time between samples [s]."""
+        return self.drive.step
+
+    @property
+    def speed(self) -> Array:
+        """Speed [m/s], negative backwards."""
+        return self.drive.speed
+
+    @property
+    def travel(self) -> Array:
+        """Size of the speed [m/s]."""
+        return np.abs(self.drive.speed)
+
+    @property
+    def direction(self) -> Array:
+        """Sign of the speed, which changes smoothly."""
+        return self.drive.speed / np.sqrt(self.drive.speed**2 + CREEP_MPS**2)
+
+    @property
+    def curvature(self) -> Array:
+        """Curvature of the path without its sign [1/m]."""
+        return np.abs(self.drive.yaw_rate) / np.maximum(self.travel, 0.3)
+
+    @property
+    def load(self) -> Array:
+        """Weight over the nominal one."""
+        return self.drive.weight / self.sheet["weight"]
+
+    @property
+    def distance(self) -> Array:
+        """Distance driven so far, earlier drives included [m]."""
+        return self.driven + np.cumsum(self.travel) * self.step
+
+    def climbing(self, rise: float | Array) -> Array:
+        """Torque of a slope [rise over run] at the sprockets [Nm]."""
+        return np.asarray(self.drive.weight * self.sheet["track.sprocket_radius"] * np.sin(np.arctan(rise)))
+
+    def lagged(self, target: Array, seconds: float, start: float) -> Array:
+        """A series as something follows it that takes its time."""
+        out, now, rate = np.empty(len(target)), start, 1.0 - np.exp(-self.step / seconds)
+        for i, aim in enumerate(target):
+            out[i] = now
+            now += (aim - now) * rate
+        return out
+
+
+Adds = Callable[[Journey, Mapping[str, float], Array], Array]
+"""Torque that a phenomenon adds [Nm], by the drive, the values of its parameters, and the torque without it."""
+
+
+STANDING_MPS = 0.1
+LONG_STOP_S = 20.0  # standing so long, the brake is set
+WINDING_S = 450.0  # time constant of a winding's temperature
+HOTTEST = 2.0  # over the warmth at rated torque: there a motor's control limits the torque
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of slow physics: its words, its entry point, the variables that it follows, and how they give its strength."""
+
+    words: str
+    entry: str  # of `ENTRIES`
+    variables: tuple[str, ...]
+    ranges: tuple[tuple[float, float], ...]  # of its draws
+    strength: Callable[..., Array]  # by the drive, the torque without it [Nm] and the draws; between -`HOTTEST` and 1
+
+
+def _seal(at: Journey, _: Array, log_m: float) -> Array:
+    return np.asarray(np.exp(-at.distance / np.exp(log_m)))
+
+
+def _parking_brake(at: Journey, _: Array, log_s: float) -> Array:
+    """Full after a long stop; its linings wear free while driving, and a short stop changes nothing."""
+    keep = np.exp(-at.step / np.exp(log_s))
+    out, now, stood = np.empty(len(at.travel)), 0.0, 0.0
+    for i, stands in enumerate((at.travel < STANDING_MPS).tolist()):
+        stood = stood + at.step if stands else 0.0
+        now = 1.0 if stood > LONG_STOP_S else now if stands else now * keep
+        out[i] = now
+    return out
+
+
+def _winding(at: Journey, torque: Array, rated: float) -> Array:
+    return -np.minimum(at.lagged((torque / rated) ** 2, WINDING_S, 0.0), HOTTEST)
+
+
+KINDS: dict[str, Kind] = {
+    "seal": Kind("a seal whose drag fades with the distance run", "torque", ("distance",), ((7.6, 9.2),), _seal),
+    "parking brake": Kind(
+        f"a parking brake that drags after stops longer than {LONG_STOP_S:.0f} s", "torque", ("time since a stop",),
+        ((3.0, 5.0),), _parking_brake,
+    ),
+    "winding": Kind(
+        "a motor torque whose gain falls as the winding warms", "gain", ("driving torque",), ((3000.0, 6000.0),), _winding
+    ),
+}  # fmt: skip
+"""Draws: of a seal the logarithm of 2 to 10 km, of a brake that of 20 to 150 s of driving, of a motor its rated torque [Nm]."""
+
 
 PROGRAM = "program"  # its name among the hidden phenomena; parameters: seed, and size once it is known
 STANDING_MPS, BRAKING_MPS2, BEND_PER_M = 0.1, -0.35, 0.02  # what resets a memory
@@ -223,3 +336,43 @@ def acting(hidden: Mapping[str, Mapping[str, float]], seen: Seen) -> dict[str, A
     """Result of a hidden program, at its entry point and in that entry's unit."""
     program = draw_program(int(hidden[PROGRAM]["seed"]))
     return {program.entry: ENTRIES[program.entry].unit * hidden[PROGRAM].get("size", 1.0) * program.series(seen)}
+
+
+LOAD = "stretch_load"
+STAYS = 0.5  # share of the people who stay on at a stop
+
+
+def loaded(drive: SealedDrive, p: Mapping[str, float], driven: float) -> SealedDrive:
+    """The same drive with a load between one stop and the next, up to a `share` of its weight.
+
+    People get on and off a few at a time; `bulk` is either present or not.
+    """
+    assert drive.street is not None
+    rng = np.random.default_rng([int(p["seed"]), int(driven)])
+    count = int(drive.street.stretch.max()) + 1
+    load = rng.uniform(0.0, 1.0, count)
+    if p["bulk"]:
+        full = np.arange(count) % 2 == rng.integers(2)
+        load = np.where(full, 0.8 + 0.2 * load, 0.05 * load)
+    else:
+        for k in range(1, count):
+            load[k] = STAYS * load[k - 1] + (1.0 - STAYS) * load[k]
+    return replace(drive, weight=drive.weight * (1.0 + p["share"] * load[drive.street.stretch]))
+
+
+def _slope(at: Journey, _p: Mapping[str, float], _: Array) -> Array:
+    """The slope of a street that was not surveyed: its steepness is that of the town."""
+    assert at.drive.street is not None
+    return at.climbing(at.drive.street.slope)
+
+
+def _ground(at: Journey, p: Mapping[str, float], _: Array) -> Array:
+    """Soft or rough ground on some streets, which takes the same either way; each pass runs on another line."""
+    assert at.drive.street is not None
+    rng = np.random.default_rng([int(p["seed"]), int(at.driven)])
+    line = 1.0 + at.lagged(rng.normal(0.0, 0.1 * np.sqrt(2.0 * 40.0 / at.step), len(at.speed)), 40.0, 0.0)
+    return p["torque"] * at.drive.street.softness * line * at.load * at.direction
+
+
+TOWN_PHENOMENA: dict[str, Adds] = {"street_slope": _slope, "street_ground": _ground}
+"""Additional torques; `LOAD` is in the weight."""

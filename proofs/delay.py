@@ -1,36 +1,32 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scores the estimated delay of the torque behind the speed on vehicles with a concealed delay.
-
-`generate` draws, seals and records; `find` sees recordings and vehicle files and nothing else; `score` opens the seal.
-"""
+"""The proof of the estimated delay of the torque behind the speed, on vehicles with a concealed delay."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from proofs.learned.cases import (
+from proofs.learning import (
     AIRS_DEGC,
     LOADS,
     SENSORS,
     LearningCase,
+    LearningProof,
     added_torque,
     draw_cases,
     misled,
     weight_shares,
 )
-from proofs.processes import check_seal, each, read_labels, unfinished, write_scores, write_sealed
-from proofs.sealed.drives import Array, SealedDrive, drive, trapezoids
-from proofs.sealed.generate import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
-from proofs.sealed.sensors import HEAVY_TAILS, Sensors, drawn_sensors, lagging, road_slopes
-from proofs.sealed.truth import Build, simulate_truth
+from proofs.sealed.drives import SealedDrive, drive, trapezoids
+from proofs.sealed.recordings import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
+from proofs.sealed.truth import HEAVY_TAILS, Build, Sensors, drawn_sensors, lagging, road_slopes, simulate_truth
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
@@ -62,6 +58,11 @@ class Delayed:
     stamp_std_s: float
     stop_and_go: bool
 
+    @property
+    def name(self) -> str:
+        """Uninformative."""
+        return self.case.name
+
 
 def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
     """Draw vehicles with their delays and instruments, all from one seed."""
@@ -78,38 +79,51 @@ def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
     return found
 
 
-def generate(folder: Path, seed: int, minutes: float, vehicles: int, hostile: int) -> None:
-    """Draw, seal and record."""
-    drawn = draw(seed, vehicles, hostile)
-    labels = {"seed": seed, "minutes": minutes, "drawn": [asdict(one) for one in drawn]}
-    write_sealed(folder, f"{len(drawn)} vehicles", [seed, labels["drawn"]], labels)
-    missing = [one for one in drawn if not (folder / "cases" / one.case.name / "drive.csv").exists()]
-    each(partial(record_one, folder, minutes), missing, "recorded")
+class DelayProof(LearningProof):
+    """Vehicles of the proof of the learning, with a delay each."""
 
+    key, page = "drawn", "delay.md"
 
-def record_one(folder: Path, minutes: float, one: Delayed) -> None:
-    """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
-    case = one.case
-    into = folder / "cases" / case.name
-    into.mkdir(parents=True, exist_ok=True)
-    write_vehicle(into / "vehicle.yaml", case.lumped)
-    weight, radius = weight_and_radius()
-    rng = np.random.default_rng([case.seed, 2])
-    make = trapezoids if one.stop_and_go else drive
-    planned = make(minutes, float(rng.choice(LOADS)) * weight, float(rng.choice(AIRS_DEGC)), FASTEST_MPS, rng)
-    driven = replace(planned, weight=planned.weight * weight_shares(case, planned.speed))
-    (run,) = simulate_truth(find_vehicle(VEHICLE), Build(**case.build), {}, [driven])
-    sensors = drawn_sensors(rng)
-    torque = run.shown + road_slopes(driven, sensors, rng) * driven.weight * radius
-    torque = torque + added_torque(case, driven, weight, radius)
-    rows = [*_speeds(one, driven, sensors, rng), *_torques(one, driven, torque, sensors, rng)]
-    lines = [
-        f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}"
-        for stamp, speed, measured in sorted(rows)
-    ]
-    part = into / "drive.part"
-    part.write_text("time_s,speed_mps,torque_nm,weight_n,ambient_degc\n" + "\n".join(lines) + "\n", encoding="utf-8")
-    part.rename(into / "drive.csv")
+    def draw(self) -> list[Delayed]:
+        """See `Proof`."""
+        return draw(self.settings["seed"], self.settings["vehicles"], self.settings["hostile"])
+
+    def record(self, delayed: Delayed) -> None:
+        """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
+        case, into = delayed.case, self.folder / "cases" / delayed.name
+        into.mkdir(parents=True, exist_ok=True)
+        write_vehicle(into / "vehicle.yaml", case.lumped)
+        weight, radius = weight_and_radius()
+        rng = np.random.default_rng([case.seed, 2])
+        make = trapezoids if delayed.stop_and_go else drive
+        planned = make(
+            self.settings["minutes"], float(rng.choice(LOADS)) * weight, float(rng.choice(AIRS_DEGC)), FASTEST_MPS, rng
+        )
+        driven = replace(planned, weight=planned.weight * weight_shares(case, planned.speed))
+        (run,) = simulate_truth(find_vehicle(VEHICLE), Build(**case.build), {}, [driven])
+        sensors = drawn_sensors(rng)
+        torque = run.shown + road_slopes(driven, sensors, rng) * driven.weight * radius
+        torque = torque + added_torque(case, driven, weight, radius)
+        rows = [*_speeds(delayed, driven, sensors, rng), *_torques(delayed, driven, torque, sensors, rng)]
+        lines = [
+            f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}"
+            for stamp, speed, measured in sorted(rows)
+        ]
+        head = "time_s,speed_mps,torque_nm,weight_n,ambient_degc"
+        (into / "drive.csv").write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+
+    def cases(self, labels: Mapping[str, Any]) -> list[Delayed]:
+        """See `Proof`."""
+        return [Delayed(**{**label, "case": LearningCase(**label["case"])}) for label in labels["drawn"]]
+
+    def scores(self, cases: Sequence[Delayed]) -> list[dict[str, Any]]:
+        """See `Proof`."""
+        return [_score(case, np.load(self.folder / "results" / f"{case.name}.npz")["rows"]) for case in cases]
+
+    def report(self, scores: list[dict[str, Any]], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+        """See `Proof`."""
+        content = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scores}
+        return content, page(content)
 
 
 def _speeds(one: Delayed, driven: SealedDrive, sensors: Sensors, rng: np.random.Generator) -> list[tuple[float, str, str]]:
@@ -144,34 +158,21 @@ def _sampled(one: Delayed, driven: SealedDrive, rate_hz: float, rng: np.random.G
     return times, np.maximum.accumulate(START_S + times + rng.normal(0.0, one.stamp_std_s, n))
 
 
-def find(folder: Path) -> None:
-    """Learn from every recording."""
-    results = folder / "results"
-    each(partial(find_one, results), unfinished(folder / "cases", results, suffix=".npy"), "learned")
+def learn(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Answer of the folder of a vehicle, learned as by the live node.
 
-
-def find_one(results: Path, case: Path) -> None:
-    """Learn from one recording, as the live node does: time [s], delay [s], standard deviation [s] and state, once a second."""
-    estimator = Estimator(load(case / "vehicle.yaml"))
+    The rows have time [s], delay [s], standard deviation [s] and state, once a second.
+    """
+    estimator = Estimator(load(folder / "vehicle.yaml"))
     kept: list[Steps] = []
-    replay(open_source([case / "drive.csv"], None), estimator, kept.append, learner=Learner(estimator, "watch"))
+    replay(open_source([folder / "drive.csv"], None), estimator, kept.append, learner=Learner(estimator, "watch"))
     stamps = np.concatenate([steps.stamp_ns for steps in kept])
     rows = np.concatenate([steps.rows[:, -3:] for steps in kept])
     seconds = np.flatnonzero(np.diff(stamps // 10**9, append=0))
-    np.save(results / f"{case.name}.npy", np.column_stack([(stamps[seconds] - stamps[0]) * 1e-9, rows[seconds]]))
+    return {}, {"rows": np.column_stack([(stamps[seconds] - stamps[0]) * 1e-9, rows[seconds]])}
 
 
-def score(folder: Path) -> None:
-    """Open the seal, compare, and write the scores and the page."""
-    labels = read_labels(folder)
-    drawn = [Delayed(**{**one, "case": LearningCase(**one["case"])}) for one in labels["drawn"]]
-    seal = check_seal(folder, [labels["seed"], labels["drawn"]])
-    scored = [_scored(one, np.load(folder / "results" / f"{one.case.name}.npy")) for one in drawn]
-    scores = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scored}
-    write_scores(folder, scores, "delay.md", page(scores))
-
-
-def _scored(one: Delayed, rows: Array) -> dict[str, Any]:
+def _score(one: Delayed, rows: Array) -> dict[str, Any]:
     """Error at the end, and at how many seconds it was sure of a wrong delay."""
     off, known = rows[:, 1] - one.delay_s, rows[:, 3] == LEARNED
     wrong = known & (np.abs(off) > WITHIN_STD * rows[:, 2])
@@ -182,7 +183,7 @@ def _scored(one: Delayed, rows: Array) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def page(scores: dict[str, Any]) -> str:
+def page(scores: Mapping[str, Any]) -> str:
     """The scores as Markdown."""
     plain = [one for one in scores["each"] if not one["hostile"]]
     hostile = [one for one in scores["each"] if one["hostile"]]
