@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.empirical.forms import (
     time_since_long_stop,
 )
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.selection.level_errors import Levels
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Latch, latched
@@ -32,7 +32,7 @@ LEVEL_NM = 400.0
 @pytest.fixture(scope="module")
 def fitted(recorded, loaded):
     """A fit of recordings with nothing hidden."""
-    gated, _, _ = prepared(read_recordings(recorded(), None), loaded, (), ())
+    gated, _, _ = checked_sessions(read_recordings(recorded(), None), loaded, (), ())
     return fit(Problem(loaded.base, gated.sessions, tuple(s.used for s in gated.sessions)))
 
 
@@ -41,7 +41,7 @@ def test_time_lost_by_a_corrected_clock_is_excluded(recorded, loaded):
     torque = recordings[0].series["torque"]
     late = replace(torque, stamp_ns=torque.stamp_ns + 6_000_000_000)
     recordings[0] = replace(recordings[0], series={**recordings[0].series, "torque": late})
-    gated, _, before = prepared(recordings, loaded)
+    gated, _, before = checked_sessions(recordings, loaded)
     lost = sum((s.used.sum() - t.used.sum()) * s.step for s, t in zip(before, gated.sessions, strict=True))
     assert gated.excluded["torque lost by the correction of its clock"] == round(lost) > 0
     assert any("corrected" in note for note in gated.notes)
