@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.term import Round, compared
+from trackres_ros.diagnosis.empirical.term import Round, term_of_fit
 from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, apart, information, known, menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
@@ -61,7 +61,7 @@ def tied(recorded, loaded, effects):
     sessions = gate(read_recordings(recorded("drivetrain_drag"), None), loaded.known).sessions
     before = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
     fits = {name: fit(before.problem, [effects[name]], before.at, before.noises) for name in ("drivetrain_drag", "torque_offset")}
-    found = [compared(before, with_it, effects[name]) for name, with_it in fits.items()]
+    found = [term_of_fit(before, with_it, effects[name]) for name, with_it in fits.items()]
     drag, offset = (replace(term, level=term.gain) for term in found)
     return replace(drag, rivals=Round(before, None, (offset,), 5.0), members=tuple(fits), weights=dict.fromkeys(fits, 0.5))
 

@@ -14,9 +14,9 @@ from trackres_ros.diagnosis.empirical.forms import (
     CLOCKS,
     LONG_STOP_S,
     candidates,
-    found_by_clock,
-    found_by_scan,
+    clock_forms,
     latched_states,
+    scanned_forms,
     shapes,
     time_since_long_stop,
 )
@@ -60,7 +60,7 @@ def with_torque(fitted, shapes):
 def scanned(fitted, code, x, shapes):
     """The forms of one variable that a scan finds, the one that explains the block means best first."""
     found, levels = with_torque(fitted, shapes)
-    return best_first(found_by_scan(found, levels, {code: x}), levels)
+    return best_first(scanned_forms(found, levels, {code: x}), levels)
 
 
 def best_first(forms, levels):
@@ -105,7 +105,7 @@ def test_a_torque_of_the_clock_is_found_with_its_threshold(fitted, variable, kin
     low, high = (float(q) for q in np.quantile(np.concatenate(x), (0.02, 0.98)))
     columns = [c[:, 0] for c in shapes(kind, x, (low, high), np.array([at]))]
     found, levels = with_torque(fitted, columns)
-    (first, *_) = best_first(found_by_clock(found, levels), levels)
+    (first, *_) = best_first(clock_forms(found, levels), levels)
     assert (first.variable, first.kind) == (variable, kind)
     assert first.threshold == pytest.approx(at, abs=0.15 * (high - low))
 

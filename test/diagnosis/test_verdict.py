@@ -18,7 +18,7 @@ import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.sentences import of_learned, turning_points
+from trackres_ros.diagnosis.empirical.sentences import describe_form, turning_points
 from trackres_ros.diagnosis.empirical.term import FOLLOWED, FROM, Form, Round, Term, by_improvement
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Changed, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
@@ -650,7 +650,7 @@ PEAK, WAVY = Curve(SPEED, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, [1.0, 2.0, 3.0, 4.
 )  # fmt: skip
 def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
     values = {**{q.name: q.start for q in effect.parameters}, **values}
-    described = of_learned(Term(effect, None, improvement=BETTER, values=values, adds=term().adds), "vehicle")
+    described = describe_form(Term(effect, None, improvement=BETTER, values=values, adds=term().adds), "vehicle")
     assert described.sentence == sentence
     verdict = said(terms=[described])
     assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue explains this. Look for ")

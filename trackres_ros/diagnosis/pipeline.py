@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.empirical.finders import (
     closest_to_slow,
-    described,
+    describe,
     drift_on_held_out,
     drift_to_watch,
     slow_term,
@@ -222,7 +222,7 @@ def _in_final_fit(term: Term, base: Refitted, final: Fit, bounds: Bounds) -> Ter
     values, torques = active_of(final, term.name).values, final.contribution(term.name)
     term = replace(term, values=values, intervals=bounds_of(term.name, bounds), adds=torques)
     if not term.is_named:
-        return described(term, final)
+        return describe(term, final)
     sessions = final.problem.sessions
     location = locate(final, against_travel(sessions, torques))
     if term.is_by_place:

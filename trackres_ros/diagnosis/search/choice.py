@@ -17,7 +17,16 @@ import numpy as np
 
 from trackres_ros.diagnosis.empirical.finders import SURE
 from trackres_ros.diagnosis.empirical.forms import varies
-from trackres_ros.diagnosis.empirical.term import CLOCK, FORM, ONLY_BETWEEN, Round, Term, active_of, displaced, on_bounds
+from trackres_ros.diagnosis.empirical.term import (
+    CLOCK,
+    FORM,
+    ONLY_BETWEEN,
+    Round,
+    Term,
+    active_of,
+    displaced_parameters,
+    on_bounds,
+)
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
@@ -79,7 +88,7 @@ class Choice:
             without = self._search.without(explanation, name)
             improvement = self._validation.improvement(without.score, explanation.score)
             faults = self._faults(explanation, name, improvement, without) if improvement.confirmed else ()
-            displaces = displaced(improvement, explanation.fit, without.fit)
+            displaces = displaced_parameters(improvement, explanation.fit, without.fit)
             bounds = on_bounds(active_of(explanation.fit, name))
             self._graded[key] = replace(
                 term, improvement=improvement, faults=tuple(faults), on_bounds=bounds, displaces=displaces

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.finders import find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
-from trackres_ros.diagnosis.empirical.term import Route, Term, compared, share
+from trackres_ros.diagnosis.empirical.term import Route, Term, share, term_of_fit
 from trackres_ros.diagnosis.inference.fitting import Fit, bounded, first_look, fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.session import Array
@@ -245,7 +245,7 @@ class Search:
                 known |= p.derivatives
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
             found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
-            added = {p.effect.name: compared(base, found, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
+            added = {p.effect.name: term_of_fit(base, found, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
             self._keep(self._explanation(found, self.validation.score(found, columns), added))
 
     def _swap(self, explanation: Explanation) -> None:
@@ -287,7 +287,7 @@ class Search:
         for p in counted(best, "fits of candidate effects", len(best)):
             start = {(p.effect.name, q): value for q, value in p.start.items()}
             fitted, columns = first_look(current, [*effects, p.effect], own | p.derivatives, start, SHORT_ROOT)
-            self._add(explanation, compared(current, fitted, p.effect, 0.0, p.kept, p.d_prime), columns)
+            self._add(explanation, term_of_fit(current, fitted, p.effect, 0.0, p.kept, p.d_prime), columns)
 
     @property
     def cost(self) -> float:

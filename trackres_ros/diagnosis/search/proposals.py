@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.forms import candidates, followed, found_by_clock, found_by_scan, series
+from trackres_ros.diagnosis.empirical.forms import candidates, clock_forms, scanned_forms, series, variable_codes
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels
@@ -88,8 +88,8 @@ class Proposer:
         """Forms whose thresholds depend on the residual."""
         facts, effects = current.problem.base.facts, dict[str, Effect]()
         self._columns.forget()
-        forms = found_by_scan(current, levels, {code: series(code, current) for code in followed(current)})
-        for form, rows in (*forms, *found_by_clock(current, levels)):
+        forms = scanned_forms(current, levels, {code: series(code, current) for code in variable_codes(current)})
+        for form, rows in (*forms, *clock_forms(current, levels)):
             effect = sized(form, facts.weight * facts.radius) if isinstance(form, EmpiricalEffect) else form
             self._columns.give(effect, rows[:, np.newaxis])
             effects[f"scanned {form.name}"] = effect
