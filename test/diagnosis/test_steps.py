@@ -106,7 +106,7 @@ def test_means_of_a_course_keep_its_integral():
     at = np.sort(rng.uniform(0.0, 50.0, 300))
     course = Cumulative.of(at, rng.normal(size=300))
     begin_s = np.arange(5.0, 45.0)
-    whole = np.interp(45.0, course.at, course.integral) - np.interp(5.0, course.at, course.integral)
+    whole = np.interp(45.0, course.times, course.integral) - np.interp(5.0, course.times, course.integral)
     assert course.means(begin_s, 1.0).sum() == pytest.approx(whole)
 
 

@@ -152,7 +152,7 @@ def _has_torque_sample(session: DriveSession) -> Mask:
     if session.torque_course is None:
         return np.zeros(len(session), dtype=bool)
     edges = np.append(session.time, session.time[-1] + session.step)
-    return np.asarray(np.histogram(session.torque_course.at, edges)[0] > 0)
+    return np.asarray(np.histogram(session.torque_course.times, edges)[0] > 0)
 
 
 def checked_sessions(
