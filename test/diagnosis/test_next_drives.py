@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.empirical.term import Round, term_of_fit
-from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, apart, information, known, menu
+from trackres_ros.diagnosis.findings.next_drives import (
+    SEEN_D_PRIME,
+    advise,
+    information,
+    menu,
+    recorded_distances,
+    squared_distances,
+)
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.session import lap_name, split
@@ -84,8 +91,8 @@ def test_standing_adds_no_evidence_beyond_the_models_own_error(tied):
     facts, like = tied.rivals.before.problem.base.facts, tied.rivals.before.problem.sessions[0]
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](like)
     nothing_hidden = [tied.rivals.before, tied.rivals.before]
-    assert apart(nothing_hidden, drive)[0, 1] < 0.0
-    assert known([tied.level - tied.rivals.cost])[0, 1] == pytest.approx(2.0 * (tied.level - tied.rivals.cost))
+    assert squared_distances(nothing_hidden, drive)[0, 1] < 0.0
+    assert recorded_distances([tied.level - tied.rivals.cost])[0, 1] == pytest.approx(2.0 * (tied.level - tied.rivals.cost))
 
 
 def test_laps_can_be_held_out_by_name(tied):
@@ -104,4 +111,4 @@ def test_a_series_of_the_recordings_is_unknown_in_another_drive(tied):
     watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)
     with_watched = fit(before.problem, [watched], before.at, before.noises)
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](before.problem.sessions[0])
-    assert np.isfinite(apart([with_watched, before], drive)).all()
+    assert np.isfinite(squared_distances([with_watched, before], drive)).all()

@@ -403,18 +403,18 @@ def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
     if spread**2 < slope.std**2 / (1.0 - WORTH):
         return session, f"{where} gives no usable slope: slopes {text}, as large as the slopes themselves; it is not used"
     grade = np.where(known, slope.value, 0.0)
-    given, computed = session.given | {"grade"}, session.computed | {"grade"}
-    result = replace(session, grade=grade, grade_std=slope.std, used=used, given=given, computed=computed)
+    roles, computed = session.given | {"grade"}, session.computed | {"grade"}
+    result = replace(session, grade=grade, grade_std=slope.std, used=used, given=roles, computed=computed)
     return result, f"{where} gives a slope {text}"
 
 
 def confirmed(
-    session: DriveSession, found: DriveSession, text: str, what: str, unit: str, errors: tuple[float, float, bool]
+    session: DriveSession, sloped: DriveSession, text: str, what: str, unit: str, errors: tuple[float, float, bool]
 ) -> tuple[DriveSession, str]:
-    """The session with its slope `found` if the errors of a measurement confirm it, else unchanged; and the note with both."""
+    """The `sloped` session if the errors of a measurement confirm it, else unchanged; and the note with both."""
     without, with_it, surely = errors
     text = f"{text}; the {what} error is {with_it:.4g} {unit} with it and {without:.4g} {unit} without"
-    return (found, text) if surely else (session, f"{text}, so it is no usable slope")
+    return (sloped, text) if surely else (session, f"{text}, so it is no usable slope")
 
 
 def error_by_revisits(session: DriveSession) -> tuple[float, int]:

@@ -214,9 +214,9 @@ class Search:
         new = set(names) - self._left_out
         if new:
             self._left_out |= new
-            found = self.rounds[self.nothing.key]
-            self._add_best(self.nothing, found)
-            self._combine(found)
+            proposals = self.rounds[self.nothing.key]
+            self._add_best(self.nothing, proposals)
+            self._combine(proposals)
         return bool(new)
 
     def has_left_out(self, explanation: Explanation) -> bool:
