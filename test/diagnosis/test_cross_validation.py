@@ -63,7 +63,7 @@ def test_what_is_expected_of_a_fold_is_that_of_a_fit_without_it(scaled, scores):
     for fold in range(FOLDS):
         masks = tuple(m & (of != fold) for m, of in zip(problem.masks, validation._fold, strict=True))
         effects = [a.effect for a in true.effects]
-        refit = fit(replace(problem, masks=masks), effects, true.at, true.noises, largest_root=SHORT_ROOT)
+        refit = fit(replace(problem, masks=masks), effects, true.estimates, true.noises, largest_root=SHORT_ROOT)
         at = fold_of == fold
         moved = validation._samples([p.torque for p in refit.predicted])[at] - whole[at]
         off = score.expected[at] - whole[at] - moved
@@ -196,7 +196,7 @@ def test_unseen_recordings_are_predicted_by_fits_without_them():
     error = []
     for left_out in range(3):
         masks = tuple(m if i != left_out else np.zeros_like(m) for i, m in enumerate(problem.masks))
-        refit = fit(replace(problem, masks=masks), (), plain.at, plain.noises, rounds=1, largest_root=SHORT_ROOT)
+        refit = fit(replace(problem, masks=masks), (), plain.estimates, plain.noises, rounds=1, largest_root=SHORT_ROOT)
         session = problem.sessions[left_out]
         error.append(np.abs(session.torque - refit.predicted[left_out].torque)[session.used])
     expected, found = np.concatenate(error).mean(), validation.score(plain)

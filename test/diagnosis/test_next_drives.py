@@ -67,7 +67,10 @@ def tied(recorded, loaded, effects):
     """A round in which drag and offset are tied, as they are as long as one drives forwards only."""
     sessions = gate(read_recordings(recorded("drivetrain_drag"), None), loaded.known).sessions
     before = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
-    fits = {name: fit(before.problem, [effects[name]], before.at, before.noises) for name in ("drivetrain_drag", "torque_offset")}
+    fits = {
+        name: fit(before.problem, [effects[name]], before.estimates, before.noises)
+        for name in ("drivetrain_drag", "torque_offset")
+    }
     found = [term_of_fit(before, with_it, effects[name]) for name, with_it in fits.items()]
     drag, offset = (replace(term, level=term.gain) for term in found)
     return replace(drag, rivals=Round(before, None, (offset,), 5.0), members=tuple(fits), weights=dict.fromkeys(fits, 0.5))
@@ -109,6 +112,6 @@ def test_a_series_of_the_recordings_is_unknown_in_another_drive(tied):
     facts, before = tied.rivals.before.problem.base.facts, tied.rivals.before
     shape = [np.ones(len(s)) for s in before.problem.sessions]
     watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)
-    with_watched = fit(before.problem, [watched], before.at, before.noises)
+    with_watched = fit(before.problem, [watched], before.estimates, before.noises)
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](before.problem.sessions[0])
     assert np.isfinite(squared_distances([with_watched, before], drive)).all()

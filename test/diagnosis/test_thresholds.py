@@ -53,7 +53,7 @@ def with_torque(fitted, shapes):
         replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed), torque_course=None)
         for s, shape in zip(fitted.problem.sessions, shapes, strict=True)
     )
-    found = fit(replace(fitted.problem, sessions=sessions), (), fitted.at)
+    found = fit(replace(fitted.problem, sessions=sessions), (), fitted.estimates)
     return found, Levels(found, base_columns(found), [s.used for s in sessions])
 
 

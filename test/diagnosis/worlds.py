@@ -118,7 +118,7 @@ def held_out(found: Fit) -> list:
 
 def fit_with(found: Fit, *effects: Effect) -> Fit:
     """A fit with effects, with values that predict."""
-    return fit(found.problem, effects, found.at, found.noises, largest_root=SHORT_ROOT)
+    return fit(found.problem, effects, found.estimates, found.noises, largest_root=SHORT_ROOT)
 
 
 def form(effect: EmpiricalEffect) -> EmpiricalEffect:

@@ -94,7 +94,7 @@ def _fit_pattern(
     """
     facts = current.problem.base.facts
     effect = ResidualPattern(name, text, shape, facts.weight * facts.radius, forecast)
-    start = {**current.at, (name, "level"): level}
+    start = {**current.estimates, (name, "level"): level}
     result = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
     return term_of_fit(current, result, effect, cost)
 

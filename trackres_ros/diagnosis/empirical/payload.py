@@ -88,7 +88,7 @@ class JointValues:
         prior = np.array([(f.scale / f.std) ** 2 for f in free])
         information = np.diag(LEAST_KNOWN + prior) + sum(w.T @ w for w in map(np.nan_to_num, others))
         torque = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x in parts[:torques])
-        pull = prior * [(f.nominal - current.at[f.key]) / f.scale for f in free]
+        pull = prior * [(f.nominal - current.estimates[f.key]) / f.scale for f in free]
         return cls(tuple(np.zeros(x.shape[0]) for x in torque), torque, sparse.csc_matrix(information), pull)
 
     def together_with(self, other: JointValues | None) -> JointValues:

@@ -192,7 +192,7 @@ def _base_columns(current: Fit, fitted: Fit) -> BaseColumns:
     own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
     columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
     torques = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
-    off = np.array([(fitted.at[f.key] - f.nominal) / f.std for f in (current.free[i] for i in own)])
+    off = np.array([(fitted.estimates[f.key] - f.nominal) / f.std for f in (current.free[i] for i in own)])
     if may_differ(current):
         torques = [np.column_stack(pair) for pair in zip(torques, loads(current), strict=True)]
     return BaseColumns(torques, np.concatenate([off, np.zeros(torques[0].shape[1] - len(off))]))
@@ -235,7 +235,7 @@ def _effect(current: Fit, roads: Roads, best: _ByPlace, passes: NDArray[np.int64
 def _fit_with(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
     """Fit with the effect added, under a noise with bounded roots: for predictive values, or for tests."""
     effects = [*(a.effect for a in current.effects), effect]
-    start = {**begin.at, (effect.name, effect.parameters[0].name): effect.typical}
+    start = {**begin.estimates, (effect.name, effect.parameters[0].name): effect.typical}
     return fit(current.problem, effects, start, largest_root=largest_root)
 
 

@@ -191,7 +191,7 @@ class Fit:
         return self.noises["torque"]
 
     @property
-    def at(self) -> dict[tuple[str, str], float]:
+    def estimates(self) -> dict[tuple[str, str], float]:
         """Estimates of the free parameters."""
         return {f.key: float(x) for f, x in zip(self.free, self.point, strict=True)}
 
@@ -422,7 +422,7 @@ def first_look(
     problem, names = current.problem, [e.name for e in effects]
     sensors = tuple(e for e in instrument(problem.base) if e.name not in names)
     present = {(a.effect.name, q): value for a in current.acting for q, value in a.values.items()}
-    begin = {**current.at, **present, **start}
+    begin = {**current.estimates, **present, **start}
     keys = [(e.name, q.name) for e in effects for q in e.parameters if q.fitted]
     p = _Parameters(problem, (*sensors, *effects), {key: begin[key] for key in keys if key not in known})
     derivatives = np.stack([known[f.key] for f in p.free], axis=1)
@@ -472,7 +472,7 @@ def jacobian(function: Callable[[Array], Array], point: Array, free: Sequence[Fr
 def with_levels(result: Fit, without: Collection[str] = (), fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
     """The same model, `without` some effects and with parameters `fixed` at a value, with predictive values."""
     effects = [a.effect for a in result.effects if a.effect.name not in without]
-    return fit(result.problem, effects, result.at, fixed=fixed, largest_root=SHORT_ROOT)
+    return fit(result.problem, effects, result.estimates, fixed=fixed, largest_root=SHORT_ROOT)
 
 
 def for_tests(result: Fit) -> Fit:

@@ -149,7 +149,7 @@ class Choice:
             return []
         if without.key not in self._wide:
             problem = replace(fitted.problem, base=self._use.base)
-            wide = fit(problem, [a.effect for a in fitted.effects], fitted.at, fitted.noises, largest_root=SHORT_ROOT)
+            wide = fit(problem, [a.effect for a in fitted.effects], fitted.estimates, fitted.noises, largest_root=SHORT_ROOT)
             self._wide[without.key] = wide, self._validation.score(wide)
         wide, score = self._wide[without.key]
         if self._validation.least_gain(score, explanation.score) > 0.0:

@@ -237,16 +237,16 @@ class Search:
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
         own = _by_parameter(base, proposals.own)
         catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
-        best = [names for among in (terms, catalogue) for names in sets.best(among, SETS, MOST_TERMS, self.cost)]
+        best = [names for pool in (terms, catalogue) for names in sets.best(pool, SETS, MOST_TERMS, self.cost)]
         for names in dict.fromkeys(best):
             chosen = [proposals.every[name] for name in names]
             known, start = dict(own), dict[tuple[str, str], float]()
             for p in chosen:
                 known |= p.derivatives
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
-            found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
-            added = {p.effect.name: term_of_fit(base, found, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
-            self._keep(self._explanation(found, self.validation.score(found, columns), added))
+            result, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
+            new_terms = {p.effect.name: term_of_fit(base, result, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
+            self._keep(self._explanation(result, self.validation.score(result, columns), new_terms))
 
     def _swap(self, explanation: Explanation) -> None:
         """Expand an explanation, and look at what it is without each of its terms."""
@@ -300,14 +300,14 @@ class Search:
             return
         current = explanation.fit
         effects = [a.effect for a in current.effects]
-        tested = fit(current.problem, effects, current.at)  # with the noise that best whitens: a drift is no spell
+        tested = fit(current.problem, effects, current.estimates)  # with the noise that best whitens: a drift is no spell
         for term in find_terms(tested, self._roads, self._kinds, explanation.by_place, waves=not explanation.key):
-            fitted = self._refit(current, [*effects, term.effect], term.fit.at)
+            fitted = self._refit(current, [*effects, term.effect], term.fit.estimates)
             self._add(explanation, replace(term, fit=fitted))
 
     def _refit(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
         """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
-        return fit(self.nothing.fit.problem, effects, {**current.at, **start}, current.noises, largest_root=SHORT_ROOT)
+        return fit(self.nothing.fit.problem, effects, {**current.estimates, **start}, current.noises, largest_root=SHORT_ROOT)
 
     def _add(self, explanation: Explanation, term: Term, columns: Array | None = None) -> None:
         score = self.validation.score(term.fit, columns)

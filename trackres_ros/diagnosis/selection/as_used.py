@@ -80,9 +80,9 @@ def intervals(result: Fit) -> dict[tuple[str, str], Interval]:
     offs = {(a.effect.name, q.name): q.off for a in result.effects for q in a.effect.parameters if q.off is not None}
 
     def interval(f: Free) -> Interval:
-        if f.key not in result.at:
+        if f.key not in result.estimates:
             return Interval(f.low, f.high, True)
-        value = result.at[f.key]
+        value = result.estimates[f.key]
         std = max(by_laps.get(f.key, 0.0), result.std_of(*f.key))
         if not f.key[0]:
             at_end = min(value - f.low, f.high - value) <= ON_BOUND * (f.high - f.low)
@@ -122,7 +122,7 @@ def _jackknife_std(result: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, st
 
 def _edge(result: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[float, bool]:
     """Point where the profile has fallen by `DROP`, or the bound with True if it does not."""
-    optimum, effects = result.at[key], [a.effect for a in result.effects]
+    optimum, effects = result.estimates[key], [a.effect for a in result.effects]
     reach = abs(bound - optimum)
     if reach <= 1e-6 * max(abs(bound), abs(optimum), 1e-12):
         return bound, True
@@ -130,7 +130,9 @@ def _edge(result: Fit, key: tuple[str, str], side: float, bound: float) -> tuple
     inside, outside = (0.0, 0.0), None
     for _ in range(MOST_TRIES):
         fixed = {key: optimum + side * step}
-        profile_fit = fit(result.problem, effects, result.at, result.noises, rounds=1, fixed=fixed, largest_root=SHORT_ROOT)
+        profile_fit = fit(
+            result.problem, effects, result.estimates, result.noises, rounds=1, fixed=fixed, largest_root=SHORT_ROOT
+        )
         decrease = result.log_likelihood - profile_fit.log_likelihood
         if decrease >= DROP:
             outside = (step, decrease)
