@@ -18,7 +18,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.blocks import BLOCK_S, LATE, ResidualBlock
 from trackres_ros.learning.columns import HELD, lines, shown
-from trackres_ros.learning.correction import accepted, move
+from trackres_ros.learning.correction import apply_departures, target_departures
 from trackres_ros.learning.disturbances import LASTING_SHARE, close_block
 from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.gate import UNSURE
@@ -259,7 +259,7 @@ def test_nothing_leaves_the_ranges_of_the_file(road):
     assert (learner.learned.mean >= learner.prior.low).all()
     assert (learner.learned.applied <= learner.prior.high[: at.LEARNABLE]).all()
     for state in VEHICLES_OWN:  # nor where none but this one is accepted
-        alone = accepted(learner.learned, learner.prior, np.arange(at.LEARNABLE) == state)[state]
+        alone = target_departures(learner.learned, learner.prior, np.arange(at.LEARNABLE) == state)[state]
         assert learner.prior.low[state] <= alone <= learner.prior.high[state]
 
 
@@ -267,7 +267,7 @@ def test_acting_values_are_as_uncertain_as_they_lag_and_wander(reference):
     s, learned = Learner(reference).learned, np.zeros(at.Learned.columns)
     s.mean[: at.LEARNABLE], s.applied[:] = 0.03, 0.01
     s.mean[STEP], s.lasting_nm, s.step_s, s.past.white = 90.0, 40.0, 1.0, (0.1 * s.rolling) ** 2
-    move(s, True, learned, s.second, 0.0)
+    apply_departures(s, True, learned, s.second, 0.0)
     factor = at.Learned(learned).factor.reshape(at.LEARNABLE, at.LEARNABLE)
     assert factor @ factor.T == pytest.approx(s.covariance[: at.LEARNABLE, : at.LEARNABLE] + 0.02**2, abs=1e-9)
     assert at.Learned(learned).slow ** 2 == pytest.approx(s.slow_std**2 + s.hills_variance + 50.0**2)
@@ -428,7 +428,7 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
         low, high = learner.prior.low[state], learner.prior.high[state]
         assert low <= 0.0 <= high
         s.mean[state] = low + share * (high - low)
-    found = accepted(s, learner.prior, learner.counted)
+    found = target_departures(s, learner.prior, learner.counted)
     write_learned(learner, vehicle, file)
     written = tr.load_vehicle(file).parameters
     stds = learner.stds(s.covariance, learner.own)

@@ -21,7 +21,7 @@ from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import ANSWERS, FACTS, LOOKED_AT, Conditions, Effect, Lag, VehicleConstants, values_type
 from trackres_ros.effects.own_code import address_of
 
-CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 Function = tuple[type[Effect], str, tuple[str, ...]]
 """A function of an effect: its class, `terms` or `lag`, and the names of the parameters."""
@@ -32,7 +32,7 @@ def call_at(number: int, looked_at: Array, values: Array, answer: Array) -> None
     if number <= len(shipped()):
         _in_python(int(number))(looked_at, values, answer)
     else:
-        CALL(int(number))(looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
+        C_FUNCTION(int(number))(looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
 
 
 @cache
@@ -119,4 +119,4 @@ def _callback(effect: Effect, method: str) -> Any:
         except Exception:  # of any kind, as the code is not ours
             out.from_address(answer_)[:] = [math.nan] * answered
 
-    return CALL(call)
+    return C_FUNCTION(call)

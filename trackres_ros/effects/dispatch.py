@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trackres_ros.effects import calls
+from trackres_ros.effects.calls import Function, call_at
 from trackres_ros.effects.translated import effect_function
 from trackres_ros.kernels.expressions import Expressions, Value
 from trackres_ros.kernels.functions import Instance, Translator
@@ -24,7 +24,7 @@ class EffectCalls:
         self._translator, self._others = translator, others
         self.functions: dict[int, Instance] = {}
         self.called = False  # whether a translated function calls any
-        translator.intrinsics[calls.call_at] = self._call
+        translator.intrinsics[call_at] = self._call
 
     def _call(self, body: Expressions, values: Sequence[Value]) -> str:
         number, looked_at, parameters, answer = values
@@ -34,7 +34,7 @@ class EffectCalls:
         codes = [number.code, *(body.as_kind(one, NUMBERS) for one in (looked_at, parameters, answer))]
         return f"{CALL}({', '.join(codes)})"
 
-    def add(self, function: calls.Function, number: int) -> None:
+    def add(self, function: Function, number: int) -> None:
         """Translate a function, which gets a number."""
         self.functions[number] = effect_function(self._translator, *function)
 

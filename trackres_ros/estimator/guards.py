@@ -33,7 +33,7 @@ from trackres_ros.estimator.plausible_change import (
 from trackres_ros.estimator.plausible_speed import (
     NOTHING_TRACKED,
     disagrees,
-    drive_on,
+    integrate_speed,
     is_near,
     move_clock,
     odometer_came,
@@ -428,7 +428,7 @@ def gather(
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
     reasons |= of_place(k, known, grade, slope, torque)
     unfed = not_enabled(k, memory, now)
-    drive_on(k, tracked, speed, elapsed)
+    integrate_speed(k, tracked, speed, elapsed)
     silent = (now - memory.times[at.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
     last_speed = motion.last_speed if motion.started > 0.0 else speed
     if disagrees(k, memory.times, memory.values, last_speed, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):

@@ -93,7 +93,7 @@ def odometer_came(k: Constants, tracked: Tracked, distance: float, elapsed: int)
 
 
 @kernel
-def drive_on(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None:
+def integrate_speed(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None:
     """Integrate a speed [m/s] over its duration [ns]; restart after an unknown gap."""
     seconds = elapsed * NANOSECOND
     if seconds > k.number.bridge:

@@ -24,7 +24,7 @@ ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated d
 TAKE_UP_A_RISE = (at.OF_BEARING, at.OF_DRAG)
 
 
-def stds_of(covariance: Array, prior: Prior, own: Sequence[int], seen: Array) -> Array:
+def reported_stds(covariance: Array, prior: Prior, own: Sequence[int], seen: Array) -> Array:
     """Reported standard deviations of the filter's first states, with errors that their covariance does not include.
 
     One is that of accelerations, for the mass. The other is that of a rolling coefficient's rise over speed: coefficient and drag
@@ -47,13 +47,13 @@ def stds_of(covariance: Array, prior: Prior, own: Sequence[int], seen: Array) ->
     return np.hypot(np.sqrt(np.maximum(np.diag(covariance), 0.0)), errors)
 
 
-def sure(s: LearnerState, prior: Prior) -> Mask:
+def well_known(s: LearnerState, prior: Prior) -> Mask:
     """Which departures are known twice as well as by the vehicle file, shape (LEARNABLE,)."""
     variances = np.diag(s.covariance)[: at.LEARNABLE]
     return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: at.LEARNABLE])
 
 
-def accepted(s: LearnerState, prior: Prior, counted: Mask) -> Array:
+def target_departures(s: LearnerState, prior: Prior, counted: Mask) -> Array:
     """Target of the acting departures, (LEARNABLE,): all accepted ones, with the file's values for the rest."""
     if not counted.any():
         return np.zeros(at.LEARNABLE)
@@ -63,18 +63,18 @@ def accepted(s: LearnerState, prior: Prior, counted: Mask) -> Array:
     return np.clip(found, prior.low[: at.LEARNABLE], prior.high[: at.LEARNABLE])
 
 
-def follow(s: LearnerState) -> None:
+def approach_target(s: LearnerState) -> None:
     """Move acting departures towards their target within the rate limit."""
     s.applied += np.minimum(np.maximum(s.aim - s.applied, -FASTEST), FASTEST)
 
 
-def forget(s: LearnerState, seconds: float) -> None:
+def fade_belts(s: LearnerState, seconds: float) -> None:
     """Let the acting departure of the belts' temperature fade over a time that did not renew it: it holds for the moment only."""
     for departures in (s.aim, s.applied):
-        departures[at.OF_BELT] *= belt_keeps(seconds)
+        departures[at.OF_BELT] *= belt_share_left(seconds)
 
 
-def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
+def apply_departures(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
     """Write the acting departures into the memory of a session, see `estimator.columns`.
 
     `now` is the present second: belts have become less certain since the last second used. `belt_variance` is that of their
@@ -88,22 +88,22 @@ def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: f
     learned[at.Learned.torque] = s.lasting_nm
     unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
     learned[at.Learned.slow] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
-    learned[at.Learned.factor] = factor(s, max(now - s.second, 0), belt_variance).ravel()
+    learned[at.Learned.factor] = covariance_factor(s, max(now - s.second, 0), belt_variance).ravel()
 
 
 def use_file(learned: Array) -> None:
-    """Let a session use the vehicle file, until `move` is called again; the sensitivities of its last step stay."""
+    """Let a session use the vehicle file, until `apply_departures` is called again; the sensitivities of its last step stay."""
     learned[: at.Learned.sensitivities.start] = 0.0
 
 
-def belt_keeps(seconds: float) -> float:
+def belt_share_left(seconds: float) -> float:
     """Remaining share of a belt's departure after some time."""
     return math.exp(-seconds / BELT_S)
 
 
-def factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
-    """Lower factor of the covariance about the acting departures, shape (LEARNABLE, LEARNABLE); see `move`."""
-    keeps = belt_keeps(unseen_s)
+def covariance_factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
+    """Lower factor of the covariance about the acting departures, shape (LEARNABLE, LEARNABLE); see `apply_departures`."""
+    keeps = belt_share_left(unseen_s)
     off = s.mean[: at.LEARNABLE] - s.applied
     off[at.OF_BELT] = keeps * s.mean[at.OF_BELT] - s.applied[at.OF_BELT]
     covariance = s.covariance[: at.LEARNABLE, : at.LEARNABLE] + off[:, None] * off[None, :]

@@ -17,9 +17,18 @@ import numpy as np
 from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.learning import correction
 from trackres_ros.learning.blocks import BLOCK_S, ResidualBlock
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
+from trackres_ros.learning.correction import (
+    apply_departures,
+    approach_target,
+    belt_share_left,
+    fade_belts,
+    reported_stds,
+    target_departures,
+    use_file,
+    well_known,
+)
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, close_block, disturbance_text, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread, widened
@@ -122,7 +131,7 @@ class Learner:
         samples, air = self.gate.samples, float(session.motion[at.Motion.air])
         if reasons & TIME_RESET or samples.of_air * abs(air - samples.air) > MOVED_K:
             self.restart()
-            correction.use_file(session.learned)
+            use_file(session.learned)
         self.gate.samples.air, self.gate.samples.of_air = air, session.share_of_air
         memory = session.memory
         self.delay.take(
@@ -164,9 +173,9 @@ class Learner:
         let_last(s, second.counts)
         renews = second.counts and not self.frozen
         if renews and s.seconds % AIMS_EVERY_S == 0.0:
-            s.aim[:] = correction.accepted(s, self.prior, self.counted)
-        correction.follow(s)
-        correction.forget(s, passed - renews)
+            s.aim[:] = target_departures(s, self.prior, self.counted)
+        approach_target(s)
+        fade_belts(s, passed - renews)
         if self.mode == ON:
             self.act(session, passed)
 
@@ -176,7 +185,7 @@ class Learner:
         The next step comes `passed` seconds after the present one.
         """
         now = self.gate.second.number + passed - 1
-        correction.move(self.learned, self.acts, session.learned, now, belt_variances(session)[1])
+        apply_departures(self.learned, self.acts, session.learned, now, belt_variances(session)[1])
 
     def _learn(self, session: Session) -> None:
         s, second = self.learned, self.gate.second
@@ -224,7 +233,7 @@ class Learner:
         prior = np.diag(self.prior.covariance)
         for state in VEHICLES_OWN:
             gained[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
-        keep[at.OF_BELT] = correction.belt_keeps(seconds)
+        keep[at.OF_BELT] = belt_share_left(seconds)
         by_air, known = belt_variances(session)
         if len(session.belts):
             gained[at.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
@@ -275,7 +284,7 @@ class Learner:
     @property
     def counted(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
-        return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
+        return np.asarray(self.buckets.covered() & well_known(self.learned, self.prior))
 
     @property
     def held(self) -> Mask:
@@ -285,9 +294,9 @@ class Learner:
         return np.asarray(self.counted & ~within)
 
     def stds(self, covariance: Array, own: Sequence[int]) -> Array:
-        """Reported standard deviations of the filter's first states by their covariance, see `correction.stds_of`."""
+        """Reported standard deviations of the filter's first states by their covariance, see `reported_stds`."""
         seconds, noise = self.buckets.seconds.sum(axis=(1, 2)), max(self.learned.second_variance, 1e-12)
-        return correction.stds_of(covariance, self.prior, own, self._rise * np.sqrt(seconds / noise))
+        return reported_stds(covariance, self.prior, own, self._rise * np.sqrt(seconds / noise))
 
     @property
     def acts(self) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from trackres_ros.learning.correction import accepted
+from trackres_ros.learning.correction import target_departures
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import REACH_STD, Learnable, limits_of
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle
@@ -48,7 +48,7 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = learner.stds(learner.learned.covariance, counts).tolist()
-    found = accepted(learner.learned, learner.prior, learner.counted).tolist()
+    found = target_departures(learner.learned, learner.prior, learner.counted).tolist()
     changed: dict[str, tuple[float, float]] = {}
 
     def with_learned(text: str) -> str:

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.model import belt as belt_model
-from trackres_ros.model import contact, rainflow
+from trackres_ros.model import contact
 from trackres_ros.model.interpolation import cubic_weights
 from trackres_ros.model.loads import beam_shares, wheel_loads
+from trackres_ros.model.rainflow import Cycle, count_loop
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.strain_history import Complex, Loop, along_belt, build_loop, indentation_amplitudes, phases
 from trackres_ros.vehicle import Track
@@ -72,7 +73,7 @@ class Contact(NamedTuple):
 class PassageCycle(NamedTuple):
     """A counted cycle and the length of belt [m] strained by one passage of its cause."""
 
-    cycle: rainflow.Cycle
+    cycle: Cycle
     passage: float
 
 
@@ -266,9 +267,9 @@ class RainflowCount(LossMethod):
     def _cycles(self, position: Array, strain: Array) -> list[PassageCycle]:
         values = [float(x) for x in np.round(strain, 12)]
         positions = [float(x) for x in position]
-        return [PassageCycle(cycle, self._passage(positions, values, cycle)) for cycle in rainflow.count_loop(values)]
+        return [PassageCycle(cycle, self._passage(positions, values, cycle)) for cycle in count_loop(values)]
 
-    def _passage(self, position: list[float], value: list[float], cycle: rainflow.Cycle) -> float:
+    def _passage(self, position: list[float], value: list[float], cycle: Cycle) -> float:
         """Length [m] of the stretch round one of the cycle's extremes on which the strain is away from the other: the shorter
         of the two, so neither a steady strain nor the sense of travel matters.
         """
