@@ -114,7 +114,7 @@ def test_the_page_of_the_house_is_true(rooms, repository):
 
 def test_constants_in_compiled_code_are_part_of_its_digest(rooms, trees):
     """C keeps the constants it was compiled with: after a change of a file that they come from it must not run."""
-    from trackres_ros.kernels.machine import FILES, ROOMS
+    from trackres_ros.kernels.marks import FILES, ROOMS
 
     def counts(module):
         path = module.replace(".", "/")

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from proofs.field import bus
 from proofs.field.data import Array, car, robot, trips
 from proofs.processes import run_command
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.estimator.records import Steps
+from trackres_ros.estimator.settings import settings_for
 from trackres_ros.learning.learner import Learner
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.offline.replay import replay

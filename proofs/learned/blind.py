@@ -20,8 +20,8 @@ from proofs.sealed.drives import Array
 from proofs.sealed.generate import APART_S, refit
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.snapshot import read_learning, save
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN

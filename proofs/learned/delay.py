@@ -31,8 +31,8 @@ from proofs.sealed.drives import Array, SealedDrive, drive, trapezoids
 from proofs.sealed.generate import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from proofs.sealed.sensors import HEAVY_TAILS, Sensors, drawn_sensors, lagging, road_slopes
 from proofs.sealed.truth import Build, simulate_truth
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.columns import LEARNED
 from trackres_ros.learning.learner import Learner

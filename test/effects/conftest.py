@@ -16,7 +16,7 @@ from trackres_ros.effects.stepping import (
     new_work,
     step_effects,
 )
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from trackres_ros.effects.stepping import WORK
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, followed, rate_towards, towards
-from trackres_ros.estimator.motion_step import ROLLS_FROM
+from trackres_ros.estimator.motion import ROLLS_FROM
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.vehicle import load

@@ -20,7 +20,7 @@ from trackres_ros.estimator.guards import (
     ACCEPTED_IN_ORDER,
     new_memory,
 )
-from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.plausible import NOTHING_TRACKED
 from trackres_ros.route.follower import NOTHING_YET
 
 S, MS = 1_000_000_000, 1_000_000

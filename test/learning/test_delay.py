@@ -13,8 +13,16 @@ from hypothesis import strategies as st
 
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import LEARNED, shown
-from trackres_ros.learning.delay import FIRST_STD_S, DelayEstimator, KeptDelays
-from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S, SPAN_S, WORST_STD_S, window_delay
+from trackres_ros.learning.delay import (
+    EARLIEST_S,
+    FIRST_STD_S,
+    LATEST_S,
+    SPAN_S,
+    WORST_STD_S,
+    DelayEstimator,
+    KeptDelays,
+    window_delay,
+)
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
 from trackres_ros.vehicle import load_any

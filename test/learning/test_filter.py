@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.learning.filter import aged, corrected, expected, given_others, spread
+from trackres_ros.learning.parameters import aged, corrected, expected, given_others, spread
 
 SIZE = 4
 

@@ -16,13 +16,9 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.blocks import BLOCK_S, LATE, ResidualBlock
 from trackres_ros.learning.columns import HELD, lines, shown
-from trackres_ros.learning.correction import apply_departures, target_departures
-from trackres_ros.learning.disturbances import LASTING_SHARE, close_block
-from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.gate import UNSURE
-from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.learner import Learner, apply_departures, target_departures
 from trackres_ros.learning.parameters import (
     LEAST_FACTOR,
     REACH_STD,
@@ -30,12 +26,14 @@ from trackres_ros.learning.parameters import (
     STATES,
     STEP,
     VEHICLES_OWN,
+    corrected,
     learnables,
     limits_of,
     make_prior,
     rise_torques,
 )
-from trackres_ros.learning.vehicle_file import write_learned
+from trackres_ros.learning.state import BLOCK_S, LASTING_SHARE, LATE, ResidualBlock, close_block
+from trackres_ros.learning.store import write_learned
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.vehicle_file import opened
 

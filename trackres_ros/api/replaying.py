@@ -95,15 +95,14 @@ def replay(
     """
     from trackres_ros import checks
     from trackres_ros.estimator import columns as at
-    from trackres_ros.estimator.estimate import Steps
     from trackres_ros.estimator.estimator import Estimator
+    from trackres_ros.estimator.records import Steps
+    from trackres_ros.estimator.settings import settings_for
     from trackres_ros.estimator.snapshot import save, state_file
-    from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.files.file_sets import file_set
     from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
     from trackres_ros.learning.learner import MODES, OFF, Learner
-    from trackres_ros.learning.store import go_on_from, stored
-    from trackres_ros.learning.vehicle_file import write_learned
+    from trackres_ros.learning.store import go_on_from, stored, write_learned
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.offline.replay import replay as run
     from trackres_ros.offline.replay import result_writer, resumed

@@ -242,7 +242,7 @@ class Effect(ABC):
         return type(self).lag is not Effect.lag
 
     def run(self, method: str, at: Conditions, values: Sequence[float]) -> Any:
-        """`lag` or `terms` in plain Python; of a user's own with the arithmetic of C, see `own_file`."""
+        """`lag` or `terms` in plain Python; of a user's own with the arithmetic of C, see `registry`."""
         function = getattr(self, method)
         if self.source is None:
             return function(at, self.pack(*values))

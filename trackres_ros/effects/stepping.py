@@ -30,8 +30,7 @@ from trackres_ros.effects.effect import (
     VehicleConstants,
 )
 from trackres_ros.errors import InputError
-from trackres_ros.kernels.arithmetic import length, squared
-from trackres_ros.kernels.marks import kernel
+from trackres_ros.kernels.marks import kernel, length, squared
 from trackres_ros.units import STANDSTILL_MPS
 
 # One row of the table of effects: which effect's own state, its kind (see below), its required inputs, and its two numbers.
@@ -283,7 +282,7 @@ def after(rows: Rows, values: Table, work: Array, row: int, own: Array, dt: floa
 def pass_gap_of_effects(
     rows: Rows, values: Table, memory: Array, work: Array, speed: float, weight: float, ambient: float, dt: float
 ) -> None:
-    """Pass a gap too long to bridge (ours): as `belt_step.pass_gap` the mean of a rest and of a drive throughout, at a speed
+    """Pass a gap too long to bridge (ours): as `belt.pass_gap` the mean of a rest and of a drive throughout, at a speed
     [m/s].
     """
     for row in range(rows.shape[0]):

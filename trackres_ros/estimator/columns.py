@@ -105,7 +105,7 @@ class Motion(Row):
     cov_accel = Real()
     quantum = Real()  # m/s, smallest step observed in the speed
     last_speed = Real()  # m/s; "last" values are those of the last step
-    feedforward = Real()  # Nm, of the last step, or of its last turn since then, see `between_steps`
+    feedforward = Real()  # Nm, of the last step, or of its last turn since then, see `feedforward`
     last_drive = Real()  # Nm
     started = Real()  # 0 before the first speed, 1 after it; RESTS, START_ANEW, START_COLD
     feedforward_target = Real()  # Nm, which the feed-forward is on its way to
@@ -142,7 +142,7 @@ START_COLD = -0.5  # and: the next speed starts cold, in the air that is known
 
 
 class Times(Row):
-    """Memory of the guards for one channel; times in ns. The doubts are those of a speed or a load, see `plausible_change`."""
+    """Memory of the guards for one channel; times in ns. The doubts are those of a speed or a load, see `plausible`."""
 
     seen = Whole()  # whether a message was accepted yet
     last_stamp = Whole()
@@ -155,19 +155,19 @@ class Times(Row):
     doubts = Whole()  # values of the run in doubt
     doubt_since = Whole()
     doubt_stamp = Whole()
-    disagrees_since = Whole()  # of the speed, see `plausible_speed`
+    disagrees_since = Whole()  # of the speed, see `plausible`
     period = Whole()  # in which messages come, see `guards.learn_period`; 0 before two of them
 
 
 class Run(Row):
-    """Memory of a channel's changes, see `plausible_change`; in its unit."""
+    """Memory of a channel's changes, see `plausible`; in its unit."""
 
     reference = Real()  # of the accepted values
     doubted = Real()  # of the values in doubt
 
 
 class Tracked(Row):
-    """Memory for the comparison with the odometer, see `plausible_speed`."""
+    """Memory for the comparison with the odometer, see `plausible`."""
 
     began = Real()  # m, odometer at the start of a comparison
     last = Real()  # m, its last value

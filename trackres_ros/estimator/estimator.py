@@ -21,11 +21,9 @@ from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, make_constants
-from trackres_ros.estimator.entry_points import COMPILED, Entries, Messages
-from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, ambient_now, new_memory
-from trackres_ros.estimator.kernel import start
-from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.kernel import COMPILED, Entries, Messages, start
+from trackres_ros.estimator.plausible import NOTHING_TRACKED
 from trackres_ros.estimator.records import (
     FIRST_NS,
     LARGEST,
@@ -33,9 +31,11 @@ from trackres_ros.estimator.records import (
     LEAST_WEIGHT,
     LONGEST_STEP_S,
     DriveSeries,
+    Estimate,
     GroundSeries,
     Inputs,
     State,
+    Steps,
     bounded,
     checked,
     duration,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
+from trackres_ros.learning.delay import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
 from trackres_ros.model.resistance import direction

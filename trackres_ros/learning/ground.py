@@ -17,8 +17,7 @@ import numpy as np
 from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.learning.filter import corrected, spread
-from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT
+from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT, corrected, spread
 from trackres_ros.units import GRAVITY, SECOND_NS
 
 SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: prior of roads, and their correlation length

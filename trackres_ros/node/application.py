@@ -17,11 +17,11 @@ from dataclasses import replace
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.between_steps import fed_now
-from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.feedforward import fed_now
+from trackres_ros.estimator.records import Estimate
+from trackres_ros.estimator.settings import settings_for
 from trackres_ros.estimator.snapshot import LONGEST_OFF, content
-from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.node.clock import NodeClock, steady_ns
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics, without_effect
@@ -230,7 +230,7 @@ class Application:
             self.guard("recording", self.on_published, stamp, numbers, reasons, at_ns)
 
     def _fed(self, steady: int, pace: int) -> tuple[float, float, int]:
-        """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `between_steps.fed_now`."""
+        """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `feedforward.fed_now`."""
         arrival = self.clock.recorded_ns(steady, pace)
         goal, target, unfed = fed_now(self.estimator.constants, self.session.memory, self.session.motion, arrival)
         return float(goal), float(target), unfed

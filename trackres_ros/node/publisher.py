@@ -97,7 +97,7 @@ class OutputPublisher:
     def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], goal: float, target: float) -> None:
         """Publish the last estimate on all topics of numbers, with the present reasons; nothing before the first one.
 
-        `goal` is the session's feed-forward now, on its way to `target`, see `between_steps.fed_now`.
+        `goal` is the session's feed-forward now, on its way to `target`, see `feedforward.fed_now`.
         """
         if self.stamp_ns is None:
             return

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.topic_settings import FIELDS, given_by, settings_for
+from trackres_ros.estimator.settings import FIELDS, Settings, given_by, settings_for
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.recording.bindings import Topics

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from trackres_ros.estimator.constants import LATEST_S
-from trackres_ros.estimator.plausible_speed import SHARE
+from trackres_ros.estimator.plausible import SHARE
 from trackres_ros.units import NANOSECOND
 
 RESOLUTION_MPS = 1.0 / 3.6  # of a bus that sends whole km/h

@@ -14,7 +14,7 @@ import numpy as np
 from trackres_ros.arrays import IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.topic_settings import longest_age_s
+from trackres_ros.estimator.settings import longest_age_s
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons

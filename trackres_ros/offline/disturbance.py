@@ -13,7 +13,7 @@ import numpy as np
 from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import STEADY_MPS, STEADY_MPS2, DisturbanceWatch
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.records import Steps
 from trackres_ros.vehicle import AnyVehicle
 
 THERE, TORQUE = "disturbance_probability", "disturbance_torque_nm"

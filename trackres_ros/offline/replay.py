@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.snapshot import read_learning, rested, resume
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.store import since_saved
-from trackres_ros.learning.vehicle_file import LearnedFile
+from trackres_ros.learning.store import LearnedFile, since_saved
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.offline.energy import DriveTotals, StepTimes
 from trackres_ros.offline.simulate import by_column

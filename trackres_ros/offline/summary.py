@@ -15,7 +15,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.columns import shown
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.vehicle_file import LearnedFile
+from trackres_ros.learning.store import LearnedFile
 from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.offline.energy import taken_text

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.constants import check_own_effects
+from trackres_ros.estimator.constants import check_own_effects, spread
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.model import belt as belt_model
+from trackres_ros.model.contact import hinge_position, wheel_loads
 from trackres_ros.model.coverage import check_heat, coverage
-from trackres_ros.model.loads import hinge_position, wheel_loads
 from trackres_ros.model.loss_table import LossTable, drive_share, interpolation_error, loss_table, reverse_share
 from trackres_ros.model.track import TrackModel, load_range, steady_tension, track_model
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle

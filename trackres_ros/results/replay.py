@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.records import Steps
 from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.learning.columns import column_names
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.vehicle_file import LearnedFile
+from trackres_ros.learning.store import LearnedFile
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.offline.replay import Replayed, result_writer
 from trackres_ros.offline.summary import picture_columns, summary, text

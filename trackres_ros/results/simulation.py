@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
 from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts

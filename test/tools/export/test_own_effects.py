@@ -17,7 +17,7 @@ from built import STRICT, have, write
 from trackres_ros.effects import Active, Terms, calls, catalogue
 from trackres_ros.effects.effect import ALL_KNOWN, conditions
 from trackres_ros.estimator import constants
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 
 HEAD = """
 import math

@@ -17,8 +17,7 @@ from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, work_space
-from trackres_ros.estimator.entry_points import COMPILED
-from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
+from trackres_ros.estimator.kernel import COMPILED, PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.records import DriveSeries, State
 from trackres_ros.files.file_sets import trial_folder
 from trackres_ros.vehicle import AnyVehicle, load_any

@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.prepare.resample import smoothed_motion
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.records import Steps
 from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.samples import Series
 from trackres_ros.text.numbers import number_of

@@ -15,7 +15,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, work_space
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.offline.energy import taken
 from trackres_ros.offline.profile import along
 from trackres_ros.offline.sample import lap_drive

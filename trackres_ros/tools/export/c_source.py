@@ -12,7 +12,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from trackres_ros.effects.dispatch import CALL
+from trackres_ros.effects.calls import CALL
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.records import LONGEST_STEP_S

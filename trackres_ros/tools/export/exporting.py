@@ -25,7 +25,7 @@ from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle
-from trackres_ros.kernels.machine import sources_digest
+from trackres_ros.kernels.marks import sources_digest
 from trackres_ros.learning.learner import ON, Learner
 from trackres_ros.learning.store import go_on_from
 from trackres_ros.node.parameters import make_parameters, read_parameters

@@ -24,7 +24,7 @@ from trackres_ros.effects.effect import FACTS, Active, Parameter, VehicleConstan
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Motion
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
+from trackres_ros.estimator.motion import LARGEST_QUANTUM
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.effects import stepping
-from trackres_ros.effects.calls import function_of
-from trackres_ros.effects.dispatch import EffectCalls
+from trackres_ros.effects.calls import EffectCalls, function_of
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.kernels.flow import translate_body

@@ -12,12 +12,11 @@ import math
 
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.between_steps import age_of_speed, fed_now
 from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.entry_points import feed, rest
-from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, fade
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, age_of_speed, fade, fed_now
 from trackres_ros.estimator.guards import Memory, forget_others, longest_age, not_enabled
+from trackres_ros.estimator.kernel import feed, rest
 from trackres_ros.estimator.records import FARTHEST_NS, FIRST_NS, LAST_NS, LONGEST_STEP_S, State
 from trackres_ros.units import NANOSECOND
 
