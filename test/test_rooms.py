@@ -210,7 +210,7 @@ ONE_BY_ONE = "a test names what differs, all else has a default"
 REASONS = {
     "diagnosing.diagnose": BY_NAME, "replaying.replay": BY_NAME, "simulating.simulate": BY_NAME,
     "estimator.inputs": BY_NAME, "estimator.run": BY_NAME, "effect.conditions": BY_NAME,
-    "step.step": NUMBERS, "step.take_message": NUMBERS,
+    "step.take_message": NUMBERS,
     "test_routes.session_of": ONE_BY_ONE, "test_verdict.said": ONE_BY_ONE, "test_scored.scored": ONE_BY_ONE,
     "conftest.__init__": ONE_BY_ONE, "worlds.driven": ONE_BY_ONE,
 }  # fmt: skip

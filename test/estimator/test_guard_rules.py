@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from trackres_ros.effects import VehicleConstants
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import guards
 from trackres_ros.estimator.columns import Count, Reason
@@ -21,6 +22,7 @@ from trackres_ros.estimator.guards import (
     new_memory,
 )
 from trackres_ros.estimator.plausible import NOTHING_TRACKED
+from trackres_ros.estimator.records import new_scratch
 from trackres_ros.route.follower import NOTHING_YET
 
 S, MS = 1_000_000_000, 1_000_000
@@ -79,8 +81,9 @@ class Guard:
     def inputs(self, outcome=ACCEPTED_IN_ORDER, started=1.0, quantum=0.0):
         motion = at.Motion(np.zeros(at.Motion.columns))
         motion.started, motion.quantum, motion.last_speed = started, quantum, self.memory.values[at.SPEED]
-        self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
-        return gather(self.k, self.memory, outcome, 0, motion, self.loads, self.belts)
+        scratch = new_scratch(VehicleConstants(*[1.0] * 8), ASSEMBLIES, ASSEMBLIES)
+        self.loads, self.belts = scratch.loads, scratch.belt_measured
+        return gather(self.k, self.memory, scratch, outcome, 0, motion)
 
     def reasons(self, **given):
         return Reason(self.inputs(**given).reasons)

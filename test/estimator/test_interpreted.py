@@ -20,7 +20,7 @@ import trackres_ros
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.building.kernel_source import all_entries, built
 from trackres_ros.effects import Active, catalogue
-from trackres_ros.effects.stepping import TERMS, fit_table, new_memory, new_work
+from trackres_ros.effects.stepping import fit_table, new_effect_scratch, new_memory
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import COMPILED, INTERPRETED
@@ -159,11 +159,11 @@ def test_an_own_model_with_effects_gives_the_same_bits(name, xgd24d):
     effect, facts = catalogue()[name], vehicle_constants(xgd24d)
     table, found = fit_table([Active(effect, effect.values())]), []
     for of in (all_entries(), vars(marks.MACHINE)):
-        work, memory, torque, outcome = new_work(facts), new_memory(1), np.empty(250), np.empty(250, dtype=np.int64)
+        scratch, memory, torque, outcome = new_effect_scratch(facts), new_memory(1), np.empty(250), np.empty(250, dtype=np.int64)
         time, speed, load, air, accel, _, yaw_rate, heading, _ = a_drive(250)
-        of["own_along"](table, work, memory, 300.0 * speed, time, speed, accel, load, air, yaw_rate, heading, torque, outcome)
-        of["rest_effects"](*table, memory, work, 5.0, 100.0)
-        found.append(np.concatenate([torque, outcome, memory, work[:TERMS]]))
+        of["own_along"](table, scratch, memory, 300.0 * speed, time, speed, accel, load, air, yaw_rate, heading, torque, outcome)
+        of["rest_effects"](*table, memory, scratch, 5.0, 100.0)
+        found.append(np.concatenate([torque, outcome, memory, scratch.terms]))
     np.testing.assert_array_equal(*found)
 
 
@@ -179,7 +179,7 @@ def test_a_fit_and_a_route_give_the_same_bits(name):
         state = estimator.cold_start(estimator.inputs(0.0))
         rows, followed = np.empty((n, 4)), np.empty((n, 4))
         entries.start_belts(k, state, 12.0, 1.0)
-        entries.predict_series(k, state, np.ones(max(kinds, 1)), drive, rows)
+        entries.predict_series(k, state, estimator.scratch(), np.ones(max(kinds, 1)), drive, rows)
         entries.follow_series(k, np.array(NOTHING_YET), time, speed, 0.8 + 1e-6 * time, 0.1 + 1e-6 * time, followed)
         found.append(np.concatenate([rows.ravel(), followed.ravel(), *map(np.ravel, state)]))
     np.testing.assert_array_equal(*found)

@@ -27,7 +27,7 @@ PACKAGE = Path(trackres_ros.__file__).parent
 STEP = {  # what makes an estimate and brings it out: without one of them there is none; and the values of checked parameters
     "Session.feed", "InputReader.read", "InputReader.samples",
     "SpeedSources.takes", "OutputPublisher.take", "OutputPublisher.publish", "OutputPublisher.age_s",
-    "OutputPublisher.max_age_s", "nearest_usable", "fed_now",
+    "OutputPublisher.max_age_s", "nearest_usable", "feedforward_at",
 }  # fmt: skip
 LOOP = "application.py", "message_handler.py", "clock.py", "guard.py"
 SILENT = {"OutputPublisher.publish_statuses", "bare_status", "Notice.level"}  # without which no status can say what fails

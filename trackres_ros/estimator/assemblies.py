@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 from trackres_ros.arrays import Array
-from trackres_ros.effects.stepping import TERM_COOLING_VARIANCE, TERM_DRIVE_GAIN, TERM_LOSS_VARIANCE, TERM_TORQUE
-from trackres_ros.estimator.belt import BEHIND_BELTS, belt_variance, correct_belt, log_speed, loss_force, pass_gap, roll, surface
+from trackres_ros.effects.stepping import ALL_WELL, FACT, TERM, pass_gap_of_effects, set_conditions, step_effects
+from trackres_ros.estimator.belt import belt_variance, correct_belt, log_speed, loss_force, pass_gap, roll, surface
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
     LEARNABLE,
@@ -28,18 +28,36 @@ from trackres_ros.estimator.columns import (
     Assembly,
     Belt,
     Learned,
+    Motion,
     OfAssembly,
     Part,
     Reason,
     Results,
 )
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.records import Inputs
+from trackres_ros.estimator.records import Inputs, Scratch, State
 from trackres_ros.kernels.marks import kernel, squared
 from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
 from trackres_ros.model.rubber import log_shift_factor
 
-# Forces on the whole vehicle
+# The step of the vehicle, live and in a fit
+
+
+class Moment(NamedTuple):
+    """Conditions at the end of a step; nan where unknown."""
+
+    speed: float  # m/s
+    accel: float  # m/s^2
+    grade: float  # rise over run
+    weight: float  # N
+    arm: float  # m, radius of the sprockets: their mean by load
+    belt: float  # degC, mean of the belts after the last step
+    ambient: float  # degC
+    ambient_std: float  # K
+    yaw_rate: float  # rad/s
+    heading: float  # rad
+    distance: float  # m
+    torque_by_place: float  # Nm against travel
 
 
 class Road(NamedTuple):
@@ -56,67 +74,97 @@ class Road(NamedTuple):
     wind: float
     uphill: float
     inertia: float
-    last_drive: float
+    last_drive: float  # Nm, driving torque of the last step
+    of_place: float  # Nm, torque by place
+    others: float  # Nm, driving torque but for belts and effects
     ambient: float
     ambient_std: float
+    outcome: int  # of the effects
     dt: float
 
 
 @kernel
-def road_now(
-    k: Constants,
-    last_speed: float,
-    speed: float,
-    accel: float,
-    grade: float,
-    weight: float,
-    last_drive: float,
-    ambient: float,
-    ambient_std: float,
-    dt: float,
-) -> Road:
-    """Forces on the whole vehicle at the end of a step; an unknown grade is level.
+def begin_step(k: Constants, carried: State, scratch: Scratch, moment: Moment, last_speed: float, dt: float) -> Road:
+    """Forces on the whole vehicle at the end of a step, and the terms of all effects in the scratch memory.
+
+    An unknown grade is level. The torque by place is sign(v) times the torque against travel (ours): 0 where unknown, and at
+    standstill.
 
     Notes
     -----
     Bearing sign(v) f_b G_v (34), wind 1/2 rho_a C_d A_f v|v| (35), inertia delta_m G_v/g dv/dt (36), corrected as in
     `model.resistance`. Ours: the grade G_v sin(gamma), f_b that grows with the speed, and tanh(v/v_0) for sign(v).
     """
-    number = k.number
-    rolling = number.bearing_friction + number.rolling_rise * abs(speed)
+    number, motion = k.number, Motion(carried.motion)
+    speed, weight = moment.speed, moment.weight
+    sign, rolling = direction(speed), number.bearing_friction + number.rolling_rise * abs(speed)
+    bearing = bearing_force(speed, weight, rolling)
+    wind = wind_force(speed, number.drag_area, number.air_density)
+    uphill = grade_force(0.0 if math.isnan(moment.grade) else moment.grade, weight)
+    inertia = inertia_force(moment.accel, weight, number.rotating_mass_factor)
+    of_place = 0.0 if math.isnan(moment.torque_by_place) else moment.torque_by_place * sign
+    others = of_place + moment.arm * (bearing + wind + uphill + inertia)
+    outcome = apply_effects(k, carried, scratch, moment, others, dt)
     return Road(
-        last_speed,
-        speed,
-        log_speed(0.5 * (last_speed + speed)),
-        log_speed(speed),
-        direction(speed),
-        weight,
-        bearing_force(speed, weight, rolling),
-        rolling * weight,
-        wind_force(speed, number.drag_area, number.air_density),
-        grade_force(0.0 if math.isnan(grade) else grade, weight),
-        inertia_force(accel, weight, number.rotating_mass_factor),
-        last_drive,
-        ambient,
-        ambient_std,
-        dt,
-    )
+        last_speed, speed, log_speed(0.5 * (last_speed + speed)), log_speed(speed), sign, weight, bearing, rolling * weight, wind,
+        uphill, inertia, motion.last_drive, of_place, others, moment.ambient, moment.ambient_std, outcome, dt,
+    )  # fmt: skip
 
 
 @kernel
-def torque_of_place(against: float, speed: float) -> float:
-    """Torque by place [Nm]: sign(v) times the torque against travel (ours); 0 where unknown, and at standstill."""
-    return 0.0 if math.isnan(against) else against * direction(speed)
+def apply_effects(k: Constants, carried: State, scratch: Scratch, moment: Moment, others: float, dt: float) -> int:
+    """Fill the terms of all effects in a step; return the effects' reasons.
 
-
-@kernel
-def driving_torque(work: Array, resisting: float, of_place: float, uphill: float, inertia: float) -> tuple[float, float]:
-    """Torque M at the sprockets [Nm]: the sum of its parts (32) and effects, times the effects' gain (ours). Also return the
-    effects' and the place's share.
+    Some effects depend on the driving torque, and contribute to it. They get the last step's torque, corrected by the known
+    parts of this one: `others` [Nm], all but belts and effects.
     """
-    without_gain = resisting + work[TERM_TORQUE] + of_place + uphill + inertia
-    driving = without_gain * work[TERM_DRIVE_GAIN]
-    return driving, work[TERM_TORQUE] + of_place + driving - without_gain
+    if k.effects.shape[0] == 0:
+        return ALL_WELL
+    motion, learned, conditions = Motion(carried.motion), Learned(carried.learned), scratch.effects.conditions
+    # As in a file with the learned drag; the rest that is learned is no fact for effects.
+    conditions[FACT.drag_area] = k.number.drag_area * (1.0 + learned.on * learned.departures[OF_DRAG])
+    drive = motion.last_drive + others - motion.last_others
+    bridged = dt <= k.number.bridge
+    if not bridged:
+        middle = 0.5 * (motion.last_speed + moment.speed)
+        pass_gap_of_effects(
+            k.effects, k.effect_values, carried.effects, scratch.effects, middle, moment.weight, moment.ambient, dt
+        )
+    set_conditions(
+        conditions, moment.speed, moment.accel, moment.weight, moment.ambient, moment.yaw_rate, moment.heading, moment.distance,
+        drive, moment.belt,
+    )  # fmt: skip
+    # The drive during a gap too long to bridge is unknown: the distance stays.
+    return step_effects(k.effects, k.effect_values, carried.effects, scratch.effects, dt if bridged else 0.0)
+
+
+@kernel
+def advance_belt(
+    k: Constants, scratch: Scratch, assembly: Assembly, belt: Array, log_load: float, drive: float, road: Road
+) -> tuple[float, float]:
+    """Advance one belt by a step with its share of the last driving torque [Nm]; return heat in and out [J], 0 in a gap."""
+    if road.dt > k.number.bridge:
+        pass_gap(k, scratch, assembly, belt, road.last_speed, road.speed, log_load, road.ambient, road.ambient_std, road.dt)
+    elif road.dt > 0.0:
+        return roll(
+            k, scratch.effects.terms, assembly, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive,
+            road.ambient, road.ambient_std, road.dt,
+        )  # fmt: skip
+    return 0.0, 0.0
+
+
+@kernel
+def end_step(
+    carried: State, scratch: Scratch, road: Road, resisting: float, uphill: float, inertia: float
+) -> tuple[float, float]:
+    """Torque M at the sprockets [Nm]: the sum of its parts (32) and effects, times the effects' gain (ours). Also return the
+    effects' and the place's share. Remember the step for the next one.
+    """
+    motion, terms = Motion(carried.motion), scratch.effects.terms
+    without_gain = resisting + terms[TERM.torque] + road.of_place + uphill + inertia
+    driving = without_gain * terms[TERM.drive_gain]
+    motion.started, motion.last_speed, motion.last_drive, motion.last_others = 1.0, road.speed, driving, road.others
+    return driving, terms[TERM.torque] + road.of_place + driving - without_gain
 
 
 # Learned departures
@@ -193,19 +241,16 @@ def learned_variance(total: Part, learned: Learned, rolling_bearing: float, driv
 FIRST_OF_ASSEMBLIES, COLUMNS_EACH = Results.columns, OfAssembly.columns
 KIND = Assembly.kind
 DISAGREES = 5.0  # standard deviations between measured and expected belt temperature
-# Offset in the work space, after the belts' entries: the parts of all assemblies and of each.
-PARTS_OF_ALL = BEHIND_BELTS
-PARTS_OF_EACH = PARTS_OF_ALL + PARTS
 BELT_UNSURE, DISAGREEING = int(Reason.BELT_UNSURE), int(Reason.BELT_SENSOR_DISAGREES)
 OUTSIDE = int(Reason.OUTSIDE_TABLE)
 
 
 @kernel
-def measure(k: Constants, assembly: Assembly, belt: Array, measured: float, ambient: float, speed: float) -> int:
+def measure(k: Constants, terms: Array, assembly: Assembly, belt: Array, measured: float, ambient: float, speed: float) -> int:
     """Correct one belt by a new measurement [degC]; return the reasons."""
     shown, of_mean, of_surface = Belt(belt[0]).temperature, 1.0, 0.0
     if k.number.belt_shows_surface:
-        shown, of_mean, of_surface = surface(k, assembly, belt, ambient, speed)
+        shown, of_mean, of_surface = surface(k, terms, assembly, belt, ambient, speed)
     expected_variance = belt_variance(belt, of_mean, of_surface) + k.number.belt_measured_variance
     if squared(measured - shown) > DISAGREES * DISAGREES * expected_variance:
         return DISAGREEING
@@ -263,7 +308,7 @@ def fill_departures(
         kelvin = 0.0
         for cause in range(3):
             kelvin += assembly.causes_of[3 * cause + which] * mean.consider[cause]
-        part.warming[which] = kelvin
+        part.belt_change[which] = kelvin
         by[which] = by_temperature * kelvin
         warmer += kelvin * departures[which]
     by[OF_LOSS] += unsigned
@@ -272,37 +317,32 @@ def fill_departures(
 
 
 @kernel
-def warming_variance(work: Array, part: Part) -> float:
+def belt_change_variance(terms: Array, part: Part) -> float:
     """Variance of a belt's temperature [K^2] due to the ranges of effects, as if these departed from the beginning (ours)."""
-    warming = part.warming
-    of_loss, of_cooling = work[TERM_LOSS_VARIANCE], work[TERM_COOLING_VARIANCE]
-    return float(of_loss * squared(warming[OF_LOSS]) + of_cooling * squared(warming[OF_COOLING]))
+    change = part.belt_change
+    of_loss, of_cooling = terms[TERM.loss_variance], terms[TERM.cooling_variance]
+    return float(of_loss * squared(change[OF_LOSS]) + of_cooling * squared(change[OF_COOLING]))
 
 
 @kernel
 def advance_assembly(
-    k: Constants, assembly: Assembly, belt: Array, load: float, measured: float, road: Road, learned: Learned, part: Part,
-    result: OfAssembly,
+    k: Constants, scratch: Scratch, assembly: Assembly, belt: Array, load: float, measured: float, road: Road, learned: Learned,
+    part: Part, result: OfAssembly,
 ) -> int:  # fmt: skip
     """Advance one assembly; fill its `part` of the totals and its result, return its reasons.
 
     Its torque is M_h = R_1 sign(v) F_h (33), and its load share of the resistance of the whole vehicle.
     """
     share, log_load, reasons, mean = load / road.weight, math.log(load), 0, Belt(belt[0])
+    terms = scratch.effects.terms
     # The drive torque strains the belt and itself depends on the loss, so the last step's torque is used.
     drive = road.last_drive * share
-    part.heat = part.cooling = 0.0
-    if road.dt > k.number.bridge:
-        pass_gap(k, assembly, belt, road.last_speed, road.speed, log_load, road.ambient, road.ambient_std, road.dt)
-    elif road.dt > 0.0:
-        heat_in, heat_out = roll(
-            k, assembly, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive, road.ambient, road.ambient_std,
-            road.dt,
-        )  # fmt: skip
-        part.heat, part.cooling = heat_in / road.dt, heat_out / road.dt
+    heat_in, heat_out = advance_belt(k, scratch, assembly, belt, log_load, drive, road)
+    part.heat = heat_in / road.dt if road.dt > 0.0 else 0.0
+    part.cooling = heat_out / road.dt if road.dt > 0.0 else 0.0
     if not math.isnan(measured):
-        reasons |= measure(k, assembly, belt, measured, road.ambient, road.speed)
-    loss, slope = loss_force(k, assembly, mean.temperature, road.log10_speed, log_load, drive)
+        reasons |= measure(k, terms, assembly, belt, measured, road.ambient, road.speed)
+    loss, slope = loss_force(k, terms, assembly, mean.temperature, road.log10_speed, log_load, drive)
     unsigned, by_temperature = assembly.radius * loss, assembly.radius * slope
     part.hysteresis = unsigned * road.sign
     reasons |= outside(k, assembly, mean.temperature, road.log10_speed, log_load)
@@ -312,12 +352,12 @@ def advance_assembly(
     bear(arm, unsigned, road, part)
     fill_causes(assembly, mean, by_temperature, unsigned, part)
     warmer = fill_departures(assembly, mean, by_temperature, unsigned, learned, part)
-    std = math.sqrt(belt_variance(belt, 1.0, 0.0) + warming_variance(k.work, part))
+    std = math.sqrt(belt_variance(belt, 1.0, 0.0) + belt_change_variance(terms, part))
     if std > k.number.belt_std_warn:
         reasons |= BELT_UNSURE
     more = learned_hysteresis(part, learned) * road.sign
     result.belt_degc = mean.temperature + warmer
-    result.surface_degc = surface(k, assembly, belt, road.ambient, road.speed)[0] + warmer
+    result.surface_degc = surface(k, terms, assembly, belt, road.ambient, road.speed)[0] + warmer
     result.belt_std_k, result.load_n = std, load
     result.resistance_torque_nm = resisting + more + learned_elsewhere(part, learned)
     result.hysteresis_nm = part.hysteresis + more
@@ -325,7 +365,7 @@ def advance_assembly(
 
 
 @kernel
-def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
+def equal_assembly(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
     """Index of an earlier assembly with the same kind, load and belt state, to the bit, both without a measurement; else i.
 
     The two evolve equally, so the second need not be computed.
@@ -348,25 +388,25 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
 
 
 @kernel
-def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, learned: Learned, out: Array) -> tuple[Array, int]:
-    """Advance all assemblies; return the sums of their parts, a `Part` in the work space, and their reasons."""
-    assemblies = belts.shape[0]
-    total, parts = k.work[PARTS_OF_ALL:PARTS_OF_EACH], k.work[PARTS_OF_EACH:]
+def advance_assemblies(
+    k: Constants, scratch: Scratch, belts: Array, inputs: Inputs, road: Road, learned: Learned, out: Array
+) -> int:
+    """Advance all assemblies and sum their contributions up in `scratch.parts`; return their reasons."""
+    assemblies, parts = belts.shape[0], scratch.parts
     for column in range(PARTS):
-        total[column] = 0.0
-    for i in range(assemblies):
-        Part(parts[i * PARTS : (i + 1) * PARTS]).twin = twin_of(k, i, belts, inputs)
+        parts[0, column] = 0.0
     if assemblies == 0:  # wheels without belts
-        wheels, whole = Assembly(k.assembly[0]), Part(total)
+        wheels, whole = Assembly(k.assembly[0]), Part(parts[0])
         whole.consider[3] = bear(wheels.radius, 0.0, road, whole) * wheels.consider_radius[3]
+    for i in range(assemblies):
+        Part(parts[1 + i]).equal = equal_assembly(k, i, belts, inputs)
     reasons = 0
     for i in range(assemblies):
-        numbers, first = parts[i * PARTS : (i + 1) * PARTS], FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
-        part = Part(numbers)
-        j = int(part.twin)
+        part, first = Part(parts[1 + i]), FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
+        j = int(part.equal)
         if j == i:
             reasons |= advance_assembly(
-                k, Assembly(k.assembly[i]), belts[i], inputs.load[i], inputs.belt_measured[i], road, learned, part,
+                k, scratch, Assembly(k.assembly[i]), belts[i], inputs.load[i], inputs.belt_measured[i], road, learned, part,
                 OfAssembly(out[first : first + COLUMNS_EACH]),
             )  # fmt: skip
         else:
@@ -374,9 +414,9 @@ def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, l
                 belts[i, 0, column] = belts[j, 0, column]
                 belts[i, 1, column] = belts[j, 1, column]
             for column in range(PARTS):
-                numbers[column] = parts[j * PARTS + column]
+                parts[1 + i, column] = parts[1 + j, column]
             for column in range(COLUMNS_EACH):
                 out[first + column] = out[FIRST_OF_ASSEMBLIES + j * COLUMNS_EACH + column]
         for column in range(PARTS):
-            total[column] += numbers[column]
-    return total, reasons
+            parts[0, column] += parts[1 + i, column]
+    return reasons

@@ -16,18 +16,10 @@ from typing import NamedTuple
 
 from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC
-from trackres_ros.effects.stepping import (
-    TERM_CONDUCTANCE,
-    TERM_FILM_OFFSET,
-    TERM_FILM_SLOPE,
-    TERM_HEAT,
-    TERM_LOSS_FACTOR,
-    TERM_SINK,
-    TERM_SOFTENING,
-    WORK,
-)
+from trackres_ros.effects.stepping import TERM
 from trackres_ros.estimator.columns import BELT_COLUMNS, FIRST_DEPARTURE, TEMPERATURE, Assembly, Belt
 from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.records import Scratch
 from trackres_ros.kernels.marks import kernel, squared
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.rubber import log_shift_factor
@@ -108,7 +100,7 @@ def log_speed(speed: float) -> float:
 
 @kernel
 def loss_force(
-    k: Constants, assembly: Assembly, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
+    k: Constants, terms: Array, assembly: Assembly, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
 ) -> tuple[float, float]:
     """Loss F_h [N] of one assembly and its derivative [N/K] by the belt temperature T.
 
@@ -123,27 +115,30 @@ def loss_force(
     at_rest, slope = look_up(k.loss, table, first_x, step_x, assembly.first_log_load, assembly.step_log_load, x, log_load)
     c_1, c_2 = look_up_drive(k.drive, table, first_x, step_x, x)
     loss = at_rest + drive_torque * c_1 + abs(drive_torque) * c_2
-    factor, softening = k.work[TERM_LOSS_FACTOR], k.work[TERM_SOFTENING]
+    factor, softening = terms[TERM.loss_factor], terms[TERM.softening]
     if softening != 0.0:
         factor *= math.exp(-softening * (belt_degc - SOFTENING_FROM_DEGC))
     return loss * factor, (slope * shift_slope - softening * loss) * factor
 
 
 @kernel
-def film(k: Constants, assembly: Assembly, speed: float) -> float:
+def film(terms: Array, assembly: Assembly, speed: float) -> float:
     """Film coefficient U = U_0 + U_1 |v| [W/m^2/K] (31), with the effects on U_0 and U_1."""
-    return film_coefficient(speed, assembly.film_offset * k.work[TERM_FILM_OFFSET], assembly.film_slope * k.work[TERM_FILM_SLOPE])
+    offset, slope = assembly.film_offset * terms[TERM.film_offset_factor], assembly.film_slope * terms[TERM.film_slope_factor]
+    return film_coefficient(speed, offset, slope)
 
 
 @kernel
-def surface(k: Constants, assembly: Assembly, belt: Array, ambient: float, speed: float) -> tuple[float, float, float]:
+def surface(
+    k: Constants, terms: Array, assembly: Assembly, belt: Array, ambient: float, speed: float
+) -> tuple[float, float, float]:
     """Surface temperature T_s [degC], and its derivatives by mean and surface: the row h of the measurement.
 
     The flux through layer and film is one (ours): T_s = (K T + U A_h T_a) / (K + U A_h).
     """
     shown, share, inner = belt[1 if k.number.two_nodes else 0, TEMPERATURE], 1.0, assembly.skin_conductance
     if math.isfinite(inner):
-        u = film(k, assembly, speed)
+        u = film(terms, assembly, speed)
         shown = surface_temperature(shown, ambient, u, assembly.area, inner)
         share = inner / (inner + u * assembly.area)
     return (shown, 0.0, share) if k.number.two_nodes else (shown, share, 0.0)
@@ -151,18 +146,18 @@ def surface(k: Constants, assembly: Assembly, belt: Array, ambient: float, speed
 
 @kernel
 def heat_of(
-    k: Constants, assembly: Assembly, temperature: float, speed: float, log10_speed: float, log_load: float, drive_torque: float,
-    ambient: float,
+    k: Constants, terms: Array, assembly: Assembly, temperature: float, speed: float, log10_speed: float, log_load: float,
+    drive_torque: float, ambient: float,
 ) -> Heat:  # fmt: skip
     """Heat P = F_h |v| (26) and cooling U A_h of one belt at a speed v [m/s] and an ambient temperature T_a [degC].
 
     Air and a sink of effects are one surrounding at a temperature between theirs (ours).
     """
-    loss, loss_slope = loss_force(k, assembly, temperature, log10_speed, log_load, drive_torque)
-    travel, to_sink = abs(speed), k.work[TERM_CONDUCTANCE]
-    cooling = film(k, assembly, speed) * assembly.area + to_sink
-    surroundings = ambient + to_sink / cooling * (k.work[TERM_SINK] - ambient)
-    return Heat(loss * travel + k.work[TERM_HEAT], loss_slope * travel, cooling, surroundings)
+    loss, loss_slope = loss_force(k, terms, assembly, temperature, log10_speed, log_load, drive_torque)
+    travel, to_sink = abs(speed), terms[TERM.conductance]
+    cooling = film(terms, assembly, speed) * assembly.area + to_sink
+    surroundings = ambient + to_sink / cooling * (terms[TERM.sink] - ambient)
+    return Heat(loss * travel + terms[TERM.heat], loss_slope * travel, cooling, surroundings)
 
 
 # One temperature
@@ -335,15 +330,12 @@ def advance_two_nodes(
 
 LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
-# Offset in the work space, after the effects' entries: a belt before a gap and after a rest.
-BEFORE = WORK
-RESTED = BEFORE + 2 * BELT_COLUMNS
-BEHIND_BELTS = RESTED + 2 * BELT_COLUMNS
 
 
 @kernel
 def roll(
     k: Constants,
+    terms: Array,
     assembly: Assembly,
     belt: Array,
     speed_from: float,
@@ -357,8 +349,8 @@ def roll(
 ) -> tuple[float, float]:
     """Advance one belt by dt [s] with the speed linear between two values [m/s]; change `belt`, return heat in and out [J].
 
-    Both are nan where only the temperatures are wanted. `log10_middle` is log10 of the middle speed, shared by all belts in a
-    short step.
+    Both are nan where only the temperatures are wanted. `terms` are those of the effects. `log10_middle` is log10 of the middle
+    speed, shared by all belts in a short step.
 
     Notes
     -----
@@ -373,7 +365,7 @@ def roll(
     for step in range(steps):
         speed = speed_from + (speed_to - speed_from) * (step + 0.5) / steps
         log10 = log10_middle if steps == 1 else log_speed(speed)
-        heat = heat_of(k, assembly, belt[0, TEMPERATURE], speed, log10, log_load, drive_torque, ambient)
+        heat = heat_of(k, terms, assembly, belt[0, TEMPERATURE], speed, log10, log_load, drive_torque, ambient)
         if k.number.two_nodes:
             gained, lost = advance_two_nodes(k, assembly, belt, heat, ambient_std, part)
         else:
@@ -386,6 +378,7 @@ def roll(
 @kernel
 def pass_gap(
     k: Constants,
+    scratch: Scratch,
     assembly: Assembly,
     belt: Array,
     speed_from: float,
@@ -399,21 +392,32 @@ def pass_gap(
 
     A temperature anywhere between the two has their difference over sqrt(12) as its standard deviation.
     """
-    before, rested = k.work[BEFORE:RESTED], k.work[RESTED:BEHIND_BELTS]
+    before, rested, terms = scratch.gap_belts[0], scratch.gap_belts[1], scratch.effects.terms
     for node in range(2):
         for column in range(BELT_COLUMNS):
-            before[node * BELT_COLUMNS + column] = belt[node, column]
-    roll(k, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
+            before[node, column] = belt[node, column]
+    roll(k, terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
     for node in range(2):
         for column in range(BELT_COLUMNS):
-            rested[node * BELT_COLUMNS + column] = belt[node, column]
-            belt[node, column] = before[node * BELT_COLUMNS + column]
+            rested[node, column] = belt[node, column]
+            belt[node, column] = before[node, column]
     roll(
-        k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt
+        k,
+        terms,
+        assembly,
+        belt,
+        speed_from,
+        speed_to,
+        log_speed(0.5 * (speed_from + speed_to)),
+        log_load,
+        0.0,
+        ambient,
+        ambient_std,
+        dt,
     )
-    of_mean = (belt[0, TEMPERATURE] - rested[TEMPERATURE]) / math.sqrt(12.0)
-    of_skin = (belt[1, TEMPERATURE] - rested[BELT_COLUMNS + TEMPERATURE]) / math.sqrt(12.0)
+    of_mean = (belt[0, TEMPERATURE] - rested[0, TEMPERATURE]) / math.sqrt(12.0)
+    of_skin = (belt[1, TEMPERATURE] - rested[1, TEMPERATURE]) / math.sqrt(12.0)
     for node in range(2):
         for column in range(BELT_COLUMNS):
-            belt[node, column] = 0.5 * (belt[node, column] + rested[node * BELT_COLUMNS + column])
+            belt[node, column] = 0.5 * (belt[node, column] + rested[node, column])
     add_noise(belt, squared(of_mean), of_mean * of_skin, squared(of_skin))

@@ -71,9 +71,9 @@ class Part(Row):
     noise = Real()  # Nm^2, variance due to the random part of the temperature
     arm = Real()  # m, arm of a force on the whole vehicle
     unsigned = Real()  # Nm, resistance without its sign
-    twin = Real()  # the assembly that it is computed as
+    equal = Real()  # index of the first assembly with the same numbers
     by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
-    warming = Reals(3)  # K of the belt, per the first three
+    belt_change = Reals(3)  # K of the belt, per the first three
     consider = Reals(4)  # Nm, by each of the four causes of uncertainty
 
 
@@ -111,8 +111,8 @@ class Motion(Row):
     feedforward_target = Real()  # Nm, which the feed-forward is on its way to
     rolls = Real()  # 1, or 0 at standstill
     last_others = Real()  # Nm, last drive torque without belts and effects
-    turned = Real()  # s, age of the speed at that turn; the change of this time is in the value
-    unfed = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
+    update_age = Real()  # s, age of the speed at that turn; the change of this time is in the value
+    to_zero = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
     air = Real()  # degC, of the last step, measured or assumed
     air_std = Real()  # K, of the air that is assumed: that of `Belt.consider_ambient`; 0 while it is measured
     longest_age = Real()  # s, of a trusted speed where it comes so rarely that the setting is too short; else 0

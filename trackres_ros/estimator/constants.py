@@ -18,8 +18,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.effects.effect import ALL_KNOWN, VehicleConstants, conditions
-from trackres_ros.effects.stepping import ROW, effect_table, new_work, refuse_unusable
+from trackres_ros.effects.effect import ALL_KNOWN, conditions
+from trackres_ros.effects.stepping import ROW, effect_table, refuse_unusable
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion import ROLLS_FROM
@@ -267,13 +267,6 @@ class Constants(NamedTuple):
     effect_values: Annotated[Array, (None, None)]  # (rows, most parameters of one)
     route_cells: Annotated[IntArray, (None, CELL_COLUMNS)]  # see route.lookup
     route_places: Annotated[Array, (None, PLACE_COLUMNS)]
-    work: Array  # inputs and outputs of effects in a step, see effects.stepping; the only part that changes
-
-
-def work_space(facts: VehicleConstants, assemblies: int) -> Array:
-    """Work space of a step: no step allocates memory."""
-    parts_and_belts = at.PARTS * (1 + assemblies) + 2 * 2 * at.BELT_COLUMNS
-    return np.concatenate([new_work(facts), np.empty(parts_and_belts)])
 
 
 class Running(NamedTuple):
@@ -352,7 +345,6 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         acting.rows,
         acting.values,
         *followed_in(vehicle.route, frame),
-        work_space(vehicle_constants(vehicle), len(vehicle.assemblies)),
     )
 
 

@@ -34,6 +34,7 @@ from trackres_ros.estimator.records import (
     Estimate,
     GroundSeries,
     Inputs,
+    Scratch,
     State,
     Steps,
     bounded,
@@ -41,11 +42,13 @@ from trackres_ros.estimator.records import (
     duration,
     floats,
     is_as_compiled,
+    new_scratch,
     number,
     times,
     whole_numbers,
 )
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, load_any
 
@@ -111,6 +114,7 @@ class Estimator:
         self.channels = at.channels(vehicle)
         self.columns = at.columns(vehicle)
         self.column_index = {name: i for i, name in enumerate(self.columns)}
+        self.facts = vehicle_constants(vehicle)
         self._sizes = len(self.constants.assembly), len(self.assemblies)
         self._no_belts = np.full(len(self.assemblies), math.nan)
         effects = new_effects_memory(len(vehicle.active))
@@ -214,16 +218,16 @@ class Estimator:
         after, elapsed, row = self._copy(state), duration(dt, "dt", *LONGEST_STEP), np.empty(len(self.columns))
         if not is_as_compiled(inputs, *self._sizes):
             inputs = self._checked(inputs)
-        if not self.entries.step_once(self.own_constants(), after, inputs, elapsed, row):
+        if not self.entries.step_once(self.constants, after, self.scratch(), inputs, elapsed, row):
             self._checked(inputs)  # which says why
         return after, Estimate(row, self.column_index)
 
     def _checked(self, inputs: Inputs) -> Inputs:
         return checked(inputs, *self._sizes)
 
-    def own_constants(self) -> Constants:
-        """The constants with a new work space, so that threads do not share one."""
-        return Constants._make((*self.constants[:-1], self.constants.work.copy()))
+    def scratch(self) -> Scratch:
+        """New scratch memory, as threads must not share one."""
+        return new_scratch(self.facts, *self._sizes)
 
     def run(
         self,
@@ -269,8 +273,7 @@ class Estimator:
         given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
         series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, ALONG, strict=True)))
         after, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
-        work = self.constants.number.ambient_std, np.empty(len(self.constants.assembly)), self._no_belts
-        self.entries.run_series(self.own_constants(), after, series, *work, rows)
+        self.entries.run_series(self.constants, after, self.scratch(), series, self.constants.number.ambient_std, rows)
         return after, rows
 
     def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
@@ -297,7 +300,7 @@ class Estimator:
         given = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
         series = (bounded(a, name, at_times.shape, unknown=name != "speed") for name, a in given)
         found = np.empty((len(at_times), len(GroundSeries._fields)))
-        self.entries.follow_series(self.own_constants(), np.array(NOTHING_YET), at_times, *series, found)
+        self.entries.follow_series(self.constants, np.array(NOTHING_YET), at_times, *series, found)
         return GroundSeries(*found.T)
 
     def rest(self, state: State, ambient: float | None, seconds: float) -> State:
@@ -310,7 +313,7 @@ class Estimator:
         after, std = self._copy(state), self.constants.number.ambient_unknown_std
         off = min(duration(seconds, "seconds"), LONGEST_STEP_S)
         air = math.nan if ambient is None else number(ambient, "ambient")
-        self.entries.rest_vehicle(self.own_constants(), after, air, std, off)
+        self.entries.rest_vehicle(self.constants, after, self.scratch(), air, std, off)
         return after
 
     def check(self, state: State) -> None:
@@ -351,12 +354,11 @@ class Session:
         self.motion = np.zeros(at.Motion.columns)
         self.effects = new_effects_memory(len(estimator.vehicle.active))
         self.learned = np.zeros(at.Learned.columns)
-        self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
         self._channels = len(estimator.channels)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
         self._columns = len(estimator.columns)
         bound = estimator.entries.bound
-        self._k, self._memory = bound(estimator.own_constants()), bound(self.memory)
+        self._k, self._memory, self._scratch = bound(estimator.constants), bound(self.memory), bound(estimator.scratch())
         self._carried = bound(State(self.belts, self.motion, self.effects, self.learned))
 
     @property
@@ -392,7 +394,7 @@ class Session:
 
     def adopt(self, other: Session) -> None:
         """Continue from another session of the same vehicle, with its whole memory and this one's settings."""
-        self.belts[:], self.motion[:], self._loads[:] = other.belts, other.motion, other._loads
+        self.belts[:], self.motion[:] = other.belts, other.motion
         self.effects[:], self.learned[:] = other.effects, other.learned
         for mine, its in zip(self.memory, other.memory, strict=True):
             mine[:] = its
@@ -439,7 +441,7 @@ class Session:
         """`handle` without its checks, for numbers that are of these types already: another channel writes outside the arrays."""
         row, estimator = np.empty(self._columns), self.estimator
         stepped = estimator.entries.feed(
-            self._k.given, self._memory.given, self._carried.given, self._loads, self._belt_measured, channel, stamp_ns,
+            self._k.given, self._memory.given, self._carried.given, self._scratch.given, channel, stamp_ns,
             arrival_ns, value, row,
         )  # fmt: skip
         return Estimate(row, estimator.column_index) if stepped else None
@@ -453,7 +455,7 @@ class Session:
         most = int(np.count_nonzero(messages.channels == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         of_steps = np.empty((2, most + 1), dtype=np.int64)
-        given = self._k.given, self._memory.given, self._carried.given, self._loads, self._belt_measured
+        given = self._k.given, self._memory.given, self._carried.given, self._scratch.given
         steps = self.estimator.entries.feed_all(*given, messages, rows, *of_steps)
         return Steps(of_steps[0, :steps], of_steps[1, :steps], rows[:steps])
 

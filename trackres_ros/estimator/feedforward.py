@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from trackres_ros.arrays import Array
-from trackres_ros.effects.stepping import TERM_FED_GAIN, TERM_FED_INERTIA
+from trackres_ros.effects.stepping import TERM
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Assembly, Motion, Part, Times
 from trackres_ros.estimator.constants import Constants, Numbers
@@ -53,7 +53,7 @@ def finite(torque: float) -> float:
 
 
 @kernel
-def followed(number: Numbers, value: float, target: float, lasted: float) -> float:
+def approach(number: Numbers, value: float, target: float, lasted: float) -> float:
     """Feed-forward [Nm] after some time [s] on its way from a value to a target. One of the other sign goes to zero first, at the
     rate to zero, as it pushes the wrong way (ours).
     """
@@ -69,11 +69,13 @@ def followed(number: Numbers, value: float, target: float, lasted: float) -> flo
 @kernel
 def present_target(motion: Motion) -> float:
     """What the feed-forward is on its way to [Nm]."""
-    return 0.0 if motion.unfed > 0.0 else motion.feedforward_target
+    return 0.0 if motion.to_zero > 0.0 else motion.feedforward_target
 
 
 @kernel
-def feedforward(k: Constants, motion: Motion, total: Part, of_effects: float, inputs: Inputs, dt: float) -> tuple[float, int]:
+def feedforward(
+    k: Constants, terms: Array, motion: Motion, total: Part, of_effects: float, inputs: Inputs, dt: float
+) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons for limits; store the target in `motion` (ours).
 
     It starts from the present output, which followed the last target and faded during a dropout of the speed. From there it
@@ -97,17 +99,17 @@ def feedforward(k: Constants, motion: Motion, total: Part, of_effects: float, in
             + of_effects
         )
     if not math.isnan(inputs.acceleration):  # one filtered from the speed would feed the controller's own noise back to it
-        wanted += number.feed_inertia * (total.inertia + k.work[TERM_FED_INERTIA])
-    wanted *= k.work[TERM_FED_GAIN] * fed
+        wanted += number.feed_inertia * (total.inertia + terms[TERM.fed_inertia])
+    wanted *= terms[TERM.fed_gain] * fed
     if not abs(wanted) <= limit:
         wanted = math.copysign(limit, wanted) if abs(wanted) > limit else 0.0
         reasons |= CLAMPED
-    last = followed(number, motion.feedforward, present_target(motion), dt - motion.turned)
+    last = approach(number, motion.feedforward, present_target(motion), dt - motion.update_age)
     last *= fade(dt, max(number.speed_max_age, motion.longest_age), number.feedforward_fade)
-    moved = followed(number, last, wanted, min(dt, FEEDFORWARD_STEP_S))
+    moved = approach(number, last, wanted, min(dt, FEEDFORWARD_STEP_S))
     if moved != wanted:
         reasons |= LIMITED
-    motion.feedforward_target, motion.turned, motion.unfed = wanted, FEEDFORWARD_STEP_S, 1.0 - fed
+    motion.feedforward_target, motion.update_age, motion.to_zero = wanted, FEEDFORWARD_STEP_S, 1.0 - fed
     return moved, reasons
 
 
@@ -123,36 +125,36 @@ def age_of_speed(memory: Memory, now: int) -> float:
 
 
 @kernel
-def last_turn(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[float, float, int]:
-    """The last turn of the feed-forward before an arrival [ns]: its value [Nm] and the age of the speed [s] then, and the reason
-    why it has been on its way to zero since, else 0.
+def last_update(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[float, float, int]:
+    """The last change of the target of the feed-forward before an arrival [ns]: its value [Nm] and the age of the speed [s] then,
+    and the reason why it has been on its way to zero since, else 0.
 
-    Messages store their turns with `turn`. An enable expires between them, at a time of its own.
+    Messages store these changes with `update_feedforward`. An enable expires between them, at a time of its own.
     """
-    unfed = not_enabled(k, memory, now)
-    if (unfed != 0) == (motion.unfed > 0.0):
-        return motion.feedforward, motion.turned, unfed
+    stopped = not_enabled(k, memory, now)
+    if (stopped != 0) == (motion.to_zero > 0.0):
+        return motion.feedforward, motion.update_age, stopped
     since = now
-    if unfed == ENABLE_OLD:
+    if stopped == ENABLE_OLD:
         since = min(now, memory.times[at.ENABLE, LAST_ARRIVAL] + k.number.enable_hold_ns)
     age = age_of_speed(memory, since)
-    value = followed(k.number, motion.feedforward, present_target(motion), age - motion.turned)
-    return value, max(motion.turned, age), unfed
+    value = approach(k.number, motion.feedforward, present_target(motion), age - motion.update_age)
+    return value, max(motion.update_age, age), stopped
 
 
 @kernel
-def turn(k: Constants, memory: Memory, motion: Motion, now: int) -> None:
-    """Turn the feed-forward at an arrival [ns]: to zero once it is not enabled or the vehicle may stand, afterwards back."""
-    motion.feedforward, motion.turned, unfed = last_turn(k, memory, motion, now)
-    motion.unfed = 1.0 if unfed != 0 else 0.0
+def update_feedforward(k: Constants, memory: Memory, motion: Motion, now: int) -> None:
+    """Direct the feed-forward at an arrival [ns]: to zero once it is not enabled or the vehicle may stand, afterwards back."""
+    motion.feedforward, motion.update_age, stopped = last_update(k, memory, motion, now)
+    motion.to_zero = 1.0 if stopped != 0 else 0.0
 
 
 @kernel
-def fed_now(k: Constants, memory: Memory, motion: Array, now: int) -> tuple[float, float, int]:
+def feedforward_at(k: Constants, memory: Memory, motion: Array, now: int) -> tuple[float, float, int]:
     """Feed-forward at an arrival [ns] without its fading, the value that it is on its way to [Nm], and the reason why that is
     zero, else 0.
     """
     last = Motion(motion)
-    value, turned, unfed = last_turn(k, memory, last, now)
-    target = 0.0 if unfed != 0 else finite(last.feedforward_target)
-    return followed(k.number, value, target, age_of_speed(memory, now) - turned), target, unfed
+    value, age, stopped = last_update(k, memory, last, now)
+    target = 0.0 if stopped != 0 else finite(last.feedforward_target)
+    return approach(k.number, value, target, age_of_speed(memory, now) - age), target, stopped

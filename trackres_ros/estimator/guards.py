@@ -37,7 +37,7 @@ from trackres_ros.estimator.plausible import (
     speed_is_plausible,
     trust,
 )
-from trackres_ros.estimator.records import Inputs
+from trackres_ros.estimator.records import Inputs, Scratch
 from trackres_ros.kernels.marks import kernel, length
 from trackres_ros.route.follower import (
     FOLLOWED,
@@ -488,17 +488,15 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[
 
 
 @kernel
-def gather(
-    k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Motion, loads: Array, belt_measured: Array
-) -> Inputs:
-    """Inputs of the step at an accepted speed; fill `loads` and `belt_measured`, one entry per assembly.
+def gather(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed: int, motion: Motion) -> Inputs:
+    """Inputs of the step at an accepted speed; loads and belt temperatures are in the scratch memory.
 
     `motion` holds whether any channel reset the time, and the smallest step observed in the speed.
     """
-    times, tracked = Times(memory.times[at.SPEED]), Tracked(memory.tracked)
+    times, tracked, belt_measured = Times(memory.times[at.SPEED]), Tracked(memory.tracked), scratch.belt_measured
     now, stamp = times.last_arrival, times.last_stamp
     speed = memory.values[at.SPEED]
-    reasons, unsure = gather_loads(k, memory, now, loads)
+    reasons, unsure = gather_loads(k, memory, now, scratch.loads)
     if outcome == ACCEPTED_AFTER_JUMP:
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
@@ -527,15 +525,15 @@ def gather(
     grade = held_motion(k, memory, at.GRADE, now)
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
     reasons |= of_place(k, known, grade, slope, torque)
-    unfed = not_enabled(k, memory, now)
+    stopped = not_enabled(k, memory, now)
     integrate_speed(k, tracked, speed, elapsed)
     silent = (now - memory.times[at.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
     last_speed = motion.last_speed if motion.started > 0.0 else speed
     if disagrees(k, memory.times, memory.values, last_speed, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
-        unfed |= SPEED_DISAGREES
+        stopped |= SPEED_DISAGREES
     return Inputs(
         speed,
-        loads,
+        scratch.loads,
         ambient,
         ambient_std,
         belt_measured,
@@ -548,7 +546,7 @@ def gather(
         slope,
         torque,
         torque_std,
-        reasons | unfed,
-        0.0 if unfed else 1.0,
+        reasons | stopped,
+        0.0 if stopped else 1.0,
         unsure,
     )

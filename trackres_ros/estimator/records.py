@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.arrays import Array, IntArray
+from trackres_ros.effects.effect import VehicleConstants
+from trackres_ros.effects.stepping import EffectScratch, new_effect_scratch
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.text.numbers import decimals
@@ -83,6 +85,27 @@ class State(NamedTuple):
         degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])
         belts = f"belts {degrees} degC, " if degrees else ""
         return f"<State: {belts}speed {decimals(float(self.motion[at.Motion.last_speed]), 2)} m/s>"
+
+
+class Scratch(NamedTuple):
+    """Memory within one step: it begins with the vehicle's facts for effects, and nothing is carried to the next step."""
+
+    effects: EffectScratch
+    gap_belts: Annotated[Array, (2, 2, at.BELT_COLUMNS)]  # a belt before a gap, and after a rest
+    parts: Annotated[Array, (None, at.Part.columns)]  # contributions of all assemblies together, then of each
+    loads: Array  # N, of each assembly; of wheels without belts their sum
+    belt_measured: Array  # degC, of each belt; nan without a new one
+
+
+def new_scratch(facts: VehicleConstants, assemblies: int, belts: int) -> Scratch:
+    """Scratch memory for a vehicle: no step allocates memory. Wheels without belts are one assembly."""
+    return Scratch(
+        new_effect_scratch(facts),
+        np.empty((2, 2, at.BELT_COLUMNS)),
+        np.empty((1 + belts, at.Part.columns)),
+        np.empty(assemblies),
+        np.empty(belts),
+    )
 
 
 class DriveSeries(NamedTuple):

@@ -18,7 +18,7 @@ from dataclasses import replace
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import fed_now
+from trackres_ros.estimator.feedforward import feedforward_at
 from trackres_ros.estimator.records import Estimate
 from trackres_ros.estimator.settings import settings_for
 from trackres_ros.estimator.snapshot import LONGEST_OFF, content
@@ -230,9 +230,9 @@ class Application:
             self.guard("recording", self.on_published, stamp, numbers, reasons, at_ns)
 
     def _fed(self, steady: int, pace: int) -> tuple[float, float, int]:
-        """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `feedforward.fed_now`."""
+        """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `feedforward_at`."""
         arrival = self.clock.recorded_ns(steady, pace)
-        goal, target, unfed = fed_now(self.estimator.constants, self.session.memory, self.session.motion, arrival)
+        goal, target, unfed = feedforward_at(self.estimator.constants, self.session.memory, self.session.motion, arrival)
         return float(goal), float(target), unfed
 
     def _reasons_or_fault(self, steady: int) -> Reasons:

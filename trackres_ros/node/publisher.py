@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import fade, followed, rate_towards, towards
+from trackres_ros.estimator.feedforward import approach, fade, rate_towards
+from trackres_ros.estimator.plausible import towards
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic
@@ -97,7 +98,7 @@ class OutputPublisher:
     def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], goal: float, target: float) -> None:
         """Publish the last estimate on all topics of numbers, with the present reasons; nothing before the first one.
 
-        `goal` is the session's feed-forward now, on its way to `target`, see `feedforward.fed_now`.
+        `goal` is the session's feed-forward now, on its way to `target`, see `feedforward.feedforward_at`.
         """
         if self.stamp_ns is None:
             return
@@ -138,7 +139,7 @@ class OutputPublisher:
         """The feed-forward before its fading, after a time on its way. While the session's goes to zero, so does this one."""
         number, here = self.estimator.constants.number, self._unfaded
         if goal * target > 0.0:
-            return followed(number, here, goal, elapsed_s)
+            return approach(number, here, goal, elapsed_s)
         there = goal if min(0.0, here) <= goal <= max(0.0, here) else 0.0
         return towards(here, there, rate_towards(number, 0.0) * elapsed_s)
 

@@ -16,7 +16,7 @@ from trackres_ros.effects.learned import NAMES, learned
 from trackres_ros.effects.registry import catalogue
 from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, followed, rate_towards
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, approach, rate_towards
 from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off, resume, save
@@ -201,7 +201,7 @@ def enabled(tmp_path_factory):
     return built, bytes(built.state)
 
 
-GUARD, FOLLOWED = not_enabled, followed
+GUARD, APPROACH = not_enabled, approach
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -224,7 +224,7 @@ def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
             live.take(estimate.row.tolist(), now, now)
         unfed = GUARD(k, session.memory, now)
         if live.row:
-            goal = FOLLOWED(k.number, live.row[at.Results.feedforward_torque_nm], target, age_s - FEEDFORWARD_STEP_S)
+            goal = APPROACH(k.number, live.row[at.Results.feedforward_torque_nm], target, age_s - FEEDFORWARD_STEP_S)
         live.publish(now, now, lambda _: (), *((0.0, 0.0) if unfed else (goal, target)))
         assert int(outputs["reasons"]) & unfed == unfed
         shown.append((float(outputs["feedforward_torque_nm"]), live.feedforward))
