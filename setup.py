@@ -24,8 +24,8 @@ INTERPRETED = """
 
 
 PLUG_INS = {
-    "coastdown": "coastdown.task:coastdown_command",
-    "compare": "compare:compare_command",
+    "coastdown": "coastdown_command:coastdown_command",
+    "compare": "design.commands:compare_command",
     "compound": "compound.commands:compound_group",
     "export": "export.commands:export_group",
     "fleet": "fleet.commands:fleet_group",

@@ -225,8 +225,7 @@ def estimate(messages: int = 2000, repeats: int = 5) -> dict[str, float]:
     Three reasons hold in each. What is of our own is made whole each time by rosbags, as a DiagnosticArray is; what is published
     is prepared, and made anew where the reasons are others.
     """
-    from trackres_ros.node.dds.messages import DdsEstimate, diagnostic_array
-    from trackres_ros.node.dds.wire import typestore
+    from trackres_ros.node.dds.wire import DdsEstimate, diagnostic_array, typestore
     from trackres_ros.node.transport import Level, Status
 
     store = typestore()

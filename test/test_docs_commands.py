@@ -45,7 +45,14 @@ PROGRAMS = {"trackres": cli, "proofs": proofs}
 BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
 RUN_ELSEWHERE = ("export", "first-controller", "first-designer", "first-tester", "own-effect")
 LONGEST_S = 0.15
-IMPORTED = "design.compare", "diagnosis.coastdown.fitted", "diagnosis.pipeline", "fleet.run", "output.plots", "results.replay"
+IMPORTED = (
+    "tools.design.compare",
+    "tools.coastdown.fitted",
+    "diagnosis.pipeline",
+    "tools.fleet.run",
+    "output.plots",
+    "results.replay",
+)
 ELSEWHERE = ("://", "CHECKOUT", "DATA", "CASES")
 """What only another machine or an earlier version has."""
 

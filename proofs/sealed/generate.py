@@ -207,8 +207,7 @@ def weight_and_radius() -> tuple[float, float]:
 def refit(paths: Sequence[Path], vehicle: Path, into: Path, remark: str) -> Path:
     """Write the vehicle file with the parameters that a diagnosis begins with re-fitted to recordings."""
     from trackres_ros.diagnosis import load_base, read_recordings
-    from trackres_ros.diagnosis.inference.fitting import Problem, fit
-    from trackres_ros.diagnosis.inference.levels import with_levels
+    from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
     from trackres_ros.diagnosis.prepare.gate import gate
     from trackres_ros.vehicle.writing.changes import FileChanges
 

@@ -53,15 +53,15 @@ PRINTING = {
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
     "diagnose.py": {"trackres_ros.files.output_files", "trackres_ros.results.diagnosis"},
-    "entry.py": {"trackres_ros.files.interpreter", "trackres_ros.node.signals"},
+    "entry.py": {"trackres_ros.files.interpreter", "trackres_ros.node.process"},
     "layouts.py": {"trackres_ros.output.layouts"},
     "live.py": {
-        "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
-        "trackres_ros.node.parameter_file", "trackres_ros.files.yamls", "trackres_ros.files.output_files",
+        "trackres_ros.node", "trackres_ros.node.ros.estimator", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
+        "trackres_ros.files.yamls", "trackres_ros.files.output_files", "trackres_ros.output.plots",
     },
-    "live_display.py": {"trackres_ros.node.report"},
-    "live_json.py": {"trackres_ros.node.report"},
-    "live_table.py": {"trackres_ros.node.transport", "trackres_ros.node.report", "trackres_ros.recording.roles"},
+    "live_display.py": {"trackres_ros.node.status"},
+    "live_json.py": {"trackres_ros.node.status"},
+    "live_table.py": {"trackres_ros.node.transport", "trackres_ros.node.status", "trackres_ros.recording.roles"},
     "options.py": {"trackres_ros.api.arguments", "trackres_ros.recording.bindings"},
     "play.py": {"trackres_ros.node.dds.player"},
     "replay.py": {"trackres_ros.files.output_files", "trackres_ros.recording.opening"},

@@ -295,7 +295,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, refused, ar
     [
         (("repaly",), "did you mean replay?"),
         (("vehicle", "chek"), "did you mean check?"),
-        (("fleet", "smaple"), "did you mean sample?"),
+        (("compound", "fti"), "did you mean fit?"),
         (("xyz",), "record-sample"),
     ],
 )

@@ -14,11 +14,10 @@ from rich.console import Console
 from trackres_ros.cli.live_json import LiveJson, as_dict
 from trackres_ros.cli.live_table import LiveTable, line, table
 from trackres_ros.estimator.disturbance import Belief
-from trackres_ros.node.mismatch import Mismatch
+from trackres_ros.node.measured_torque import Mismatch
 from trackres_ros.node.notices import KINDS, Notice
-from trackres_ros.node.report import Overview
+from trackres_ros.node.status import InputState, Overview
 from trackres_ros.node.transport import Level
-from trackres_ros.node.watch import InputState
 
 ASSEMBLIES = ("front_left", "front_right", "rear_left", "rear_right")
 TOPICS = ("speed", "/vehicle/status/velocity_status", "/a/very/long/name/of/a/topic/that/somebody/has/chosen/for/his/load/cells")

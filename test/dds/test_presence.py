@@ -26,10 +26,9 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import save
 from trackres_ros.node.dds.node import CLOCK_TYPE
-from trackres_ros.node.dds.participant import Participant
 from trackres_ros.node.dds.player import Player
-from trackres_ros.node.dds.wire import type_hash
-from trackres_ros.node.endpoints import Quality
+from trackres_ros.node.dds.wire import Participant, type_hash
+from trackres_ros.node.transport import Quality
 from trackres_ros.vehicle import load
 
 FLOAT, TWIST = "std_msgs/msg/Float64", "geometry_msgs/msg/TwistStamped"

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from trackres_ros.diagnosis.base.loading import gate_settings
-from trackres_ros.diagnosis.prepare.both_sides import ComparedTorque, with_acceleration
+from trackres_ros.diagnosis.prepare.gate import ComparedTorque, with_acceleration
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
 from trackres_ros.vehicle import AnyVehicle

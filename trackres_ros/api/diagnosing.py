@@ -102,8 +102,8 @@ def diagnose(
     from trackres_ros import checks
     from trackres_ros.diagnosis import DiagnosisOptions, diagnose
     from trackres_ros.diagnosis.base.loading import load_base
+    from trackres_ros.diagnosis.prepare.checks import Refusal, each_usable
     from trackres_ros.diagnosis.prepare.gate import in_order
-    from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
     from trackres_ros.recording.reading import check_there
     from trackres_ros.recording.recording import Recording, topics_in_use
     from trackres_ros.recording.roles import ROLES, base_role

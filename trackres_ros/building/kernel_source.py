@@ -19,7 +19,7 @@ from trackres_ros.kernels.functions import Translator
 from trackres_ros.kernels.marks import ENTRIES, NAME, sources_digest
 
 MODULES = (
-    "estimator.kernel", "diagnosis.base.own", "diagnosis.prepare.speed_smoothing", "diagnosis.prepare.gaps",
+    "estimator.kernel", "diagnosis.base.own", "diagnosis.prepare.speed_smoothing", "diagnosis.prepare.sampling",
     "diagnosis.empirical.spells",
 )  # fmt: skip
 """Modules with entries."""

@@ -13,7 +13,7 @@ def main() -> None:
     """Run the command line."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small here: its threads would wait more than they compute
     if next((word for word in sys.argv[1:] if not word.startswith("-")), "") == "live":
-        from trackres_ros.node.signals import REQUESTS
+        from trackres_ros.node.process import REQUESTS
 
         REQUESTS.listen()
     else:

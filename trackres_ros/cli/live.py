@@ -14,14 +14,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trackres_ros import InputError
+from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli import options
+from trackres_ros.cli.common import picture_beside
 from trackres_ros.cli.partial_output import watch
 
 if TYPE_CHECKING:
     from trackres_ros.cli.live_display import LiveDisplay
     from trackres_ros.node.application import Application
-    from trackres_ros.node.report import Overview
+    from trackres_ros.node.record import Recorder
+    from trackres_ros.node.status import Overview
 
 
 def name_options(command: options.Decorated) -> options.Decorated:
@@ -93,11 +95,9 @@ def live_command(
     from trackres_ros.cli.live_json import LiveJson
     from trackres_ros.cli.live_table import LiveTable
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file
-    from trackres_ros.node.parameter_file import ParameterFile
-    from trackres_ros.node.parameters import make_parameters, read_with_overrides
-    from trackres_ros.node.record import Recorder
-    from trackres_ros.node.record_files import RecordLimits
-    from trackres_ros.node.signals import REQUESTS
+    from trackres_ros.node.parameters import ParameterFile, make_parameters, read_with_overrides
+    from trackres_ros.node.process import REQUESTS
+    from trackres_ros.node.record import Recorder, RecordLimits
 
     check_names(name, namespace)
     limits = RecordLimits(record_split_mb or 0.0, record_split_minutes or 0.0, record_limit_mb or 0.0)
@@ -127,7 +127,7 @@ def live_command(
     code = 1
     try:
         if transport == "ros" or (transport == "auto" and _rclpy_imports()):
-            from trackres_ros.node.ros.main import run as run_on_ros
+            from trackres_ros.node.ros.estimator import run as run_on_ros
 
             code = run_on_ros(parameters, name, namespace, REQUESTS, started, of_qos)
             return code
@@ -142,11 +142,27 @@ def live_command(
     finally:
         ended = [display.stop() for display in shown]
         if recorder:
-            for text in recorder.end():
+            for text in (*recorder.end(), *recording_picture(recorder)):
                 with suppress(OSError):  # the same disk may be that of the terminal's file
                     click.echo(text, err=as_json or not all(ended))
         if not all(ended):  # the output has no reader, and the end of the interpreter would wait for its buffer
             os._exit(code)
+
+
+def recording_picture(recorder: Recorder) -> list[str]:
+    """Draw the recorded estimates, now that the node has ended; return a text for the log, of a failure too."""
+    path, series = picture_beside(recorder.path), recorder.series
+    if not series:
+        return []
+    try:
+        from trackres_ros.output.plots import estimate_figure
+
+        estimate_figure(series.pop("time_s"), series, recorder.title, path=path)
+    except MissingExtraError as error:
+        return [f"no picture: {error}"]
+    except Exception as error:  # a picture is not worth an exit code
+        return [f"no picture {path}: {getattr(error, 'strerror', None) or error}"]
+    return [f"{path}: torque and temperature over time"]
 
 
 def _rclpy_imports() -> bool:

@@ -7,7 +7,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from trackres_ros.node.report import Overview
+from trackres_ros.node.status import Overview
 
 END_PATIENCE_S = 2.0
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from trackres_ros.cli.common import to_nowhere
 from trackres_ros.cli.live_display import LiveDisplay
-from trackres_ros.node.report import Overview
+from trackres_ros.node.status import Overview
 
 PERIOD_S = 1.0
 

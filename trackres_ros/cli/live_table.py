@@ -16,7 +16,7 @@ from rich.text import Text
 
 from trackres_ros.cli.live_display import LiveDisplay
 from trackres_ros.model.resistance import resistance_parts
-from trackres_ros.node.report import Overview
+from trackres_ros.node.status import Overview
 from trackres_ros.node.transport import Level
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.text.numbers import decimals, figures

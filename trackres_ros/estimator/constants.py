@@ -36,7 +36,7 @@ from trackres_ros.route.lookup import CELL_COLUMNS, PLACE_COLUMNS
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity
-from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.description import FITTED
 
 # Uncertainty of a track's parameters
 

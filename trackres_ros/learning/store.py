@@ -23,7 +23,7 @@ from trackres_ros.learning.delay import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import ON, Learner, target_departures, use_file
 from trackres_ros.learning.parameters import REACH_STD, VEHICLES_OWN, Learnable, limits_of
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle
-from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.description import FITTED
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import write_road_vehicle, write_track_vehicle
 from trackres_ros.vehicle.writing.yaml_edit import Document

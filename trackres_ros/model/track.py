@@ -19,8 +19,7 @@ from trackres_ros.model.hysteresis import METHODS, LossMethod
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import ThermalNetwork, parting_resistance, thermal_network
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Track, Vehicle
-from trackres_ros.vehicle.description import mean_of
-from trackres_ros.vehicle.schema import MODEL_CHOICES
+from trackres_ros.vehicle.description import MODEL_CHOICES, mean_of
 
 # Constants for effects
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from trackres_ros.arrays import Array
 from trackres_ros.errors import one_line
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.columns import lines as lines_of
@@ -20,12 +19,12 @@ from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.offline.energy import taken_text
 from trackres_ros.offline.replay import Replayed
+from trackres_ros.output.preview import HEAD, picture_columns
 from trackres_ros.recording.recording import defects_of
 from trackres_ros.recording.samples import Finding, SampleBlock, Source
 from trackres_ros.text.numbers import decimals, figures, number_of
 
 MANY_REFUSED = 0.1  # of the speeds: more are no faults of single samples
-HEAD = 1  # columns of a picture row before the results: the time
 MOST_KEPT = 10_000_000
 """Samples kept for inspection, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many. The inspection
 takes 0.2 GB more with four roles, 0.8 GB with one."""
@@ -71,11 +70,6 @@ class KeptSource:
     def all_findings(self) -> tuple[Finding, ...]:
         """Defects of the samples; only those of reading if the blocks were not kept."""
         return (*self.findings, *defects_of(self._kept, self._source)) if self._keep else self.findings
-
-
-def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
-    """The series of a picture by column name; its first column is the time."""
-    return {name: picture[:, HEAD + i] for i, name in enumerate(columns)}
 
 
 def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequence[Finding]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from trackres_ros.model.loss_table import LossTable, drive_share, interpolation_
 from trackres_ros.model.track import TrackModel, load_range, steady_tension, track_model
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity, mass_per_length
-from trackres_ros.vehicle.reading import FLAGS
+from trackres_ros.vehicle.description import FLAGS
 
 SHOWN_SPEED_SHARES = (0.05, 0.25, 1.0)  # of the greatest speed
 SLOWEST = 0.05  # m/s: the softest belt is a hot one that creeps

@@ -18,7 +18,7 @@ from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
-from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.description import FITTED
 from trackres_ros.vehicle.writing.vehicle_file import copied
 from trackres_ros.vehicle.writing.yaml_edit import Document
 

@@ -10,11 +10,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Literal, cast
+from typing import Annotated, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros import checks
+from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import FILLED, Limits
 from trackres_ros.recording.directions import Ways
 from trackres_ros.recording.roles import BRAKE_ON_PA
 
@@ -40,28 +43,50 @@ class FieldStep:
     element: str | None = None
 
 
+def message_type(given: object, where: str) -> str:
+    """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1. Raises InputError."""
+    match = MESSAGE_TYPE.fullmatch(checks.text(given, where))
+    if not match:
+        raise InputError(where, given, "package/msg/Name")
+    return f"{match.group(1)}/msg/{match.group(2)}"
+
+
+def field_path(given: object, where: str) -> str:
+    """A path that `field_steps` takes. Raises InputError."""
+    path = checks.text(given, where)
+    if not PATH.fullmatch(path):
+        raise InputError(where, given, "a path such as twist.linear.x, effort[NAME] or data[3]")
+    return path
+
+
+Positive = Annotated[float | None, checks.positive]
+Numbers = Annotated[tuple[float, ...], FILLED]
+
+
 @dataclass(frozen=True, slots=True)
 class TopicBinding:
     """Source of one role: a field of a topic, or a column of a table."""
 
     # topic, message type as ``package/msg/Name``, and dotted field path; empty for a column
     topic: str = ""
-    type: str = ""
-    field: str = ""
+    type: Annotated[str, message_type] = ""
+    field: Annotated[str, field_path] = ""
     column: str = ""  # column of a table; empty for a topic
     # the value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad
     scale: float = 1.0
     offset: float = 0.0
     stamp: Literal["header", "log", ""] = ""  # ``header``, ``log``, or empty: the header's if the type has one, else log time
-    max_age_s: float | None = None  # live: an older sample is not used [s]
+    max_age_s: Positive = None  # live: an older sample is not used [s]
     sensor: Literal["surface", "mean", ""] = ""  # of a belt temperature: ``surface``, ``mean``, or empty if not given
-    std_k: float | None = None  # standard deviation of a belt temperature [K], if given
-    delay_s: float = 0.0  # delay of a torque [s]: its value belongs to that much earlier than its stamp
+    std_k: Positive = None  # standard deviation of a belt temperature [K], if given
+    # its value belongs to that much earlier than its stamp
+    delay_s: Annotated[float, Limits("s", 0.0, 10.0, "delay of a torque")] = 0.0
     unit: str = ""  # unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide
     converts: bool = False  # whether the line of a topics file gives a unit or a scale: then the unit of the file is not used
-    kg_each: float | None = None  # of passengers: mass of one [kg], if given
-    threshold: float | None = None  # of a brake: value from which it brakes; None if not given
-    values: tuple[float, ...] = ()  # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0
+    kg_each: Annotated[float | None, Limits("kg", 1.0, 500.0, "mass of one passenger, with luggage")] = None
+    threshold: Positive = None  # of a brake: value from which it brakes; None if not given
+    # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0
+    values: Numbers = ()
     ways: Ways | None = None  # of a direction: what its values mean; None if neither the line nor a name says so
     valid: TopicBinding | None = None  # source of whether its values count: other than 0, or one of its `values`
     decimal: Literal[".", ",", ""] = ""  # of a column in text: its decimal mark; empty if its cells decide
@@ -165,14 +190,3 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
     return tuple(
         FieldStep(name, int(part)) if part.isdecimal() else FieldStep(name, element=part or None) for name, part in found
     )
-
-
-def message_type(name: str) -> str:
-    """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1.
-
-    Raises ValueError if it is no message type.
-    """
-    match = MESSAGE_TYPE.fullmatch(name)
-    if not match:
-        raise ValueError(f"no message type: {name!r}")
-    return f"{match.group(1)}/msg/{match.group(2)}"

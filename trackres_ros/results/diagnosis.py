@@ -26,9 +26,9 @@ from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.road_load import RoadBase
 from trackres_ros.diagnosis.base.track import TrackBase
-from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
+from trackres_ros.diagnosis.empirical.term import Term
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.settings import LiveFilter
+from trackres_ros.diagnosis.prepare.session import LiveFilter
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.series import stages
 from trackres_ros.errors import MissingExtraError, one_line
@@ -107,13 +107,13 @@ class DiagnosisResult:
         return self.diagnosis.verdict.grade
 
     @property
-    def effects(self) -> tuple[NamedEffect, ...]:
-        """Found effects, each with `name`, `values`, `intervals` and `graded`."""
+    def effects(self) -> tuple[Term, ...]:
+        """Found effects, each with `name`, `values`, `intervals` and `grade`."""
         return self.diagnosis.found
 
     @property
-    def described(self) -> tuple[UnnamedTerm, ...]:
-        """Found terms without a name, each with `described`, `intervals` and `graded`."""
+    def described(self) -> tuple[Term, ...]:
+        """Found terms without a name, each with `form`, `sentence`, `intervals` and `grade`."""
         return self.diagnosis.described
 
     @property
@@ -212,14 +212,15 @@ class DiagnosisResult:
         return [file]
 
     def _write_page(self, place: Path) -> tuple[Path, ...]:
-        from trackres_ros.diagnosis.report.page import provenance, write_page
+        from trackres_ros.diagnosis.report.page import glance, provenance, write_page
         from trackres_ros.diagnosis.report.pictures import draw_all
 
         pictures = draw_all(self.diagnosis, place)
         vehicle = [self._loaded.source] if self._loaded.source else []
         made_of = provenance([*self.recordings, *vehicle], self._seconds)
         path, title = place / PAGE_FILE, f"Diagnosis of {self._loaded.title}"
-        write_page(path, self._content, pictures, title, _plots(self.diagnosis), made_of)
+        first = glance(self.diagnosis, self._content["topics_lines"])
+        write_page(path, self._content, first, pictures, title, _plots(self.diagnosis), made_of)
         return path, *(picture.path for picture in pictures)
 
     def as_dict(self) -> dict[str, Any]:
@@ -258,13 +259,13 @@ class DiagnosisResult:
     def _repr_html_(self) -> str:
         rows = []
         for found in self.effects:
-            units = {q.name: "" if q.unit == "1" else q.unit for q in found.parameters}
-            of = found.name if len(found.step.members) <= 1 else " or ".join(found.step.members)
+            units = {q.name: "" if q.unit == "1" else q.unit for q in found.effect.parameters}
+            of = found.name if len(found.members) <= 1 else " or ".join(found.members)
             for name, value in found.values.items():
                 interval = found.intervals[name]
                 shown, *ends = alike((value, interval.low, interval.high), interval.high - interval.low)
                 between = "only a bound" if interval.bound_only else " to ".join(ends)
-                rows.append((of, name, shown, between, units[name], found.graded.grade))
+                rows.append((of, name, shown, between, units[name], found.grade))
         held_out = self.diagnosis.held_out
         errors = [
             (stage.label, figures(held_out.mae[stage.key]), figures(held_out.bias[stage.key])) for stage in stages(self.diagnosis)

@@ -22,7 +22,8 @@ from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import LearnedFile
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.offline.replay import Replayed, result_writer
-from trackres_ros.offline.summary import picture_columns, summary, text
+from trackres_ros.offline.summary import summary, text
+from trackres_ros.output.preview import picture_columns
 from trackres_ros.recording.samples import Finding
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import listed, panel, paragraph

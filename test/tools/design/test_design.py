@@ -26,13 +26,13 @@ from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.track import vehicle_constants, with_methods
 from trackres_ros.offline.energy import RESISTANCE, DriveTotals, StepTimes, energy_j, steps_of, summed, taken
 from trackres_ros.offline.simulate import by_column
+from trackres_ros.tools import engine as executor
 from trackres_ros.tools.design import sensitivity as sensing
 from trackres_ros.tools.design.compare import wheels_compared, wheels_text
 from trackres_ros.tools.design.drives import driven, read_cycle
 from trackres_ros.tools.design.steady import WARMEST_K, Steady, steady
 from trackres_ros.tools.design.sweep import SweepRequest, Swept, draw, point, sweep
 from trackres_ros.tools.design.values import Varied, meant, varied
-from trackres_ros.tools.engine import executor
 from trackres_ros.tools.fleet.task import _replayed
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load

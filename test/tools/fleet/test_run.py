@@ -23,7 +23,8 @@ pytest.importorskip("pyarrow")
 
 from trackres_ros.diagnosis.report import pictures
 from trackres_ros.results import diagnosis
-from trackres_ros.tools.engine import dashboard, done, engine, executor, why
+from trackres_ros.tools import engine as executor
+from trackres_ros.tools.engine import dashboard, done, engine, why
 from trackres_ros.tools.fleet import periods
 from trackres_ros.tools.fleet import run as fleet_run
 from trackres_ros.tools.fleet.dataset import FleetDataset

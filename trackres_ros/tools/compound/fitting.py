@@ -21,7 +21,7 @@ from trackres_ros.tools.compound.reading import Array, Sweep
 from trackres_ros.tools.compound.shift import ABSOLUTE_ZERO_DEGC, Shift
 from trackres_ros.tools.compound.superposition import ISOTHERM_K, FittedShift, Law, Value, fitted, with_power
 from trackres_ros.vehicle import Vehicle
-from trackres_ros.vehicle.schema import RUBBER
+from trackres_ros.vehicle.description import RUBBER
 
 WLF, ARRHENIUS, KEPT = "WLF", "Arrhenius", "kept"
 SWEEP_FREQUENCY = RUBBER["sweep_frequency"]

@@ -23,7 +23,7 @@ from trackres_ros.tools.compound.superposition import Value
 from trackres_ros.tools.compound.writing import files_of, put_compound, write_compound
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle import files_of as inputs_of
-from trackres_ros.vehicle.schema import RUBBER
+from trackres_ros.vehicle.description import RUBBER
 
 BADLY_APART = 0.1  # of a Prony series from either modulus: a tenth of both is more than instruments are off
 

@@ -150,7 +150,7 @@ def begin_recordings(folder: Path, fleet: Sequence[DrawnVehicle], minutes: float
     """Write fleet.yaml; of each recording its folder, vehicle, number and length [min]."""
     folder.mkdir(parents=True, exist_ok=True)
     described = {v.name: {"file": VEHICLE, "limits": {BEARING: BEARING_LIMIT}} for v in fleet}
-    (folder / FLEET).write_text(yaml.safe_dump({"vehicles": described}, sort_keys=False), encoding="utf-8")
+    write(folder / FLEET, yaml.safe_dump({"vehicles": described}, sort_keys=False).encode())
     return [(folder / RECORDINGS, v, number, minutes) for v in fleet for number in range(len(v.days))]
 
 
