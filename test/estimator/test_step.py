@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.columns import Reason
+from trackres_ros.estimator.columns import Part, Reason, Results
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.resources import config_dir
+from trackres_ros.model.resistance import TORQUE_COLUMNS, TORQUE_TERMS
 from trackres_ros.offline.simulate import assembly_values
 from trackres_ros.vehicle import load, load_any
 
@@ -55,6 +56,13 @@ def test_step_by_step_equals_the_run_along_a_series(reference):
         inputs = reference.inputs(speed, weight=250e3, ambient=5.0)
         state, estimate = reference.step(state, inputs, time - times[i - 1] if i else 0.0)
         assert np.array_equal(estimate.row, rows[i], equal_nan=True)
+
+
+def test_rows_have_the_terms_of_the_torque_in_their_order():
+    """Topics, settings, tables and reports read them from one table; the rows of kernels name them once more."""
+    first = Results.names.index("hysteresis_nm")
+    assert Results.names[first : first + len(TORQUE_COLUMNS)] == tuple(TORQUE_COLUMNS.values())
+    assert Part.names[: len(TORQUE_TERMS)] == TORQUE_TERMS
 
 
 @given(

@@ -23,11 +23,12 @@ from trackres_ros.effects.stepping import ROW, effect_table, refuse_unusable
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion import ROLLS_FROM
-from trackres_ros.estimator.settings import PARTS, Settings
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.cached_arrays import cached_arrays
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
 from trackres_ros.model.hysteresis import METHODS, Spectral
 from trackres_ros.model.loss_table import fingerprint, loss_table
+from trackres_ros.model.resistance import TORQUE_TERMS
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, parting_resistance, thermal_network
 from trackres_ros.model.track import load_range, vehicle_constants
@@ -297,7 +298,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
     acting = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
 
-    fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS}
+    fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
         with_uncertainty=uncertain,
         surroundings=bool(vehicle.surroundings or vehicle.route),

@@ -10,17 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.dataclass_reader import Limits, check_values
+from trackres_ros.model.resistance import TORQUE_TERMS, TorqueTerm
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import PASSENGER_KG, base_role
 
 # Table
-
-FeedforwardPart = Literal["hysteresis", "bearing", "wind", "grade", "inertia"]
-PARTS = get_args(FeedforwardPart)
 
 
 def setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
@@ -84,10 +82,10 @@ class Settings:
     )
     feedforward_fade_s: float = setting(1.0, "s", 0.01, 60.0, "time in which the feed-forward then goes to zero")
     belt_std_warn_k: float = setting(25.0, "K", 0.1, 1000.0, "a belt temperature with a larger standard deviation is reported")
-    feedforward_parts: tuple[FeedforwardPart, ...] = field(
+    feedforward_parts: tuple[TorqueTerm, ...] = field(
         default=("hysteresis", "bearing", "wind"),
         metadata={
-            "meaning": f"parts summed in the feed-forward, of {', '.join(PARTS)}; "
+            "meaning": f"parts summed in the feed-forward, of {', '.join(TORQUE_TERMS)}; "
             "inertia is included only while an acceleration is given"
         },
     )
