@@ -35,7 +35,7 @@ WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
 CHANNELS = WHEELS + 1 + AXLES + ASSEMBLIES
 SHARES_OF_ALL = (0.3, 0.3, 0.25, 0.15)
 
-admit, held = guards.admit, guards.held
+admit, held_value = guards.admit, guards.held_value
 gather, gather_loads = guards.gather, guards.gather_loads
 forget_others = guards.forget_others
 
@@ -332,15 +332,15 @@ def test_what_is_forgotten_is_all_of_the_others_but_counters(guard):
 
 
 def test_a_value_is_held_for_so_long(guard):
-    assert math.isnan(held(guard.memory, at.AMBIENT, T, 100))
+    assert math.isnan(held_value(guard.memory, at.AMBIENT, T, 100))
     guard.send(0, -3.0, at.AMBIENT)
-    assert held(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
-    assert math.isnan(held(guard.memory, at.AMBIENT, T + 101, 100))
+    assert held_value(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
+    assert math.isnan(held_value(guard.memory, at.AMBIENT, T + 101, 100))
 
 
 def test_it_is_held_from_its_arrival(guard):
     guard.send(-50 * S, -3.0, at.AMBIENT, arrival=0)
-    assert held(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
+    assert held_value(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
 
 
 def test_the_speed_and_what_is_fresh_beside_it_make_the_inputs(guard):

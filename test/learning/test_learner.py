@@ -486,17 +486,17 @@ def test_one_drive_against_learned_values_does_not_outweigh_all(reference):
     rng, state = np.random.default_rng(3), Learner(reference).learned
 
     def drive(gain, blocks):
-        state.doubt()
+        state.require_evidence()
         for one in rng.normal(gain, 8.0, blocks):
-            state.contest.see(one)
-            state.fresh.see(one)
+            state.contest.add(one)
+            state.fresh.add(one)
         return state.fresh.better
 
     assert drive(10.0, 60)
     assert drive(10.0, 30)
     assert not drive(-10.0, 15)
-    state.doubt()
+    state.require_evidence()
     assert state.fresh.better
     assert not any(drive(-10.0, 30) for _ in range(3))
-    state.doubt()
+    state.require_evidence()
     assert not state.fresh.better

@@ -259,7 +259,7 @@ def measure(k: Constants, terms: Array, assembly: Assembly, belt: Array, measure
 
 
 @kernel
-def bear(arm: float, unsigned: float, road: Road, part: Part) -> float:
+def fill_forces(arm: float, unsigned: float, road: Road, part: Part) -> float:
     """Fill the parts (34 to 36) of the forces on the whole vehicle at an arm R_1 G/G_v [m]; return the unsigned resistance [Nm].
 
     The belts' share of it is `unsigned`. At rest it is that of a crawl: friction has a known sign there but no known size.
@@ -271,7 +271,7 @@ def bear(arm: float, unsigned: float, road: Road, part: Part) -> float:
 
 
 @kernel
-def outside(k: Constants, assembly: Assembly, temperature: float, log10_speed: float, log_load: float) -> int:
+def range_reason(k: Constants, assembly: Assembly, temperature: float, log10_speed: float, log_load: float) -> int:
     """Reason to report where T, x = log10(a_T v) or ln G are outside the rubber data or the table, else 0."""
     x = log10_speed + log_shift_factor(temperature, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)[0]
     last_log_load = assembly.first_log_load + assembly.step_log_load * (k.loss.shape[2] - 1)
@@ -345,11 +345,11 @@ def advance_assembly(
     loss, slope = loss_force(k, terms, assembly, mean.temperature, road.log10_speed, log_load, drive)
     unsigned, by_temperature = assembly.radius * loss, assembly.radius * slope
     part.hysteresis = unsigned * road.sign
-    reasons |= outside(k, assembly, mean.temperature, road.log10_speed, log_load)
+    reasons |= range_reason(k, assembly, mean.temperature, road.log10_speed, log_load)
 
     arm = assembly.radius * share
     resisting = part.hysteresis + arm * (road.bearing + road.wind)
-    bear(arm, unsigned, road, part)
+    fill_forces(arm, unsigned, road, part)
     fill_causes(assembly, mean, by_temperature, unsigned, part)
     warmer = fill_departures(assembly, mean, by_temperature, unsigned, learned, part)
     std = math.sqrt(belt_variance(belt, 1.0, 0.0) + belt_change_variance(terms, part))
@@ -397,7 +397,7 @@ def advance_assemblies(
         parts[0, column] = 0.0
     if assemblies == 0:  # wheels without belts
         wheels, whole = Assembly(k.assembly[0]), Part(parts[0])
-        whole.consider[3] = bear(wheels.radius, 0.0, road, whole) * wheels.consider_radius[3]
+        whole.consider[3] = fill_forces(wheels.radius, 0.0, road, whole) * wheels.consider_radius[3]
     for i in range(assemblies):
         Part(parts[1 + i]).equal = equal_assembly(k, i, belts, inputs)
     reasons = 0

@@ -214,7 +214,7 @@ def eigenvalues(j11: float, j12: float, j21: float, j22: float) -> tuple[float, 
 
 
 @kernel
-def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[float, float, float]:
+def noise_covariance(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[float, float, float]:
     """Covariance [s] of mean and surface after dt [s] in which both gain 1 per second together: of mean, both, surface.
 
     Notes
@@ -235,7 +235,7 @@ def walked(j11: float, j12: float, j21: float, j22: float, dt: float) -> tuple[f
 
 
 @kernel
-def fading(
+def add_fading(
     belt: Array,
     assembly: Assembly,
     by_heat: tuple[float, float, float],
@@ -284,7 +284,7 @@ def advance_two_nodes(
     Notes
     -----
     C dT/dt = P - U A_h (T_s - T_a) and xi C dT_s/dt = xi P + (1 - xi) K (T - T_s) - U A_h (T_s - T_a). Temperatures and
-    departures move by dt phi_1(J dt) times their rates [5]. The random part also gains q^2 times what is `walked`. Heat in and
+    departures move by dt phi_1(J dt) times their rates [5]. The random part also gains q^2 times `noise_covariance`. Heat in and
     out are integrals of the same linear model.
     """
     power, power_slope, cooling, surroundings = heat
@@ -316,8 +316,8 @@ def advance_two_nodes(
             slope_2 += cooling * per_skin * ambient_std
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
         belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
-    fading(belt, assembly, (slope, cooling * per_capacity, cooling * per_skin), (j11, j12, j21, j22), f1, f2, dt)
-    of_mean, of_both, of_skin = walked(j11, j12, j21, j22, dt)
+    add_fading(belt, assembly, (slope, cooling * per_capacity, cooling * per_skin), (j11, j12, j21, j22), f1, f2, dt)
+    of_mean, of_both, of_skin = noise_covariance(j11, j12, j21, j22, dt)
     rate = squared(k.number.process_noise)
     add_noise(belt, rate * of_mean, rate * of_both, rate * of_skin)
     p11, p12, p21, p22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 2.0)

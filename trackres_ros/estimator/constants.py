@@ -21,7 +21,7 @@ from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.effect import ALL_KNOWN, conditions
 from trackres_ros.effects.stepping import ROW, effect_table, refuse_unusable
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.motion import ROLLS_FROM
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.cached_arrays import cached_arrays
@@ -260,7 +260,7 @@ class Constants(NamedTuple):
     """Constants of the kernel."""
 
     number: Numbers
-    assembly: Annotated[Array, (None, at.Assembly.columns)]  # of the assemblies
+    assembly: Annotated[Array, (None, layout.Assembly.columns)]  # of the assemblies
     loss: Annotated[Array, (None, None, None)]  # (tables, x, load)
     drive: Annotated[Array, (None, None, 2)]  # (tables, x, 2)
     channel_limits: Annotated[Array, (None, 2)]
@@ -281,10 +281,10 @@ class Running(NamedTuple):
 
 def check_own_effects(vehicle: AnyVehicle) -> None:
     """Refuse a user's effect that fails where all that it may look at is known. In a step it would only be inactive."""
-    at = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
+    known = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
     for active in vehicle.active:
         if active.effect.source is not None:
-            refuse_unusable(active, at)
+            refuse_unusable(active, known)
 
 
 def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, uncertain: bool = True) -> Constants:
@@ -328,7 +328,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         acceleration_variance=settings.acceleration_std**2,
         acceleration_time=settings.acceleration_time_s,
         feedforward_rate=settings.feedforward_rate,
-        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, at.Assembly.radius])),
+        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, layout.Assembly.radius])),
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
@@ -351,7 +351,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
 
 def _places(vehicle: AnyVehicle) -> dict[str, Any]:
     """Where the channels of loads, belts and wheels are."""
-    first_wheel = at.channels(vehicle).index(at.WHEELS)
+    first_wheel = layout.channels(vehicle).index(layout.WHEELS)
     return {"axles": len(vehicle.axles), "first_belt": first_wheel - len(vehicle.assemblies), "first_wheel": first_wheel}
 
 
@@ -379,8 +379,8 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
-    constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
-    for row, load, assembly in zip(map(at.Assembly, constants), loads, vehicle.assemblies, strict=True):
+    constants = np.empty((len(vehicle.assemblies), layout.CONSIDER_FACTOR))
+    for row, load, assembly in zip(map(layout.Assembly, constants), loads, vehicle.assemblies, strict=True):
         track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
         network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber, resistance)
         row.axle = axle_names.index(assembly.axle)
@@ -416,8 +416,8 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
 
 def wheels(vehicle: RoadVehicle) -> Running:
     """All wheels as one, without a belt; the tables are unused."""
-    row = np.zeros((1, at.Assembly.columns))
-    both = at.Assembly(row[0])
+    row = np.zeros((1, layout.Assembly.columns))
+    both = layout.Assembly(row[0])
     both.nominal_load, both.radius = vehicle.weight, vehicle.values["wheel_radius"]
     both.share_of_all = 1.0
     both.consider_radius[3] = relative_std(vehicle, "road_load.wheel_radius")
@@ -471,9 +471,9 @@ def _channel_limits(vehicle: AnyVehicle) -> Array:
     loads = vehicle.nominal_loads()
     speed = OVERSPEED * vehicle.chassis.max_speed
     rows = []
-    for name in at.channels(vehicle):
+    for name in layout.channels(vehicle):
         role, _, place = name.partition("/")
-        if role in ("speed", at.WHEELS):
+        if role in ("speed", layout.WHEELS):
             rows.append((-speed, speed))
         elif role == "load":
             of_place = (load for load, a in zip(loads, vehicle.assemblies, strict=False) if place in (a.axle, a.name))

@@ -13,7 +13,7 @@ import math
 
 from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import TERM
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import Assembly, Motion, Part, Times
 from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.estimator.guards import LAST_ARRIVAL, Memory, not_enabled
@@ -26,7 +26,7 @@ from trackres_ros.units import NANOSECOND
 
 FEEDFORWARD_STEP_S = 0.02  # between two outputs at the default rate: so far the feed-forward moves at once, the rest follows
 
-CLAMPED, LIMITED = int(at.Reason.FEEDFORWARD_CLAMPED), int(at.Reason.FEEDFORWARD_RATE_LIMITED)
+CLAMPED, LIMITED = int(layout.Reason.FEEDFORWARD_CLAMPED), int(layout.Reason.FEEDFORWARD_RATE_LIMITED)
 
 
 @kernel
@@ -115,13 +115,13 @@ def feedforward(
 
 # Between two steps
 
-ENABLE_OLD = int(at.Reason.ENABLE_OLD)
+ENABLE_OLD = int(layout.Reason.ENABLE_OLD)
 
 
 @kernel
 def age_of_speed(memory: Memory, now: int) -> float:
     """Time from the arrival of the last accepted speed to another one [s]."""
-    return float((now - Times(memory.times[at.SPEED]).last_arrival) * NANOSECOND)
+    return float((now - Times(memory.times[layout.SPEED]).last_arrival) * NANOSECOND)
 
 
 @kernel
@@ -136,7 +136,7 @@ def last_update(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple
         return motion.feedforward, motion.update_age, stopped
     since = now
     if stopped == ENABLE_OLD:
-        since = min(now, memory.times[at.ENABLE, LAST_ARRIVAL] + k.number.enable_hold_ns)
+        since = min(now, memory.times[layout.ENABLE, LAST_ARRIVAL] + k.number.enable_hold_ns)
     age = age_of_speed(memory, since)
     value = approach(k.number, motion.feedforward, present_target(motion), age - motion.update_age)
     return value, max(motion.update_age, age), stopped

@@ -28,7 +28,7 @@ from trackres_ros.effects.stepping import (
     rest_effects,
 )
 from trackres_ros.effects.vehicle.drivetrain_efficiency import drives
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.assemblies import (
     COLUMNS_EACH,
     FIRST_OF_ASSEMBLIES,
@@ -70,10 +70,10 @@ from trackres_ros.estimator.guards import (
     gather,
     is_missing,
     longest_age,
-    of_place,
+    place_reason,
     position_came,
 )
-from trackres_ros.estimator.motion import advance_motion, rolls, start_motion
+from trackres_ros.estimator.motion import advance_motion, rolling_state, start_motion
 from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, Scratch, State
 from trackres_ros.kernels.marks import COMPILED as HAVE_C
 from trackres_ros.kernels.marks import Bound, entry, kernel, squared
@@ -85,10 +85,10 @@ from trackres_ros.units import NANOSECOND
 LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 
 RADIUS, RESISTANCE_OF_ONE = Assembly.radius, OfAssembly.resistance_torque_nm
-BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
-SURROUNDINGS, EFFECT_LEFT_OUT = int(at.Reason.SURROUNDINGS), int(at.Reason.EFFECT_LEFT_OUT)
-OFF_ROUTE = int(at.Reason.OFF_ROUTE)
-OUTSIDE_LEARNED = int(at.Reason.OUTSIDE_LEARNED)
+BRIDGED, UNKNOWN = int(layout.Reason.GAP_BRIDGED), int(layout.Reason.GAP_UNKNOWN)
+SURROUNDINGS, EFFECT_LEFT_OUT = int(layout.Reason.SURROUNDINGS), int(layout.Reason.EFFECT_LEFT_OUT)
+OFF_ROUTE = int(layout.Reason.OFF_ROUTE)
+OUTSIDE_LEARNED = int(layout.Reason.OUTSIDE_LEARNED)
 PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN, PREDICTED_OUTCOME = range(4)
 PREDICTED = 4
 
@@ -176,7 +176,7 @@ def advance(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: 
         )
     elif not moves or dt > 0.0:
         start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
-    motion.rolls = rolls(motion, speed, number.speed_variance)
+    motion.rolls = rolling_state(motion, speed, number.speed_variance)
     if dt > number.bridge:
         reasons |= UNKNOWN
     elif dt > number.gap:
@@ -219,7 +219,7 @@ def advance(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: 
     fed_effects = (terms[TERM.fed] + lasting) * abs(direction(speed))
     motion.feedforward, of_feedforward = feedforward(k, terms, motion, total, fed_effects, inputs, dt)
     variance = torque_variance(k, terms, total, learned, road, driving, inputs.torque_by_place_std)
-    variance += of_load(total, road, inputs.load_std / weight, gain)
+    variance += load_variance(total, road, inputs.load_std / weight, gain)
     motion.air = inputs.ambient
 
     result.speed_mps, result.accel_mps2 = speed, accel
@@ -272,7 +272,7 @@ def torque_variance(
 
 
 @kernel
-def of_load(total: Part, road: Road, relative_std: float, gain: float) -> float:
+def load_variance(total: Part, road: Road, relative_std: float, gain: float) -> float:
     """Variance of the resistance [Nm^2] by a relative standard deviation of the load, to which all but the wind is taken to be
     proportional (ours).
     """
@@ -358,10 +358,10 @@ def feed(
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
     if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
-        motion.started = at.START_ANEW
-    if outcome >= 0 and (channel == at.LATITUDE or channel == at.LONGITUDE):
+        motion.started = layout.START_ANEW
+    if outcome >= 0 and (channel == layout.LATITUDE or channel == layout.LONGITUDE):
         position_came(k, memory.times, memory.values, memory.followed)
-    if outcome < 0 or channel != at.SPEED:
+    if outcome < 0 or channel != layout.SPEED:
         update_feedforward(k, memory, motion, arrival)
         return False
     inputs = gather(k, memory, scratch, outcome, elapsed, motion)
@@ -403,7 +403,7 @@ def feed_all(
     for i in range(messages.channels.shape[0]):
         message = messages.channels[i], messages.stamps[i], messages.arrivals[i], messages.values[i]
         if feed(k, memory, carried, scratch, *message, out[steps]):
-            of_speed = Times(memory.times[at.SPEED])
+            of_speed = Times(memory.times[layout.SPEED])
             out_stamps[steps], out_arrivals[steps] = of_speed.last_stamp, of_speed.last_arrival
             steps += 1
     return steps
@@ -457,7 +457,7 @@ def advance_along(
         inputs = Inputs(
             series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], grade,
             series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, slope, torque,
-            series.torque_stds_by_place[i], of_place(k, series.places_known[i] > 0.0, grade, slope, torque), 1.0, 0.0,
+            series.torque_stds_by_place[i], place_reason(k, series.places_known[i] > 0.0, grade, slope, torque), 1.0, 0.0,
         )  # fmt: skip
         advance(k, carried, scratch, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
 
@@ -484,7 +484,7 @@ def rest(k: Constants, carried: State, scratch: Scratch, ambient: float, ambient
     motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
     motion.update_age = motion.to_zero = 0.0
     if motion.started > 0.0:
-        motion.started = at.RESTS
+        motion.started = layout.RESTS
     assumed = math.isnan(ambient)
     air = motion.air if assumed else ambient
     effects = scratch.effects

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import SPEED, Run, Times, Tracked
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, Constants
 from trackres_ros.estimator.motion import LARGEST_QUANTUM
@@ -99,14 +99,14 @@ def is_in_reach(
 @kernel
 def is_load(k: Constants, channel: int) -> bool:
     """Whether a channel tells what the vehicle carries."""
-    return channel == at.LOAD or channel == at.PASSENGERS or at.FIRST_AXLE <= channel < k.number.first_belt
+    return channel == layout.LOAD or channel == layout.PASSENGERS or layout.FIRST_AXLE <= channel < k.number.first_belt
 
 
 @kernel
 def nominal_of(k: Constants, channel: int) -> float:
     """Nominal load of a channel of loads [N]; of passengers the number that weighs as much as the vehicle."""
-    if channel == at.PASSENGERS:
-        return float(k.channel_limits[at.LOAD, 1] / LARGEST_LOAD_SHARE / k.number.passenger_weight)
+    if channel == layout.PASSENGERS:
+        return float(k.channel_limits[layout.LOAD, 1] / LARGEST_LOAD_SHARE / k.number.passenger_weight)
     return float(k.channel_limits[channel, 1] / LARGEST_LOAD_SHARE)
 
 
@@ -125,7 +125,7 @@ def load_std(k: Constants, times: Times, run: Run, channel: int, value: float, n
     Nobody boards a vehicle that drives: the number of passengers does not age.
     """
     nominal, age = nominal_of(k, channel), max(now - times.last_arrival - FRESH_LOAD_NS, 0) * NANOSECOND
-    std = 0.0 if channel == at.PASSENGERS else min(LOAD_PER_S * age, LOAD_SLACK) * nominal
+    std = 0.0 if channel == layout.PASSENGERS else min(LOAD_PER_S * age, LOAD_SLACK) * nominal
     return max(std, abs(run.doubted - value)) if times.doubts > 0 else std
 
 

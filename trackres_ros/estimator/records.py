@@ -17,7 +17,7 @@ from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import EffectScratch, new_effect_scratch
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.text.numbers import decimals
 
 # Inputs and state
@@ -76,23 +76,23 @@ KINDS = (
 class State(NamedTuple):
     """State carried from one step to the next; not to be changed but by the kernel. `columns` describes the numbers."""
 
-    belts: Annotated[Array, (None, 2, at.BELT_COLUMNS)]  # temperature [degC] and departures [K], of mean and surface
-    motion: Annotated[Array, (at.Motion.columns,)]  # filtered speed and values of the last step
+    belts: Annotated[Array, (None, 2, layout.BELT_COLUMNS)]  # temperature [degC] and departures [K], of mean and surface
+    motion: Annotated[Array, (layout.Motion.columns,)]  # filtered speed and values of the last step
     effects: Array  # memory of the effects, see `effects.stepping`
-    learned: Annotated[Array, (at.Learned.columns,)]  # learned departures of the vehicle
+    learned: Annotated[Array, (layout.Learned.columns,)]  # learned departures of the vehicle
 
     def __repr__(self) -> str:
-        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])
+        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, layout.Belt.temperature])
         belts = f"belts {degrees} degC, " if degrees else ""
-        return f"<State: {belts}speed {decimals(float(self.motion[at.Motion.last_speed]), 2)} m/s>"
+        return f"<State: {belts}speed {decimals(float(self.motion[layout.Motion.last_speed]), 2)} m/s>"
 
 
 class Scratch(NamedTuple):
     """Memory within one step: it begins with the vehicle's facts for effects, and nothing is carried to the next step."""
 
     effects: EffectScratch
-    gap_belts: Annotated[Array, (2, 2, at.BELT_COLUMNS)]  # a belt before a gap, and after a rest
-    parts: Annotated[Array, (None, at.Part.columns)]  # contributions of all assemblies together, then of each
+    gap_belts: Annotated[Array, (2, 2, layout.BELT_COLUMNS)]  # a belt before a gap, and after a rest
+    parts: Annotated[Array, (None, layout.Part.columns)]  # contributions of all assemblies together, then of each
     loads: Array  # N, of each assembly; of wheels without belts their sum
     belt_measured: Array  # degC, of each belt; nan without a new one
 
@@ -101,8 +101,8 @@ def new_scratch(facts: VehicleConstants, assemblies: int, belts: int) -> Scratch
     """Scratch memory for a vehicle: no step allocates memory. Wheels without belts are one assembly."""
     return Scratch(
         new_effect_scratch(facts),
-        np.empty((2, 2, at.BELT_COLUMNS)),
-        np.empty((1 + belts, at.Part.columns)),
+        np.empty((2, 2, layout.BELT_COLUMNS)),
+        np.empty((1 + belts, layout.Part.columns)),
         np.empty(assemblies),
         np.empty(belts),
     )
@@ -283,42 +283,42 @@ class Estimate:
     @property
     def resistance_torque_nm(self) -> float:
         """Hysteresis, bearings and wind, whole vehicle, at the sprockets or the driven wheels [Nm]."""
-        return float(self.row[at.Results.resistance_torque_nm])
+        return float(self.row[layout.Results.resistance_torque_nm])
 
     @property
     def resistance_std_nm(self) -> float:
         """Standard deviation of the resistance torque [Nm]."""
-        return float(self.row[at.Results.resistance_std_nm])
+        return float(self.row[layout.Results.resistance_std_nm])
 
     @property
     def feedforward_torque_nm(self) -> float:
         """Chosen parts, limited in rate and size [Nm]."""
-        return float(self.row[at.Results.feedforward_torque_nm])
+        return float(self.row[layout.Results.feedforward_torque_nm])
 
     @property
-    def reasons(self) -> at.Reason:
+    def reasons(self) -> layout.Reason:
         """Why the status is not plainly good."""
-        return at.Reason(int(self.row[at.Results.reasons]))
+        return layout.Reason(int(self.row[layout.Results.reasons]))
 
     @property
     def status(self) -> str:
         """`ok`, or `warn` where a reason matters to users of the torque."""
-        return "warn" if self.reasons & ~at.HARMLESS else "ok"
+        return "warn" if self.reasons & ~layout.HARMLESS else "ok"
 
     def reason_texts(self) -> list[str]:
         """One sentence for each reason."""
-        return [text for reason, text in at.REASON_TEXT.items() if reason & self.reasons]
+        return [text for reason, text in layout.REASON_TEXT.items() if reason & self.reasons]
 
     def belt_degc(self) -> Array:
         """Mean belt temperature of each assembly [degC]."""
-        return self._of_assemblies(at.OfAssembly.belt_degc)
+        return self._of_assemblies(layout.OfAssembly.belt_degc)
 
     def belt_std_k(self) -> Array:
         """Standard deviation of each of them [K]."""
-        return self._of_assemblies(at.OfAssembly.belt_std_k)
+        return self._of_assemblies(layout.OfAssembly.belt_std_k)
 
     def _of_assemblies(self, column: int) -> Array:
-        return self.row[len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]
+        return self.row[len(layout.VEHICLE_COLUMNS) + column :: len(layout.ASSEMBLY_COLUMNS)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -133,7 +133,7 @@ def settings_for(settings: Settings, topics: Topics | None, roles: Collection[st
     Raises
     ------
     InputError
-        As `given_by`, and for an age limit out of range.
+        As `settings_of`, and for an age limit out of range.
     """
     changes: dict[str, Any] = {}
     if settings.enable_hold_s == 0.0 and "enable" in (*(topics or ()), *roles):
@@ -142,7 +142,7 @@ def settings_for(settings: Settings, topics: Topics | None, roles: Collection[st
         return replace(settings, **changes)
     if settings.belt_sensor == "auto" and any(base_role(role) == "belt" for role in topics):
         changes["belt_sensor"] = "surface"
-    changes |= given_by(topics)
+    changes |= settings_of(topics)
     try:
         return replace(settings, **changes)
     except InputError as error:
@@ -155,7 +155,7 @@ def longest_age_s(settings: Settings, role: str) -> float:
     return float(getattr(settings, "motion_hold_s" if base in LIKE_MOTION else AGE_LIMITS.get(base, "bridge_s")))
 
 
-def given_by(topics: Topics) -> dict[str, Any]:
+def settings_of(topics: Topics) -> dict[str, Any]:
     """The settings that a topics file gives, by name.
 
     Raises

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros import checks
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.guards import Memory
 from trackres_ros.estimator.plausible import NOTHING_TRACKED
@@ -49,7 +49,7 @@ LARGEST_COVARIANCE = 1e6
 ROUNDING = 1e-9
 NO_QUANTUM = 1e9  # as `kernel.start` begins
 TORQUE_REACH = 1e4  # of weight times sprocket radius: inertia by the acceleration above
-STARTED = (at.START_ANEW, at.START_COLD, 0.0, at.RESTS, 1.0)
+STARTED = (layout.START_ANEW, layout.START_COLD, 0.0, layout.RESTS, 1.0)
 MOST_SUSPECTS = 1000
 FARTHEST_FOLLOWED = 1e9  # metres, Nm, and seconds
 LONGEST_TURN = 1e10  # s: times are at most so far apart
@@ -59,12 +59,12 @@ LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an eff
 
 def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
     """Raise ValueError for belts or a motion that no drive can produce."""
-    _within("belt temperatures", belts[:, :, at.Belt.temperature], *BELT_DEGC)
-    _within("departures of belt temperatures", belts[:, :, at.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("belt temperatures", belts[:, :, layout.Belt.temperature], *BELT_DEGC)
+    _within("departures of belt temperatures", belts[:, :, layout.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
     speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
     k = estimator.constants.assembly
-    torque = TORQUE_REACH * float(k[:, at.Assembly.nominal_load] @ k[:, at.Assembly.radius])
-    left = at.Motion(motion)
+    torque = TORQUE_REACH * float(k[:, layout.Assembly.nominal_load] @ k[:, layout.Assembly.radius])
+    left = layout.Motion(motion)
     for name, value, low, high in (
         ("filtered speed", left.filtered_speed, -speed, speed),
         ("last speed", left.last_speed, -speed, speed),
@@ -97,14 +97,14 @@ def check_effects(memory: Array) -> None:
 def check_learned(estimator: Estimator, learned: Array) -> None:
     """Raise ValueError for impossible learned values."""
     k = estimator.constants.assembly
-    torque = TORQUE_REACH * float(k[:, at.Assembly.nominal_load] @ k[:, at.Assembly.radius])
-    departures = learned[at.Learned.departures]
-    _within("mark of what acts", learned[at.Learned.on], 0.0, 1.0)
-    _within("departures", np.delete(departures, at.OF_BELT), -1.0, MOST_DEPARTURE)
-    _within("departure of the belts", departures[at.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
-    _within("torques that were learned", learned[at.Learned.torque : at.Learned.factor.start], -torque, torque)
-    _within("covariance of what was learned", learned[at.Learned.factor], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
-    _within("sensitivities", learned[at.Learned.sensitivities], -torque, torque)
+    torque = TORQUE_REACH * float(k[:, layout.Assembly.nominal_load] @ k[:, layout.Assembly.radius])
+    departures = learned[layout.Learned.departures]
+    _within("mark of what acts", learned[layout.Learned.on], 0.0, 1.0)
+    _within("departures", np.delete(departures, layout.OF_BELT), -1.0, MOST_DEPARTURE)
+    _within("departure of the belts", departures[layout.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("torques that were learned", learned[layout.Learned.torque : layout.Learned.factor.start], -torque, torque)
+    _within("covariance of what was learned", learned[layout.Learned.factor], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("sensitivities", learned[layout.Learned.sensitivities], -torque, torque)
 
 
 def check_memory(memory: Memory, limits: Array) -> None:
@@ -113,12 +113,12 @@ def check_memory(memory: Memory, limits: Array) -> None:
     if ((memory.values < limits[:, 0]) | (memory.values > limits[:, 1]))[known].any():
         raise ValueError("last values outside of the plausible range of their channels")
     _within("times", memory.times, -FARTHEST_NS, FARTHEST_NS)
-    _within("marks of channels", memory.times[:, [at.Times.seen, at.Times.fresh]], 0, 1)
-    _within("suspects", memory.times[:, at.Times.suspects], 0, MOST_SUSPECTS)
-    if (known != (memory.times[:, at.Times.seen] == 1)).any():
+    _within("marks of channels", memory.times[:, [layout.Times.seen, layout.Times.fresh]], 0, 1)
+    _within("suspects", memory.times[:, layout.Times.suspects], 0, MOST_SUSPECTS)
+    if (known != (memory.times[:, layout.Times.seen] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
-    _within("doubts", memory.times[:, at.Times.doubts], 0, FARTHEST_NS)
-    _within("periods", memory.times[:, at.Times.period], 0, FARTHEST_NS)
+    _within("doubts", memory.times[:, layout.Times.doubts], 0, FARTHEST_NS)
+    _within("periods", memory.times[:, layout.Times.period], 0, FARTHEST_NS)
     _within("references", memory.runs[~np.isnan(memory.runs)], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
     for name, values, at_first in (
         ("comparison with the odometer", memory.tracked, NOTHING_TRACKED),
@@ -170,9 +170,9 @@ def key(estimator: Estimator) -> str:
         {one.name: getattr(vehicle, one.name) for one in fields(vehicle) if one.name not in NOT_IN_KEY},
         estimator.channels,
         estimator.columns,
-        at.BELT_COLUMNS,
-        at.Motion.columns,
-        at.Learned.columns,
+        layout.BELT_COLUMNS,
+        layout.Motion.columns,
+        layout.Learned.columns,
         values,
         [[(active.effect.name, dict(active.values)) for active in some] for some in (vehicle.effects, vehicle.surroundings)],
         hashlib.sha256(estimator.constants.route_places.tobytes()).hexdigest(),
@@ -328,8 +328,8 @@ def rested(before: Session, seconds: float, ambient: float | None = None) -> Ses
     if before.started:
         session.begin(estimator.rest(before.state, ambient, min(max(0.0, seconds), LONGEST_OFF)))
     elif before.has_past:
-        motion, air = at.Motion(session.motion), at.Motion(before.motion).air
-        motion.started, motion.air = at.START_COLD, air if ambient is None else ambient
+        motion, air = layout.Motion(session.motion), layout.Motion(before.motion).air
+        motion.started, motion.air = layout.START_COLD, air if ambient is None else ambient
     return session
 
 

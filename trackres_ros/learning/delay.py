@@ -234,7 +234,7 @@ class KeptDelays:
     delays: Array = field(default_factory=lambda: np.zeros(PAST))  # s
     variances: Array = field(default_factory=lambda: np.zeros(PAST))  # s^2; 0 for none
 
-    def see(self, delay: float, variance: float) -> None:
+    def add(self, delay: float, variance: float) -> None:
         """Add the delay of a window; forget the earlier ones if the last ones agree on another."""
         place = self.count % PAST
         self.delays[place], self.variances[place] = delay, max(variance, LEAST_WINDOW_STD_S**2)
@@ -349,7 +349,7 @@ class DelayEstimator:
         self._advance()
         found = window_delay(np.array(samples.speed), np.array(samples.torque).reshape(-1, 2), self._rolling_nm)
         if found:
-            self.kept.see(*found)
+            self.kept.add(*found)
 
     def _advance(self) -> None:
         """Begin the next window at the end of this one."""

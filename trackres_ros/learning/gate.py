@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trackres_ros.arrays import Array, Mask
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.estimator.guards import held
+from trackres_ros.estimator.guards import held_value
 from trackres_ros.units import MAD_TO_STD, SECOND_NS, STANDSTILL_MPS
 
 # Valid seconds
@@ -40,14 +40,14 @@ LONGEST_HOLD_NS = 10 * SECOND_NS
 APART_NS = 45_000_000  # between two samples of a second: more of them do not improve its mean
 
 SPEED_UNSURE = int(
-    at.Reason.SPEED_STUCK
-    | at.Reason.SPEED_IMPLAUSIBLE
-    | at.Reason.SPEED_DISAGREES
-    | at.Reason.GAP_UNKNOWN
-    | at.Reason.CLOCK_JUMPED
-    | at.Reason.TIME_RESET
+    layout.Reason.SPEED_STUCK
+    | layout.Reason.SPEED_IMPLAUSIBLE
+    | layout.Reason.SPEED_DISAGREES
+    | layout.Reason.GAP_UNKNOWN
+    | layout.Reason.CLOCK_JUMPED
+    | layout.Reason.TIME_RESET
 )
-UNSURE = SPEED_UNSURE | int(at.Reason.BELT_SENSOR_DISAGREES | at.Reason.OUTSIDE_TABLE | at.Reason.EFFECT_LEFT_OUT)
+UNSURE = SPEED_UNSURE | int(layout.Reason.BELT_SENSOR_DISAGREES | layout.Reason.OUTSIDE_TABLE | layout.Reason.EFFECT_LEFT_OUT)
 NO_TORQUE, SLOW, HARD, BRAKES, TURNS, STUCK, AGAINST, OUTLYING, DOUBTFUL = range(9)
 TEXTS = (
     "no torque is measured",
@@ -81,7 +81,7 @@ class Second:
     weight: float = 0.0
     inertia: float = 0.0
     felt: float = 0.0  # from an IMU [m/s^2]; nan if a sample lacks it
-    by: Array = field(default_factory=lambda: np.zeros(at.LEARNABLE))
+    by: Array = field(default_factory=lambda: np.zeros(layout.LEARNABLE))
 
     @property
     def counts(self) -> bool:
@@ -142,33 +142,37 @@ class Gate:
             return
         self.samples.seen_ns = stamp_ns
         learned = session.learned
-        residual = row[at.Results.residual_nm]
-        if learned[at.Learned.on] > 0.0:  # against the file, whatever acts
-            moved = learned[at.Learned.departures] * learned[at.Learned.sensitivities]
-            lasting = float(learned[at.Learned.torque]) * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
+        residual = row[layout.Results.residual_nm]
+        if learned[layout.Learned.on] > 0.0:  # against the file, whatever acts
+            moved = learned[layout.Learned.departures] * learned[layout.Learned.sensitivities]
+            lasting = float(learned[layout.Learned.torque]) * math.tanh(row[layout.Results.speed_mps] / STANDSTILL_MPS)
             residual += float(moved.sum()) + lasting
-        why = self._why_not(stamp_ns, row, residual, _fresh(session, at.YAW_RATE))
+        why = self._why_not(stamp_ns, row, residual, _fresh(session, layout.YAW_RATE))
         second = self.second
         if why != TAKEN:
             second.refused[why] += 1.0
             return
         second.taken += 1
         second.residual += residual
-        second.drive += row[at.Results.measured_torque_nm] - residual
-        second.resisting += row[at.Results.resistance_torque_nm]
-        second.speed += row[at.Results.speed_mps]
-        second.accel += row[at.Results.accel_mps2]
-        second.weight += row[at.Results.weight_n]
-        second.inertia += row[at.Results.inertia_nm]
-        second.felt += _fresh(session, at.SPECIFIC_FORCE)  # IMU acceleration along the track
+        second.drive += row[layout.Results.measured_torque_nm] - residual
+        second.resisting += row[layout.Results.resistance_torque_nm]
+        second.speed += row[layout.Results.speed_mps]
+        second.accel += row[layout.Results.accel_mps2]
+        second.weight += row[layout.Results.weight_n]
+        second.inertia += row[layout.Results.inertia_nm]
+        second.felt += _fresh(session, layout.SPECIFIC_FORCE)  # IMU acceleration along the track
         belts = 0.0
         for column in self._belts:
             belts += row[column]
         second.belt_degc += belts / max(len(self._belts), 1)
-        second.by += learned[at.Learned.sensitivities]
+        second.by += learned[layout.Learned.sensitivities]
 
     def _why_not(self, stamp_ns: int, row: Row, residual: float, yaw_rate: float) -> int:
-        measured, speed, accel = row[at.Results.measured_torque_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
+        measured, speed, accel = (
+            row[layout.Results.measured_torque_nm],
+            row[layout.Results.speed_mps],
+            row[layout.Results.accel_mps2],
+        )
         if not math.isfinite(measured):
             return NO_TORQUE
         samples = self.samples
@@ -178,7 +182,7 @@ class Gate:
             return SLOW
         if stamp_ns - samples.since_ns > STUCK_S * SECOND_NS:
             return STUCK
-        if int(row[at.Results.reasons]) & UNSURE:
+        if int(row[layout.Results.reasons]) & UNSURE:
             return DOUBTFUL
         ahead = math.copysign(1.0, speed)
         if accel * ahead < BRAKING_MPS2 and measured * ahead <= DRIVES_SHARE * self.rolling_nm:
@@ -191,7 +195,7 @@ class Gate:
         expected = measured - residual
         if (measured > most and expected < -most) or (measured < -most and expected > most):
             return AGAINST
-        return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[at.Results.inertia_nm]))
+        return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[layout.Results.inertia_nm]))
 
     def _outlying(self, stamp_ns: int, residual: float, doubt: float) -> int:
         """Whether a sample is far from recent ones, by more than a doubt [Nm]; each moves the level by a bounded amount."""
@@ -223,7 +227,7 @@ class Gate:
 def _fresh(session: Session, channel: int) -> float:
     """The value of a channel of motion at the last speed; nan without one, or if it is old."""
     memory, hold_ns = session.memory, session.estimator.constants.number.motion_hold_ns
-    return held(memory, channel, int(memory.times[at.SPEED, at.Times.last_arrival]), hold_ns)
+    return held_value(memory, channel, int(memory.times[layout.SPEED, layout.Times.last_arrival]), hold_ns)
 
 
 # Coverage
@@ -268,12 +272,12 @@ class Buckets:
         """Whether each departure was excited enough, shape (LEARNABLE,)."""
         filled: Mask = self.filled
         if self.seconds.sum() < LEAST_S or filled.sum() < self._least:
-            return np.zeros(at.LEARNABLE, dtype=bool)
+            return np.zeros(layout.LEARNABLE, dtype=bool)
         speeds = np.asarray(filled.any(axis=(1, 2)))
-        found = np.full(at.LEARNABLE, bool(speeds.sum() >= 2))
-        found[at.OF_DRAG] &= bool(speeds[-2:].any())
-        found[at.OF_MASS] = self.accelerating[0] >= LEAST_ACCELERATING_S
-        found[at.OF_BELT] = False  # a state, not the vehicle's own
+        found = np.full(layout.LEARNABLE, bool(speeds.sum() >= 2))
+        found[layout.OF_DRAG] &= bool(speeds[-2:].any())
+        found[layout.OF_MASS] = self.accelerating[0] >= LEAST_ACCELERATING_S
+        found[layout.OF_BELT] = False  # a state, not the vehicle's own
         return found
 
     @property

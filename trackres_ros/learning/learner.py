@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackres_ros.arrays import Array, Mask
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.gate import ACCELERATES_MPS2, AGAINST, OUTLYING, SPEED_UNSURE, TEXTS, Buckets, Gate, Row
@@ -30,9 +30,9 @@ from trackres_ros.learning.parameters import (
     VEHICLES_OWN,
     Prior,
     aged,
+    conditional_mean,
     corrected,
     expected,
-    given_others,
     learnables,
     make_prior,
     rise_torques,
@@ -47,8 +47,8 @@ from trackres_ros.learning.state import (
     ResidualBlock,
     close_block,
     disturbance_text,
-    let_last,
     nothing_learned,
+    update_lasting,
     why_frozen,
 )
 from trackres_ros.units import GRAVITY, SECOND_NS
@@ -56,11 +56,11 @@ from trackres_ros.units import GRAVITY, SECOND_NS
 # Correction of the step
 
 RATE_PER_HOUR = 1.0  # of the file's value: limit on the rate of acting values
-FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
-FASTEST[at.OF_BELT] = 1.0  # K
+FASTEST = np.full(layout.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
+FASTEST[layout.OF_BELT] = 1.0  # K
 BELT_S = 900.0  # of a belt's temperature: heat capacity over cooling
 ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
-TAKE_UP_A_RISE = (at.OF_BEARING, at.OF_DRAG)
+TAKE_UP_A_RISE = (layout.OF_BEARING, layout.OF_DRAG)
 
 
 def reported_stds(covariance: Array, prior: Prior, own: Sequence[int], seen: Array) -> Array:
@@ -77,7 +77,7 @@ def reported_stds(covariance: Array, prior: Prior, own: Sequence[int], seen: Arr
         Torques by `parameters.rise_torques` in the driving so far, over their noise, shape (3, speeds).
     """
     errors = np.zeros(len(covariance))
-    errors[at.OF_MASS] = ACCEL_DOUBT
+    errors[layout.OF_MASS] = ACCEL_DOUBT
     among = [state for state in TAKE_UP_A_RISE if state in own]
     by = seen[[TAKE_UP_A_RISE.index(state) for state in among]]
     variances = np.diag(prior.covariance)[among]
@@ -88,18 +88,18 @@ def reported_stds(covariance: Array, prior: Prior, own: Sequence[int], seen: Arr
 
 def well_known(s: LearnerState, prior: Prior) -> Mask:
     """Which departures are known twice as well as by the vehicle file, shape (LEARNABLE,)."""
-    variances = np.diag(s.covariance)[: at.LEARNABLE]
-    return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: at.LEARNABLE])
+    variances = np.diag(s.covariance)[: layout.LEARNABLE]
+    return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: layout.LEARNABLE])
 
 
 def target_departures(s: LearnerState, prior: Prior, counted: Mask) -> Array:
     """Target of the acting departures, (LEARNABLE,): all accepted ones, with the file's values for the rest."""
     if not counted.any():
-        return np.zeros(at.LEARNABLE)
+        return np.zeros(layout.LEARNABLE)
     of_vehicle = counted.copy()
-    of_vehicle[at.OF_BELT] = True
-    found = given_others(s.mean[: at.LEARNABLE], s.covariance[: at.LEARNABLE, : at.LEARNABLE], of_vehicle)
-    return np.clip(found, prior.low[: at.LEARNABLE], prior.high[: at.LEARNABLE])
+    of_vehicle[layout.OF_BELT] = True
+    found = conditional_mean(s.mean[: layout.LEARNABLE], s.covariance[: layout.LEARNABLE, : layout.LEARNABLE], of_vehicle)
+    return np.clip(found, prior.low[: layout.LEARNABLE], prior.high[: layout.LEARNABLE])
 
 
 def approach_target(s: LearnerState) -> None:
@@ -110,7 +110,7 @@ def approach_target(s: LearnerState) -> None:
 def fade_belts(s: LearnerState, seconds: float) -> None:
     """Let the acting departure of the belts' temperature fade over a time that did not renew it: it holds for the moment only."""
     for departures in (s.aim, s.applied):
-        departures[at.OF_BELT] *= belt_share_left(seconds)
+        departures[layout.OF_BELT] *= belt_share_left(seconds)
 
 
 def apply_departures(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
@@ -120,19 +120,19 @@ def apply_departures(s: LearnerState, acts: bool, learned: Array, now: int, belt
     temperature without a torque measurement [K^2].
     """
     if not (acts and s.applied.any()):
-        learned[: at.Learned.slow] = 0.0
+        learned[: layout.Learned.slow] = 0.0
         return
-    learned[at.Learned.on] = 1.0
-    learned[at.Learned.departures] = s.applied
-    learned[at.Learned.torque] = s.lasting_nm
+    learned[layout.Learned.on] = 1.0
+    learned[layout.Learned.departures] = s.applied
+    learned[layout.Learned.torque] = s.lasting_nm
     unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
-    learned[at.Learned.slow] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
-    learned[at.Learned.factor] = covariance_factor(s, max(now - s.second, 0), belt_variance).ravel()
+    learned[layout.Learned.slow] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
+    learned[layout.Learned.factor] = covariance_factor(s, max(now - s.second, 0), belt_variance).ravel()
 
 
 def use_file(learned: Array) -> None:
     """Let a session use the vehicle file, until `apply_departures` is called again; the sensitivities of its last step stay."""
-    learned[: at.Learned.sensitivities.start] = 0.0
+    learned[: layout.Learned.sensitivities.start] = 0.0
 
 
 def belt_share_left(seconds: float) -> float:
@@ -143,11 +143,13 @@ def belt_share_left(seconds: float) -> float:
 def covariance_factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
     """Lower factor of the covariance about the acting departures, shape (LEARNABLE, LEARNABLE); see `apply_departures`."""
     keeps = belt_share_left(unseen_s)
-    off = s.mean[: at.LEARNABLE] - s.applied
-    off[at.OF_BELT] = keeps * s.mean[at.OF_BELT] - s.applied[at.OF_BELT]
-    covariance = s.covariance[: at.LEARNABLE, : at.LEARNABLE] + off[:, None] * off[None, :]
+    off = s.mean[: layout.LEARNABLE] - s.applied
+    off[layout.OF_BELT] = keeps * s.mean[layout.OF_BELT] - s.applied[layout.OF_BELT]
+    covariance = s.covariance[: layout.LEARNABLE, : layout.LEARNABLE] + off[:, None] * off[None, :]
     covariance[np.diag_indices_from(covariance)] += 1e-12
-    covariance[at.OF_BELT, at.OF_BELT] += (1.0 - keeps**2) * max(belt_variance - covariance[at.OF_BELT, at.OF_BELT], 0.0)
+    covariance[layout.OF_BELT, layout.OF_BELT] += (1.0 - keeps**2) * max(
+        belt_variance - covariance[layout.OF_BELT, layout.OF_BELT], 0.0
+    )
     return np.asarray(np.linalg.cholesky(covariance))
 
 
@@ -167,7 +169,7 @@ DEGREES_OF_FREEDOM = 4.0  # of Student's t
 NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
-TIME_RESET, CLOCK_JUMPED = int(at.Reason.TIME_RESET), int(at.Reason.CLOCK_JUMPED)
+TIME_RESET, CLOCK_JUMPED = int(layout.Reason.TIME_RESET), int(layout.Reason.CLOCK_JUMPED)
 LEFT_OUT_SHARE = 0.1  # of the invalid samples of a minute, by fault of the torque: more are reported
 
 
@@ -178,8 +180,8 @@ def belt_variances(session: Session) -> tuple[float, float]:
     """
     if not len(session.belts):
         return 0.0, 0.0
-    by_air = float((session.belts[:, 0, at.Belt.consider_ambient] ** 2).mean())
-    noise = session.belts[:, 0, at.Belt.noise_1] ** 2 + session.belts[:, 0, at.Belt.noise_2] ** 2
+    by_air = float((session.belts[:, 0, layout.Belt.consider_ambient] ** 2).mean())
+    noise = session.belts[:, 0, layout.Belt.noise_1] ** 2 + session.belts[:, 0, layout.Belt.noise_2] ** 2
     return by_air, max(float(noise.mean()) + by_air, LEAST_BELT_STD_K**2)
 
 
@@ -196,9 +198,9 @@ class Learner:
         self.prior = make_prior(estimator)
         self._vehicle = estimator.vehicle
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
-        load = estimator.constants.assembly[:, at.Assembly.nominal_load]
+        load = estimator.constants.assembly[:, layout.Assembly.nominal_load]
         weight = float(load.sum())
-        self._arm = float(load @ estimator.constants.assembly[:, at.Assembly.radius]) / weight
+        self._arm = float(load @ estimator.constants.assembly[:, layout.Assembly.radius]) / weight
         self._inertia = self._arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
         self.delay = DelayEstimator(self.prior.rolling_nm)
         self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight, bool(self._belts))
@@ -232,8 +234,8 @@ class Learner:
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
-        reasons = int(row[at.Results.reasons])
-        samples, air = self.gate.samples, float(session.motion[at.Motion.air])
+        reasons = int(row[layout.Results.reasons])
+        samples, air = self.gate.samples, float(session.motion[layout.Motion.air])
         if reasons & TIME_RESET or samples.of_air * abs(air - samples.air) > MOVED_K:
             self.restart()
             use_file(session.learned)
@@ -241,15 +243,15 @@ class Learner:
         memory = session.memory
         self.delay.take(
             stamp_ns,
-            row[at.Results.speed_mps],
-            row[at.Results.drive_torque_nm] - row[at.Results.inertia_nm],
-            row[at.Results.weight_n] * self._inertia,
-            int(memory.times[at.TORQUE, at.Times.last_stamp]),
-            float(memory.values[at.TORQUE]) / session.estimator.constants.number.torque_scale,  # an offset delays nothing
+            row[layout.Results.speed_mps],
+            row[layout.Results.drive_torque_nm] - row[layout.Results.inertia_nm],
+            row[layout.Results.weight_n] * self._inertia,
+            int(memory.times[layout.TORQUE, layout.Times.last_stamp]),
+            float(memory.values[layout.TORQUE]) / session.estimator.constants.number.torque_scale,  # an offset delays nothing
             not reasons & SPEED_UNSURE,
         )
         self.learned.ground.drive(
-            stamp_ns, row[at.Results.speed_mps], row[at.Results.grade_nm] / (row[at.Results.weight_n] * self._arm)
+            stamp_ns, row[layout.Results.speed_mps], row[layout.Results.grade_nm] / (row[layout.Results.weight_n] * self._arm)
         )
         number = stamp_ns // SECOND_NS
         second = self.gate.second
@@ -275,7 +277,7 @@ class Learner:
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)  # the ground corrects all states, also in unused seconds
         if second.counts:
             self._learn(session)
-        let_last(s, second.counts)
+        update_lasting(s, second.counts)
         renews = second.counts and not self.frozen
         if renews and s.seconds % AIMS_EVERY_S == 0.0:
             s.aim[:] = target_departures(s, self.prior, self.counted)
@@ -298,7 +300,7 @@ class Learner:
         residual, drive, inertia, speed = second.residual / n, second.drive / n, second.inertia / n, second.speed / n
         sign = math.copysign(1.0, speed)
         looks = np.zeros(STATES)
-        looks[: at.LEARNABLE] = second.by / n
+        looks[: layout.LEARNABLE] = second.by / n
         looks[OFFSET], looks[GAIN], looks[SLOW], looks[STEP] = 1.0, drive, sign, sign
         looks[SLOPE] = second.weight / n * self._arm
         passed = 1.0 if s.second < 0 or second.number <= s.second else float(second.number - s.second)
@@ -308,11 +310,11 @@ class Learner:
         s.step_s += 1.0
         self._pass(passed, session)
         free = self._free(second.accel / n)
-        s.ground.feel(s.mean, s.covariance, second.felt / n, second.accel / n, free)
+        s.ground.take_force(s.mean, s.covariance, second.felt / n, second.accel / n, free)
         known_hill = float(s.mean[SLOPE] * looks[SLOPE])  # from an altitude or an IMU, before this torque has its say
         left = residual - expected(s.mean, looks)
-        moved = float((s.applied * looks[: at.LEARNABLE]).sum())
-        self._hear(residual - moved, passed)
+        moved = float((s.applied * looks[: layout.LEARNABLE]).sum())
+        self._update_noise(residual - moved, passed)
         variance = s.second_variance + (INERTIA_SHARE * inertia) ** 2
         _, known = spread(s.covariance, looks)
         total = known + variance
@@ -329,7 +331,7 @@ class Learner:
         s = self.learned
         if seconds > PAUSE_S:
             self.wear(seconds)
-            s.doubt()
+            s.require_evidence()
             s.block = ResidualBlock()
         keep, gained = np.ones(STATES), np.zeros(STATES)
         slow, step = math.exp(-seconds / SLOW_S), math.exp(-seconds / STEP_S)
@@ -338,19 +340,19 @@ class Learner:
         prior = np.diag(self.prior.covariance)
         for state in VEHICLES_OWN:
             gained[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
-        keep[at.OF_BELT] = belt_share_left(seconds)
+        keep[layout.OF_BELT] = belt_share_left(seconds)
         by_air, known = belt_variances(session)
         if len(session.belts):
-            gained[at.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
-            gained[at.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
+            gained[layout.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
+            gained[layout.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
         aged(s.mean, s.covariance, keep, gained)
-        over = s.covariance[at.OF_BELT, at.OF_BELT]
+        over = s.covariance[layout.OF_BELT, layout.OF_BELT]
         if over > known:  # measurements of a belt are in the estimate already
             share = math.sqrt(known / over)
-            s.covariance[at.OF_BELT, :] *= share
-            s.covariance[:, at.OF_BELT] *= share
+            s.covariance[layout.OF_BELT, :] *= share
+            s.covariance[:, layout.OF_BELT] *= share
 
-    def _hear(self, left: float, passed: float) -> None:
+    def _update_noise(self, left: float, passed: float) -> None:
         """Noise of a second's mean, from the scatter between seconds."""
         s = self.learned
         if passed <= 2.0 and math.isfinite(s.last_left):
@@ -383,7 +385,7 @@ class Learner:
         if self.frozen:
             free[list(VEHICLES_OWN)] = False
         if abs(accel) < ACCELERATES_MPS2:  # a small one is mostly noise, which biases a mass low
-            free[at.OF_MASS] = False
+            free[layout.OF_MASS] = False
         return free
 
     @property
@@ -394,8 +396,8 @@ class Learner:
     @property
     def held(self) -> Mask:
         """Accepted departures that only their bounds hold, so that their error is unknown; (LEARNABLE,)."""
-        mean, near = self.learned.mean[: at.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: at.LEARNABLE])
-        within = (mean > self.prior.low[: at.LEARNABLE] + near) & (mean < self.prior.high[: at.LEARNABLE] - near)
+        mean, near = self.learned.mean[: layout.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: layout.LEARNABLE])
+        within = (mean > self.prior.low[: layout.LEARNABLE] + near) & (mean < self.prior.high[: layout.LEARNABLE] - near)
         return np.asarray(self.counted & ~within)
 
     def stds(self, covariance: Array, own: Sequence[int]) -> Array:

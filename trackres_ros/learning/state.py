@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from trackres_ros.arrays import Array
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.learning.ground import Ground
 from trackres_ros.learning.parameters import GAIN, HEIGHT, SLOPE, SLOW, STATES, STEP, WANDERING_SHARE, Prior, expected
 from trackres_ros.units import MAD_TO_STD
@@ -68,7 +68,7 @@ class Wandering:
     blocks: int = 0
     variance: float = 0.0  # of a difference [Nm^2]
 
-    def see(self, difference: float, least: float) -> None:
+    def add(self, difference: float, least: float) -> None:
         """Add a difference of two blocks [Nm]; the assumed scatter is its prior."""
         if not self.blocks:
             self.variance = least
@@ -102,7 +102,7 @@ class Past:
         """The next block does not follow the last."""
         self.last += 1 + LAGS[-1]
 
-    def see(self, level: float, keep: float) -> None:
+    def add(self, level: float, keep: float) -> None:
         """Add a block; estimate the slow disturbance, of which a share is kept from block to block."""
         self.numbers[self.last % PAST], self.levels[self.last % PAST] = self.last, level
         self.last += 1
@@ -126,7 +126,7 @@ class Past:
         self.slow = min(max(surely, 0.0), differs / (1.0 - keep))
         self.white = max(differs - self.slow * (1.0 - keep), 0.0)
 
-    def of_late(self) -> tuple[float, float]:
+    def recent_level(self) -> tuple[float, float]:
         """Mean of the last blocks [Nm] and its standard deviation due to short disturbances; nan with too few blocks."""
         if math.isnan(self.white):
             return math.nan, math.nan
@@ -145,7 +145,7 @@ class Contest:
     variance: float = 0.0
     better: bool = False
 
-    def see(self, gain: float) -> None:
+    def add(self, gain: float) -> None:
         """Add a block: size of the file's residual less that of the learned one [Nm]."""
         self.blocks += 1
         share = max(1.0 / self.blocks, 1.0 / CONTEST_MEMORY)
@@ -214,14 +214,14 @@ class LearnerState:
     fresh: Contest = field(default_factory=Contest)  # since a pause: it decides whether the values act
     ground: Ground = field(default_factory=Ground)
 
-    def keep_before(self) -> None:
+    def store_recent(self) -> None:
         """Store the present estimate, to which a later step detection returns."""
         if self.suspect:
             return
         self.before_mean[:], self.before_covariance[:] = self.recent_mean, self.recent_covariance
         self.recent_mean[:], self.recent_covariance[:] = self.mean, self.covariance
 
-    def doubt(self) -> None:
+    def require_evidence(self) -> None:
         """After a pause, in which the vehicle may have changed: learned values need fresh evidence."""
         self.fresh = self.contest.since_pause(self.fresh)
 
@@ -232,17 +232,17 @@ class LearnerState:
         self.disturbance_nm = 0.0
         self.block, self.last_block = ResidualBlock(), ResidualBlock()
         self.past.pause()
-        self.doubt()
+        self.require_evidence()
         self.ground.restart()
-        for state in (at.OF_BELT, SLOW, SLOPE, HEIGHT):
+        for state in (layout.OF_BELT, SLOW, SLOPE, HEIGHT):
             self.mean[state] = 0.0
             self.covariance[state, :] = self.covariance[:, state] = 0.0
             self.covariance[state, state] = prior.covariance[state, state]
-        self.aim[at.OF_BELT] = self.applied[at.OF_BELT] = 0.0
+        self.aim[layout.OF_BELT] = self.applied[layout.OF_BELT] = 0.0
         if self.ground.feels:
             self.covariance[SLOPE, SLOPE] = self.ground.slope_variance
-        self.keep_before()
-        self.keep_before()
+        self.store_recent()
+        self.store_recent()
 
     @property
     def least_variance(self) -> float:
@@ -276,7 +276,7 @@ def nothing_learned(prior: Prior) -> LearnerState:
         *(mean, covariance.copy()),
         *(mean.copy(), covariance.copy()),
         *(mean.copy(), covariance.copy()),
-        *(np.zeros(at.LEARNABLE), np.zeros(at.LEARNABLE)),
+        *(np.zeros(layout.LEARNABLE), np.zeros(layout.LEARNABLE)),
         rolling=prior.rolling_nm,
     )
     found.noise = (FIRST_NOISE_SHARE * prior.rolling_nm) ** 2
@@ -303,11 +303,11 @@ def close_block(s: LearnerState) -> None:
     s.last_block, s.block = block, ResidualBlock()
     if before.seconds:
         _judge(s, _level(s, block), _level(s, before))
-    s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
+    s.past.add(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
     _tell(s)
-    s.contest.see(block.gain)
-    s.fresh.see(block.gain)
-    s.keep_before()
+    s.contest.add(block.gain)
+    s.fresh.add(block.gain)
+    s.store_recent()
 
 
 def _level(s: LearnerState, block: ResidualBlock) -> float:
@@ -324,13 +324,13 @@ def _judge(s: LearnerState, level: float, last: float) -> None:
         if (level - s.suspect_level) / size > CONFIRMED:
             _step_found(s, level - s.suspect_level)
         else:
-            s.wandering.see(size, least)
+            s.wandering.add(size, least)
         return
     difference = level - last
     if min(s.wandering.blocks, s.blocks) >= LEAST_BLOCKS and abs(difference) > threshold:
         s.suspect, s.suspect_level = difference, last
     else:
-        s.wandering.see(difference, least)
+        s.wandering.add(difference, least)
 
 
 def _step_found(s: LearnerState, size: float) -> None:
@@ -347,7 +347,7 @@ def _step_found(s: LearnerState, size: float) -> None:
 
 def _tell(s: LearnerState) -> None:
     """Whether the mean residual of a minute exceeds the short disturbances and the error of the slope."""
-    mean, std = s.past.of_late()
+    mean, std = s.past.recent_level()
     std = math.hypot(std, math.sqrt(s.covariance[SLOPE, SLOPE]) * s.last_block.looks[SLOPE])  # a slope that is followed
     least = SAID_SHARE * s.rolling
     if not (abs(mean) > max(0.5 * least, std) and mean * s.disturbance_nm > 0.0):  # gone, or another
@@ -358,7 +358,7 @@ def _tell(s: LearnerState) -> None:
         s.disturbance_nm = 0.0
 
 
-def let_last(s: LearnerState, compared: bool) -> None:
+def update_lasting(s: LearnerState, compared: bool) -> None:
     """Feed a lasting disturbance forward, within a bound; it fades without a compared torque."""
     if not compared:
         s.lasting_nm *= FADES
@@ -380,16 +380,16 @@ def why_frozen(s: LearnerState, known: Disturbance | None) -> str:
     if s.suspect:
         return f"a step of {s.suspect:+.0f} Nm is being checked"
     if s.step_s < STEP_HOLDS_S:
-        return f"{said(s.step_nm, s.step_s, known)}: caused by a sensor, brake, load or the ground"
+        return f"{disturbance_sentence(s.step_nm, s.step_s, known)}: caused by a sensor, brake, load or the ground"
     return ""
 
 
 def disturbance_text(s: LearnerState, known: Disturbance | None) -> str:
     """Text on an unmodelled torque outside the vehicle's parameters; empty without one. See `why_frozen`."""
-    return said(s.disturbance_nm, s.disturbed_s, known) if s.disturbance_nm else ""
+    return disturbance_sentence(s.disturbance_nm, s.disturbed_s, known) if s.disturbance_nm else ""
 
 
-def said(torque_nm: float, driven_s: float, known: Disturbance | None) -> str:
+def disturbance_sentence(torque_nm: float, driven_s: float, known: Disturbance | None) -> str:
     """A disturbance in words, with a remark if it is as large as the vehicle file's; `driven_s` is the driving with it."""
     kind = ""
     if isinstance(known, Spells):

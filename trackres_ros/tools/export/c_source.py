@@ -14,7 +14,7 @@ from pathlib import Path
 
 from trackres_ros.effects.calls import CALL
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.records import LONGEST_STEP_S
 from trackres_ros.kernels.extension import filled, used_helpers
 from trackres_ros.kernels.functions import Instance
@@ -88,7 +88,7 @@ class CSource:
 
     def _header(self) -> dict[str, str]:
         reasons = [
-            f"    TRACKRES_{reason.name} = {int(reason):#x}, /* {_ascii(text)} */" for reason, text in at.REASON_TEXT.items()
+            f"    TRACKRES_{reason.name} = {int(reason):#x}, /* {_ascii(text)} */" for reason, text in layout.REASON_TEXT.items()
         ]
         channels = [f"    TRACKRES_CHANNEL_{in_c(channel).upper()} = {i}," for i, channel in enumerate(self.estimator.channels)]
         return {
@@ -140,7 +140,7 @@ class CSource:
             "ROW": "\n".join(self._row()),
             "GIVEN": "\n".join(f"        inputs->{in_c(name)}," for name in self.inputs.values()),
             "CHANNEL_COUNT": str(len(self.inputs)),
-            "HARMLESS": f"{int(at.HARMLESS):#x}",
+            "HARMLESS": f"{int(layout.HARMLESS):#x}",
             "RECORDS_OF_ANSWER": self._records(entries["feedforward_now"], entries["reasons_now"], const=True),
             "RECORDS_OF_STEP": self._records(entries["step"]),
             "RECORDS_OF_MESSAGE": self._records(entries["take_message"]),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import Motion, Times
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, age_of_speed, fade, feedforward_at
@@ -23,7 +23,7 @@ from trackres_ros.units import NANOSECOND
 STEPPED, WAITED, WRONG_TIME = 1, 0, -2
 PARTS = 2.0**32  # of a nanosecond: of smaller ones no caller can make enough
 DISORDER_NS = round(FEEDFORWARD_STEP_S / NANOSECOND)
-SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
+SPEED_IMPLAUSIBLE = int(layout.Reason.SPEED_IMPLAUSIBLE)
 NOW, LATEST, PART = range(3)  # of the clock: its time, the latest one since the last accepted speed, and what rounding has left
 
 
@@ -76,14 +76,14 @@ def step(
     if now > LAST_NS:
         return WRONG_TIME
     clock[NOW], clock[LATEST], clock[PART] = now, max(clock[LATEST], now), math.floor((elapsed - whole) * PARTS + 0.5)
-    for channel in range(at.SPEED + 1, given.shape[0]):
+    for channel in range(layout.SPEED + 1, given.shape[0]):
         if not math.isnan(given[channel]):
             times = Times(memory.times[channel])  # what a call gives is new, also where no time has passed since the last one
             stamp = max(now, times.last_stamp + 1) if times.seen else now
             feed(k, memory, carried, scratch, channel, stamp, now, given[channel], out)
-    if math.isnan(given[at.SPEED]):
+    if math.isnan(given[layout.SPEED]):
         return WAITED
-    return outcome_of(clock, feed(k, memory, carried, scratch, at.SPEED, now, now, given[at.SPEED], out))
+    return outcome_of(clock, feed(k, memory, carried, scratch, layout.SPEED, now, now, given[layout.SPEED], out))
 
 
 def take_message(
@@ -101,7 +101,7 @@ def take_message(
 
 def feedforward_now(k: Constants, memory: Memory, motion: Array, latest: int) -> float:
     """The feed-forward [Nm] between two speeds, at the latest time [ns]; it fades once the speed is old."""
-    if Times(memory.times[at.SPEED]).seen == 0 or Motion(motion).started <= 0.0:
+    if Times(memory.times[layout.SPEED]).seen == 0 or Motion(motion).started <= 0.0:
         return 0.0
     fed, _, _ = feedforward_at(k, memory, motion, latest)
     return fed * fade(age_of_speed(memory, latest), longest_age(k, memory), k.number.feedforward_fade)
@@ -110,12 +110,12 @@ def feedforward_now(k: Constants, memory: Memory, motion: Array, latest: int) ->
 def reasons_now(k: Constants, memory: Memory, latest: int) -> int:
     """Reasons that came up since the last step."""
     reason = not_enabled(k, memory, latest)
-    return reason | SPEED_IMPLAUSIBLE if Times(memory.times[at.SPEED]).doubts > 0 else reason
+    return reason | SPEED_IMPLAUSIBLE if Times(memory.times[layout.SPEED]).doubts > 0 else reason
 
 
 def is_stale(k: Constants, memory: Memory, latest: int) -> bool:
     """Whether the last accepted speed is too old to be trusted, or there is none."""
-    return Times(memory.times[at.SPEED]).seen == 0 or age_of_speed(memory, latest) > longest_age(k, memory)
+    return Times(memory.times[layout.SPEED]).seen == 0 or age_of_speed(memory, latest) > longest_age(k, memory)
 
 
 def rest_after(k: Constants, memory: Memory, carried: State, scratch: Scratch, ambient: float, seconds: float) -> None:
@@ -123,7 +123,7 @@ def rest_after(k: Constants, memory: Memory, carried: State, scratch: Scratch, a
 
     An ambient temperature that its guard would refuse is the last known, and a time that is no number the longest.
     """
-    is_plausible = k.channel_limits[at.AMBIENT, 0] <= ambient <= k.channel_limits[at.AMBIENT, 1]
+    is_plausible = k.channel_limits[layout.AMBIENT, 0] <= ambient <= k.channel_limits[layout.AMBIENT, 1]
     there = ambient if is_plausible else math.nan
     off = LONGEST_STEP_S if math.isnan(seconds) else min(max(seconds, 0.0), LONGEST_STEP_S)
     if Motion(carried.motion).started > 0.0:
