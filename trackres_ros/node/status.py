@@ -15,7 +15,7 @@ from trackres_ros.arrays import IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.topic_settings import longest_age_s
+from trackres_ros.estimator.settings import longest_age_s
 from trackres_ros.node.inputs import InputReader
 from trackres_ros.node.measured_torque import Mismatch
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
