@@ -113,18 +113,13 @@ def test_sources_changed_since_they_were_compiled_run_in_python(tmp_path):
 
 N, LAYERS = 400, 15
 RISING = np.cumsum(RANDOM.uniform(0.01, 1.0, N))
-SHIFT = np.array([-60.0, 17.0, 51.0, 50.0, 40.0])
-LENGTH, FLAGS, OF_LAYERS = (N,), bool, (LAYERS,)
+LENGTH, FLAGS = (N,), bool
 OF_SERIES = {
     "filter_forward": (RISING, LENGTH, FLAGS, FLAGS, LENGTH, 0.1, (N, 5), FLAGS),
     "smooth_backward": (RISING, FLAGS, FLAGS, LENGTH, FLAGS, (N, 5), LENGTH),
     "mark_corners": (RISING, LENGTH, 0.2, FLAGS),
     "pass": (LENGTH, LENGTH, FLAGS, 0.1, 0.3, 0.25, (N, 2), (N, 2), LENGTH),
     "follow": (LENGTH, LENGTH, FLAGS, 0.9, 0.4, LENGTH, LENGTH),
-    "roll": (
-        0.1, *[LENGTH] * 7, -6.0, 0.5, (4, 30), (30,), OF_LAYERS, SHIFT, 0.1, 2e5, 6.0, 300.0, OF_LAYERS, OF_LAYERS,
-        *[LENGTH] * 3,
-    ),
 }  # fmt: skip
 """Arguments of kernels: numbers, shapes of random numbers, random flags."""
 
