@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from trackres_ros.errors import InputError, MissingExtraError
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.offline.sample import Sample
+    from trackres_ros.recording.mcap import Recovered
     from trackres_ros.recording.recording import Recording
-    from trackres_ros.recording.unfinished import Recovered
     from trackres_ros.results.diagnosis import DiagnosisResult
     from trackres_ros.results.operating_point import OperatingPoint
     from trackres_ros.results.replay import ReplayResult

@@ -18,8 +18,7 @@ from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.endpoints import InputTopic, live_topics
 from trackres_ros.node.transport import Level, Status
 from trackres_ros.output.topics import ESTIMATE_TOPIC
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.vehicle import load
 

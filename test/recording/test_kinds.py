@@ -31,8 +31,7 @@ from trackres_ros.recording.channel_source import _in_order
 from trackres_ros.recording.choosing import COLUMNS, TIME_S, choose
 from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
 from trackres_ros.recording.recording import Recording, topics_in_use
-from trackres_ros.recording.role_units import UNITS, conversion
-from trackres_ros.recording.roles import ROLES
+from trackres_ros.recording.roles import ROLES, UNITS, conversion
 
 LIBRARIES = ("asammdf", "can", "cantools", "h5py", "openpyxl", "pyarrow", "rosbags")
 asammdf, can, *_ = map(pytest.importorskip, LIBRARIES)

@@ -13,8 +13,8 @@ from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
     from trackres_ros.offline.sample import Sample
+    from trackres_ros.recording.mcap import Recovered
     from trackres_ros.recording.recording import Recording
-    from trackres_ros.recording.unfinished import Recovered
 
 
 def record_sample(
@@ -144,8 +144,8 @@ def recover(recording: StrPath, *, output: StrPath) -> Recovered:
     """
     from trackres_ros import checks
     from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
+    from trackres_ros.recording.mcap import Recovered, UnfinishedBag, is_unfinished
     from trackres_ros.recording.reading import check_file
-    from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
 
     path, file = checks.path(recording, "recording"), output_file(output, (BAG_SUFFIX,), "output")
     check_file(path)

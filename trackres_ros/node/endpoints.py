@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from trackres_ros.estimator.columns import CHANNELS, WHEELS
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.companions import DIRECTION
+from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.combining import DIRECTION, Reading, readings_of
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
-from trackres_ros.recording.sums import Reading, readings_of
 from trackres_ros.vehicle import AnyVehicle
 
 DIAGNOSTICS = OutputTopic(

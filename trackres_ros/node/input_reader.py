@@ -17,9 +17,8 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.node.clock import SET_NS
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.transport import is_usable, stamp_ns
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.companions import DIRECTION, Companions, Dropped
-from trackres_ros.recording.sums import Reading, Sum, readings_of
+from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.combining import DIRECTION, Companions, Dropped, Reading, Sum, readings_of
 
 TOGETHER = frozenset({at.SPEED, at.TORQUE, at.SPECIFIC_FORCE, at.LATITUDE, at.LONGITUDE})  # channels whose stamps are compared
 Sample = tuple[int, int, float]

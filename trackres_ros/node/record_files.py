@@ -13,7 +13,7 @@ from pathlib import Path
 
 from trackres_ros.errors import InputError
 from trackres_ros.output.mcap import BEGINNING
-from trackres_ros.recording.unfinished import SUFFIX
+from trackres_ros.recording.mcap import SUFFIX
 from trackres_ros.units import SECOND_NS
 
 MB = 1_000_000

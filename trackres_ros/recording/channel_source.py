@@ -15,17 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
-from trackres_ros.recording.choosing import Choice, choose, listed_names
-from trackres_ros.recording.companions import Companions, Signs
-from trackres_ros.recording.directions import may_say_reverse
-from trackres_ros.recording.position_units import PositionUnits
+from trackres_ros.recording.choosing import Choice, choose, listed_names, torque_columns, torque_note
+from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
 from trackres_ros.recording.reading import reading
+from trackres_ros.recording.roles import may_say_reverse
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
-from trackres_ros.recording.sums import Sums, readings_of
-from trackres_ros.recording.torque_candidates import note_of, of_columns
 
 
 class ChannelSource:
@@ -69,7 +65,7 @@ class ChannelSource:
         self._bind_parts(of_role)
         used = {one.place for one in (*channels, *([self._time] if self._time else []))}
         ignored = [(place, one.name) for place, one in enumerate(self._file.channels) if place not in used]
-        like = of_columns(name for _, name in ignored)
+        like = torque_columns(name for _, name in ignored)
         with self._reading():
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
@@ -80,7 +76,7 @@ class ChannelSource:
         self._may_say_reverse = [] if "direction" in self.roles else may_say_reverse(name for _, name in ignored)
         if ignored:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")
-        notes += note_of(self.torque_candidates, self.roles)
+        notes += torque_note(self.torque_candidates, self.roles)
         self._notes = tuple(map(one_line, notes))
         self._position = PositionUnits(self.bindings)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.recording.binding import FieldStep, field_steps
+from trackres_ros.recording.bindings import FieldStep, field_steps
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict

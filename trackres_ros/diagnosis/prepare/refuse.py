@@ -19,11 +19,11 @@ from trackres_ros.diagnosis.prepare.same_drive import Course, common_roles, same
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S, GateSettings
 from trackres_ros.errors import InputError, MissingExtraError, one_line
-from trackres_ros.recording.corrected_lines import line_to_write
+from trackres_ros.recording.choosing import torque_remedy
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.role_units import Conversion
+from trackres_ros.recording.roles import Conversion
 from trackres_ros.recording.samples import Series
-from trackres_ros.recording.torque_candidates import remedy_of
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.units import KMH_PER_MPS
 
 SHORTEST_S = 120.0
@@ -143,7 +143,7 @@ def check_compared(recording: Recording, shortest_s: float) -> None:
             name,
             f"no torque; roles: {', '.join(series) or 'none'}",
             "a measured torque: without it there is nothing to compare",
-            remedy_of(recording.torque_candidates, of_topics=recording.zero_is_unset),
+            torque_remedy(recording.torque_candidates, of_topics=recording.zero_is_unset),
         )
     if "speed" not in series or not np.isfinite(series["speed"].value).any():
         raise InputError(name, "no finite speed", "a speed")

@@ -32,7 +32,7 @@ from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smoot
 from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.recording.samples import Series

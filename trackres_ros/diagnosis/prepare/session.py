@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.settings import LiveFilter, pace
-from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text.names import told_apart
 from trackres_ros.units import STANDSTILL_MPS

@@ -17,8 +17,8 @@ from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
 from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
 from trackres_ros.errors import InputError
-from trackres_ros.recording.corrected_lines import line_to_write
-from trackres_ros.recording.role_units import Conversion
+from trackres_ros.recording.roles import Conversion
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
 
 SURE = 0.5  # correlation for a certain wrong sign or unit

@@ -15,11 +15,10 @@ from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.corrected_lines import line_to_write
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.role_units import UNITS, Conversion
-from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.roles import ROLES, UNITS, Conversion, base_role
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.text.numbers import some_of
 from trackres_ros.units import GRAVITY
 

@@ -13,10 +13,9 @@ from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.can_signals import CanSignals
+from trackres_ros.recording.can_signals import CanSignals, Frame
 from trackres_ros.recording.channel_file import MOST_TIME_S
-from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.j1939_transport import Frame
+from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.unpacking import set_can_ceilings
 
 MOST_OF_A_LINE = 2**16

@@ -21,10 +21,9 @@ import numpy as np
 from trackres_ros.errors import InputError
 from trackres_ros.files.arrow_columns import as_numpy
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
-from trackres_ros.recording.date_times import DateTimes, is_date_time
-from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.number_marks import COMMA, POINT, Mark, decide, is_number, marks_of, number_of
+from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.samples import Finding
+from trackres_ros.recording.text_table import COMMA, POINT, DateTimes, Mark, decide, is_date_time, is_number, marks_of, number_of
 
 MAX_ROW_BYTES = 2**24
 """Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""

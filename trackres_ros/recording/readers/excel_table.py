@@ -19,10 +19,20 @@ import numpy as np
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
-from trackres_ros.recording.date_times import MOST_S, NO_ZONE, DateTimes, is_date_time
-from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.number_marks import COMMA, Mark, decide, is_number, marks_of, number_of
-from trackres_ros.recording.role_units import is_quantity
+from trackres_ros.recording.opening import FileKind
+from trackres_ros.recording.roles import is_quantity
+from trackres_ros.recording.text_table import (
+    COMMA,
+    MOST_S,
+    NO_ZONE,
+    DateTimes,
+    Mark,
+    decide,
+    is_date_time,
+    is_number,
+    marks_of,
+    number_of,
+)
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:

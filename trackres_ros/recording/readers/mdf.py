@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.can_signals import CanSignals, is_unavailable
+from trackres_ros.recording.can_signals import CanSignals, Frame, is_unavailable
 from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFile, ChannelRows, rows_at
-from trackres_ros.recording.date_times import NO_ZONE
-from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.j1939_transport import Frame
-from trackres_ros.recording.role_units import is_quantity
+from trackres_ros.recording.opening import FileKind
+from trackres_ros.recording.roles import is_quantity
 from trackres_ros.recording.samples import Finding, FloatArray
+from trackres_ros.recording.text_table import NO_ZONE
 from trackres_ros.recording.unpacking import set_mdf_ceilings
 
 BLOCK_ROWS = 2**16

@@ -24,11 +24,11 @@ from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.errors import InputError
-from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording, stamped
-from trackres_ros.recording.role_units import Conversion
+from trackres_ros.recording.roles import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.slopes import runs_of
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import GRAVITY
 
