@@ -80,7 +80,7 @@ _HOMES = {
     "OperatingPoint": "results.operating_point",
     "OwnModel": "diagnosis.base.own",
     "Recording": "recording.recording",
-    "Recovered": "recording.unfinished",
+    "Recovered": "recording.mcap",
     "ReplayResult": "results.replay",
     "Sample": "offline.sample",
     "SimulationResult": "results.simulation",

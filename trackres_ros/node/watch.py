@@ -27,7 +27,7 @@ CLOCK_OFFSET_NS = 1_000_000_000
 STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
 ENOUGH_HZ = 10  # of a speed: a controller's feed-forward is then never older than its speed by more than 0.1 s
 COMPANIONS = ("invalid", "without_direction")
-"""Why a sample was dropped before the guards, see `recording.companions`."""
+"""Why a sample was dropped before the guards, see `recording.combining`."""
 REFUSALS = [int(count) for count in at.REFUSALS]
 MESSAGES = [int(at.Count.ACCEPTED), *REFUSALS]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import os
 import shlex
+import shutil
 import sqlite3
 import struct
 import tempfile
@@ -36,19 +37,10 @@ from trackres_ros.recording.mcap import (
     UnfinishedBag,
     is_unfinished,
     text,
+    unpack_zstd,
+    zstd,
 )
 from trackres_ros.recording.reading import check_file, check_there, reading
-from trackres_ros.recording.unpacking import (
-    MAX_CHUNK_BYTES,
-    MAX_MESSAGE_BYTES,
-    TooLargeError,
-    check_free,
-    check_space,
-    check_zstd,
-    set_ceilings,
-    unpack_file,
-    unpack_message,
-)
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection as RosbagsConnection
@@ -60,7 +52,6 @@ ROWS = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY topic_id"
 DATA, SUMMARY = {0x03, 0x04, 0x05, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END}, {FOOTER, 0x03, 0x04, 0x08, 0x0A, 0x0B, 0x0D, 0x0E}
 """Kinds of records before and behind the end of the data."""
 FOOTER_BYTES = 20
-MOST_HEAD_BYTES = 2**16
 MOST_MESSAGES = 2**48
 """No disk holds as many; larger counts are ignored."""
 INDEX_DATA = 4
@@ -169,7 +160,7 @@ def _records(file: BinaryIO, counts: MessageCounts) -> Iterator[dict[bytes, byte
     file.readline(64)
     while (start := file.tell()) < size:
         length = _length(file, size)
-        head = file.read(length) if length < MOST_HEAD_BYTES else b""
+        head = file.read(length) if length < size else b""
         file.seek(_length(file, size), 1)
         if file.tell() > size or not head:
             counts.remarks.append(f"records are not contiguous at byte {start}: later messages may be lost")
@@ -227,7 +218,7 @@ class RosFile:
     dbconn: sqlite3.Connection | None = None  # of a database, to count its rows
 
     def open(self) -> None:
-        """Read topics, counts and index. Raises RosError, TooLargeError if it cannot be read, or would fill the memory."""
+        """Read topics, counts and index. Raises RosError if it cannot be read."""
         names: dict[int, str] = {}
         if self.kind == "mcap":
             index = McapIndex(self.place)
@@ -235,9 +226,6 @@ class RosFile:
         else:
             self.dbconn = sqlite3.connect(f"file:{quote(bytes(self.place.absolute()))}?immutable=1", uri=True)
             names = dict(self.dbconn.execute("SELECT id, name FROM topics"))
-            (most,) = self.dbconn.execute("SELECT max(length(data)) FROM messages").fetchone()
-            if most and most > MAX_MESSAGE_BYTES:
-                raise TooLargeError(f"a message of {most} bytes; at most {MAX_MESSAGE_BYTES} are read")
         reader = _opened(self)
         numbers = {name: number for number, name in names.items()}
         with _said():
@@ -299,7 +287,6 @@ class RosBag:
     def _open_file(self, path: Path) -> None:
         if is_unfinished(path):
             bag = UnfinishedBag(path)
-            check_free(path.stat().st_size, path, "{} GB to be copied")
             place = self._folder() / "finished.mcap"
             bag.write(place)
             file = RosFile(bag, place, "mcap")
@@ -335,7 +322,7 @@ class RosBag:
         if self.compression_mode:
             if known.get("compression_format") != "zstd":
                 raise RosError(f"compression {known.get('compression_format')}; zstd is read")
-            check_zstd()
+            zstd()
         for file in files:
             place = self._unpacked(file) if self.compression_mode == "file" else file
             self._add(RosFile(place, place, kind))
@@ -352,7 +339,8 @@ class RosBag:
 
     def _unpacked(self, file: Path) -> Path:
         place = self._folder() / file.stem
-        unpack_file(file, place)
+        with zstd().open(file, "rb") as packed, place.open("wb") as out:
+            shutil.copyfileobj(packed, out)
         return place
 
     def close(self) -> None:
@@ -365,6 +353,8 @@ def _said() -> Iterator[None]:
     """Name exceptions of rosbag2 as such: they are Python's own, and look like faults of this program."""
     try:
         yield
+    except MemoryError:
+        raise
     except Exception as error:
         raise RosError(f"rosbag2: {error}") from error
 
@@ -395,11 +385,6 @@ READABLE = "a bag that is readable to its end"
 REMEDIES = {".mcap": "try: mcap recover", ".bag": "try: rosbag reindex"}
 PROFILE = text("ros2")
 """As the header of an MCAP file begins."""
-MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
-"""Limits of a bag's metadata.yaml; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above
-it.
-"""
-SQLITE_LIMIT_LENGTH = 0
 JOURNALS = "-wal", "-journal"
 """Ends of the names of files with changes that a database lacks, or has in part."""
 
@@ -437,14 +422,7 @@ def open_bag(path: Path) -> Reader:
         _check_journal(path)
         check_file(path)
     with reading(path, READABLE, remedy(path)):
-        reader = opened(path)
-        try:
-            for storage in storages_of(reader):
-                _check_storage(storage)
-        except BaseException:
-            reader.close()
-            raise
-    return reader
+        return opened(path)
 
 
 def _opener(path: Path) -> Callable[[Path], Reader]:
@@ -458,7 +436,6 @@ def _opener(path: Path) -> Callable[[Path], Reader]:
         return RosBag
 
     def opened(path: Path) -> Reader:
-        set_ceilings()
         _quote_databases()
         if path.is_file():
             _check_profile(path)
@@ -513,44 +490,14 @@ def _check_profile(path: Path) -> None:
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse a rosbag2 folder with more, or other, files than recorders write."""
+    """Refuse a rosbag2 folder with other files than recorders write."""
     for inside in sorted(path.iterdir()):
         check_there(inside)
         _check_journal(inside)
-        if inside.suffix == ".zstd":
-            check_space(inside)
-    metadata = path / "metadata.yaml"
-    if not metadata.is_file():
-        return
-    if metadata.stat().st_size > MAX_METADATA_BYTES:
-        raise InputError(str(metadata), f"{metadata.stat().st_size} bytes", f"at most {MAX_METADATA_BYTES}")
-    depth = 0
-    with reading(metadata, "YAML as ros2 bag writes it", "try: ros2 bag reindex"):
-        for event in yaml.parse(metadata.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if isinstance(event, yaml.AliasEvent) or depth > MAX_METADATA_DEPTH:
-                given = "an alias" if depth <= MAX_METADATA_DEPTH else f"more than {MAX_METADATA_DEPTH} values in one another"
-                raise InputError(str(metadata), given, "YAML as ros2 bag writes it", "try: ros2 bag reindex")
-
-
-def _check_storage(storage: Any) -> None:
-    """Refuse content that would exhaust the memory."""
-    database = getattr(storage, "dbconn", None)
-    if database is not None:
-        limit = getattr(database, "limit", None) or database.setlimit
-        limit(SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
-    together, most = 0, 0
-    spans = [(one.message_start_time, one.message_end_time, one.uncompressed_size) for one in getattr(storage, "chunks", ())]
-    ends = [(end, 1, -size) for _, end, size in spans]
-    for _, _, size in sorted([(start, 0, size) for start, _, size in spans] + ends):
-        together += size
-        most = max(most, together)
-    if most > MAX_CHUNK_BYTES:
-        raise TooLargeError(f"chunks of the same span of time that unpack to {most} bytes; at most {MAX_CHUNK_BYTES} are read")
 
 
 def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-    """Return the messages of a bag, file after file; those that are packed one by one are unpacked here, up to a ceiling."""
+    """Return the messages of a bag, file after file; those that are packed one by one are unpacked here."""
     kinds = {(one.topic, one.msgtype) for one in wanted}
     files = [(file, [one for one in file.connections if (one.topic, one.msgtype) in kinds]) for file in storages_of(reader)]
     parts: list[tuple[Any, Sequence[Connection]]] = [*files] if files else [(reader, wanted)]
@@ -561,8 +508,8 @@ def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connec
 def _unpacked(packed: Iterator[tuple[Connection, int, bytes]]) -> Iterator[tuple[Connection, int, bytes]]:
     for connection, stamp, raw in packed:
         try:
-            yield connection, stamp, unpack_message(raw)
-        except TooLargeError as error:
-            raise TooLargeError(f"a message of {connection.topic}: {error}") from None
+            yield connection, stamp, unpack_zstd(raw)
+        except MemoryError:
+            raise
         except Exception:
             yield connection, stamp, b""  # data that cannot be unpacked are counted as malformed

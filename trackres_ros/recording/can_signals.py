@@ -31,8 +31,6 @@ LONGEST_PAUSE_NS = 1_250_000_000
 """T2 and T3 of the standard: time after which a receiver gives up."""
 EVERYONE = 255
 """Receiver of a broadcast."""
-MOST_TRANSFERS = 1024
-"""At once; a damaged log may begin any number."""
 
 
 class Frame(NamedTuple):
@@ -89,8 +87,6 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
                 if announced is None:
                     met["incomplete"] += 1
                     continue
-                if len(transfers) >= MOST_TRANSFERS:
-                    end(next(iter(transfers)))
                 transfers[key] = announced
             elif control == ACKNOWLEDGED:  # by the receiver
                 end((frame.bus, receiver, sender))
@@ -143,10 +139,6 @@ def _identifier(packet: int, group: int) -> int:
     return packet & 0x1C0000FF | group << 8 | (packet & 0xFF00 if with_receiver else 0)
 
 
-MOST_DATABASE_BYTES = 2**26
-"""Of a file; the largest of a vehicle maker are a few megabytes."""
-MOST_IDENTIFIERS = 2**14
-"""Kept messages; a bus has some hundreds, but a malicious file any number."""
 NOT_AVAILABLE = re.compile(
     r"(?<!\bno[ -])\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b(?![ -]free\b)", re.IGNORECASE
 )
@@ -261,8 +253,6 @@ class CanSignals(ChannelFile):
             stamp_ns, number, extended, bus, data = frame
             key = (number, extended, bus)
             if key not in found:
-                if len(found) >= MOST_IDENTIFIERS:
-                    found.clear()
                 found[key] = self._message(number, extended, bus)
             one = found[key]
             if one is None:
@@ -312,8 +302,6 @@ def _messages_of(bus: int | None, file: Path) -> list[_Message]:
     from cantools.database import load_file
 
     check_there(file)
-    if file.stat().st_size > MOST_DATABASE_BYTES:
-        raise InputError(str(file), f"{file.stat().st_size} bytes", f"a database of at most {MOST_DATABASE_BYTES}")
     with reading(file, "a database of a CAN bus, such as a .dbc file"):
         database: Any = load_file(file, strict=False)
         messages = database.messages

@@ -9,16 +9,19 @@ import shutil
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.unpacking import MAX_CHUNK_BYTES, TooLargeError, unpackers
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
@@ -110,7 +113,6 @@ FOOTER_BYTES = HEAD.size + 20 + len(MAGIC)
 INDEX_ENTRY_BYTES = 16
 """A log time and an offset, for each message of a channel in a chunk; before them a head, the channel and their length."""
 INDEX_HEAD_BYTES = HEAD.size + 6
-MAX_INDEX_BYTES = 2**28
 
 
 class McapError(Exception):
@@ -119,11 +121,8 @@ class McapError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class IndexedChunk:
-    """A chunk as the index describes it: times [ns], unpacked size [bytes], and number of messages by channel."""
+    """A chunk as the index describes it: number of messages by channel."""
 
-    message_start_time: int
-    message_end_time: int
-    uncompressed_size: int
     channel_count: dict[int, int]
 
 
@@ -137,8 +136,7 @@ class Statistics:
 class McapIndex:
     """The index of a file; a file without one has no chunks here.
 
-    `path`: a file with its end. Raises McapError if it cannot be read; TooLargeError if a chunk states an unpacked size above the
-    ceiling.
+    `path`: a file with its end. Raises McapError if it cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -154,9 +152,6 @@ class McapIndex:
             (start,) = struct.unpack_from("<Q", end, HEAD.size)
             if start and not len(MAGIC) <= start <= size - FOOTER_BYTES:
                 raise McapError("an index outside the file")
-            if start and size - start > MAX_INDEX_BYTES:
-                raise TooLargeError(f"an index of {size - start} bytes; at most {MAX_INDEX_BYTES} are read")
-            _check_chunks(file, start or size - FOOTER_BYTES)
             if start:
                 file.seek(start)
                 try:
@@ -184,30 +179,13 @@ class McapIndex:
 
 
 def _chunk(content: bytes) -> IndexedChunk:
-    first, last, at, length, size = struct.unpack_from("<QQQQI", content)
+    at, length, size = struct.unpack_from("<QQI", content, 16)
     where = sorted((offset, channel) for channel, offset in struct.iter_unpack("<HQ", content[36 : 36 + size // 10 * 10]))
-    index, name = struct.unpack_from("<QI", content, 36 + size)
-    _, unpacked = struct.unpack_from("<QQ", content, 48 + size + name)
+    (index,) = struct.unpack_from("<Q", content, 36 + size)
     ends = [*(offset for offset, _ in where[1:]), at + length + index]
     spans = zip(where, ends, strict=False)
     counts = {channel: (end - offset - INDEX_HEAD_BYTES) // INDEX_ENTRY_BYTES for (offset, channel), end in spans}
-    return IndexedChunk(first, last, unpacked, {channel: count for channel, count in counts.items() if count})
-
-
-def _check_chunks(file: BinaryIO, end: int) -> None:
-    """Refuse chunks that would fill the memory, as far as records follow on one another: a few bytes may request all of it."""
-    at = len(MAGIC)
-    while at + HEAD.size <= end:
-        file.seek(at)
-        kind, length = HEAD.unpack(file.read(HEAD.size))
-        if kind == CHUNK and length < 24:
-            raise McapError(f"a chunk of {length} bytes")
-        if kind == CHUNK:
-            file.seek(at + HEAD.size + 16)
-            (unpacked,) = struct.unpack("<Q", file.read(8))
-            if max(unpacked, length) > MAX_CHUNK_BYTES:
-                raise TooLargeError(f"a chunk of {max(unpacked, length)} bytes; at most {MAX_CHUNK_BYTES} are read")
-        at += HEAD.size + length
+    return IndexedChunk({channel: count for channel, count in counts.items() if count})
 
 
 SUFFIX = ".part"
@@ -215,6 +193,35 @@ SUFFIX = ".part"
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 LEAST = {HEADER: 8, SCHEMA: 2, CHANNEL: 4, MESSAGE: MESSAGE_HEAD.size, CHUNK: 40, MESSAGE_INDEX: 6, ATTACHMENT: 0, METADATA: 0}
 """Kinds of records before the end of the data, and the least length of each [bytes]."""
+
+
+@cache
+def zstd() -> ModuleType:
+    """A library for zstd: that of Python 3.14, its backport, or the older one. Raises MissingExtraError without any."""
+    for name in ("compression.zstd", "backports.zstd", "zstandard"):
+        with suppress(ImportError):
+            return import_module(name)
+    raise MissingExtraError("unpacking zstd", "zstandard", "bags")
+
+
+def unpack_zstd(packed: bytes) -> bytes:
+    """Unpack the frames of zstd in some bytes."""
+    with zstd().open(io.BytesIO(packed), "rb") as file:
+        unpacked: bytes = file.read()
+    return unpacked
+
+
+def _unpack_lz4(packed: bytes) -> bytes:
+    try:
+        from lz4.frame import decompress
+    except ImportError:
+        raise MissingExtraError("unpacking lz4", "lz4", "bags") from None
+    unpacked: bytes = decompress(packed)
+    return unpacked
+
+
+UNPACKERS: Mapping[str, Callable[[bytes], bytes]] = {"": bytes, "zstd": unpack_zstd, "lz4": _unpack_lz4}
+"""Of the chunks of an MCAP file, by the name of their compression."""
 
 
 @dataclass(slots=True)
@@ -391,7 +398,7 @@ def _scanned(file: BinaryIO, size: int) -> _Found:
         kind, length = HEAD.unpack(file.read(HEAD.size))
         end = at + HEAD.size + length
         found.ended = kind == DATA_END
-        if kind not in LEAST or not LEAST[kind] <= length <= min(MAX_CHUNK_BYTES, size - at - HEAD.size):
+        if kind not in LEAST or not LEAST[kind] <= length <= size - at - HEAD.size:
             break
         if kind == CHUNK:
             found.close_chunk()
@@ -419,7 +426,7 @@ def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
         (packed,) = struct.unpack_from("<Q", content, 32 + name)
         if packed != len(content) - 40 - name:
             return False
-        data = unpackers()[compression](content[40 + name :], size)
+        data = UNPACKERS[compression](content[40 + name :])
         if len(data) != size or (crc and crc != zlib.crc32(data)):
             return False
         records = list(_records(data))

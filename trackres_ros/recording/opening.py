@@ -3,13 +3,12 @@
 
 """Opens a recording by the kind of its suffix."""
 
-import importlib
 import pkgutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from importlib.metadata import entry_points
-from importlib.util import find_spec
 from pathlib import Path
 
 from trackres_ros.errors import InputError, MissingExtraError
@@ -17,7 +16,7 @@ from trackres_ros.recording import readers
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import ChannelFile
 from trackres_ros.recording.channel_source import ChannelSource
-from trackres_ros.recording.reading import check_file, check_there, reading
+from trackres_ros.recording.reading import check_file, check_there, in_one_line
 from trackres_ros.recording.samples import BoundSource
 from trackres_ros.text.numbers import some_of
 
@@ -59,8 +58,10 @@ class FileKind:
             given = ", ".join(str(path) for path in paths)
             raise InputError("recordings", given, "several bags, or one other file", "give them one at a time")
         for module, extra in self.needs:
-            if find_spec(module) is None:
-                raise MissingExtraError(f"reading {self.name}", module, extra)
+            try:
+                import_module(module)  # here, as the limits of reading are for content
+            except ImportError:
+                raise MissingExtraError(f"reading {self.name}", module, extra) from None
         if self.checked:
             check_file(paths[0])
         return ChannelSource(paths[0], topics, self.read, self.name)
@@ -82,7 +83,7 @@ AMBIGUOUS = (".log", ".part")
 @cache
 def shipped_kinds() -> tuple[FileKind | BagKind, ...]:
     """The kinds of this package: those that each module in `readers` registers by its name `KINDS`."""
-    modules = [importlib.import_module(f"{readers.__name__}.{found.name}") for found in pkgutil.iter_modules(readers.__path__)]
+    modules = [import_module(f"{readers.__name__}.{found.name}") for found in pkgutil.iter_modules(readers.__path__)]
     return tuple(kind for module in modules for kind in getattr(module, "KINDS", ()))
 
 
@@ -94,7 +95,7 @@ def further_kinds() -> tuple[FileKind, ...]:
     """
     kinds: list[FileKind] = []
     for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
-        with reading(
+        with in_one_line(
             Path(f"entry point {GROUP}: {point.name}"), "a tuple of FileKind that can be imported", "repair or remove its package"
         ):
             found = point.load()

@@ -30,7 +30,6 @@ from trackres_ros.recording.message_types import (
     Definitions,
     Field,
     check_field,
-    check_size,
     definitions,
     installed_fields,
     message_fields,
@@ -38,10 +37,9 @@ from trackres_ros.recording.message_types import (
     with_nested,
 )
 from trackres_ros.recording.opening import BagKind
-from trackres_ros.recording.reading import reading
+from trackres_ros.recording.reading import read_in_steps, reading
 from trackres_ros.recording.roles import may_say_reverse
 from trackres_ros.recording.samples import Finding, IntArray, SampleBlock, first_valid
-from trackres_ros.recording.unpacking import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
@@ -151,7 +149,6 @@ def types_of(one: Connection | RosTopic, path: Path, encoding: Encoding) -> Defi
             "a message type with its definition",
             "the bag does not define it: record as MCAP, which does",
         ) from None
-    check_size(types, one.msgtype, where, MAX_MESSAGE_BYTES)
     return types
 
 
@@ -321,7 +318,7 @@ class BagSource:
             return self._position.in_radians(signs.seen(companions.with_signs(added, self.roles)), self.roles)
 
         for path in self._paths:
-            for block in self._batches(path, max_rows, tally):
+            for block in read_in_steps(path, READABLE, self._batches(path, max_rows, tally), remedy(path)):
                 if sum(map(len, held)) + len(block) > max_rows:
                     yield finished(held)
                     held.clear()
@@ -349,10 +346,7 @@ class BagSource:
 
     def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[SampleBlock]:
         """Read one bag in the small batches that are decoded together."""
-        with (
-            reading(path, READABLE, remedy(path)),
-            closing(self._kept.pop(path) if path in self._kept else open_bag(path)) as reader,
-        ):
+        with closing(self._kept.pop(path) if path in self._kept else open_bag(path)) as reader:
             counts = counts_of(reader, path)
             tally.unknown += counts.unknown
             tally.remarks += counts.remarks
