@@ -1,17 +1,28 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads numbers, dates and times in the cells of a text table: the whole column decides how an ambiguous one is written."""
+"""Reads a table of text, as programs and instruments write it: lines above the names, a row of units below them, comments, any
+separator, decimal mark, notation of time and coding. The whole column decides how an ambiguous number or date is written.
+"""
 
+import codecs
+import csv
+import gzip
+import io
+import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import date
 from functools import lru_cache
-from typing import Literal
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, BinaryIO, Literal, NamedTuple, cast
 
 from trackres_ros.errors import InputError
+from trackres_ros.recording.reading import UTF_16
+from trackres_ros.recording.roles import is_quantity
 from trackres_ros.units import SECOND_NS
 
 Mark = Literal[".", ","]
@@ -39,6 +50,9 @@ SURELY = {mark: re.compile(rf"^{_surely(mark, other)}$", re.MULTILINE) for mark,
 EITHER = {mark: re.compile(rf"^{_either(mark)}$", re.MULTILINE) for mark, _ in MARKS}
 GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPONENT}", re.ASCII) for mark, other in MARKS}
 """A number with a mark between thousands, by its decimal mark."""
+NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?)", re.IGNORECASE)
+NO_VALUE = frozenset(("", "-", "--", "---", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "Null", "null", "None", "none"))
+"""Cells without a value: no sample."""
 
 
 @dataclass(slots=True)
@@ -104,6 +118,8 @@ def _mark_of(marks: ColumnMarks, shown: set[Mark], where: str) -> Mark:
 
 def is_number(text: str) -> bool:
     """Whether a cell holds a number, whatever its decimal mark is."""
+    if not NUMBER_LIKE.fullmatch(text.strip()):
+        return False
     for mark in (POINT, COMMA):
         with suppress(ValueError):
             return number_of(text, mark) is not None
@@ -113,7 +129,7 @@ def is_number(text: str) -> bool:
 def number_of(text: str, mark: Mark, where: str = "") -> float | None:
     """The number in a cell, None where it is empty. Raises InputError with its place if it is no number."""
     bare, other = text.strip(), COMMA if mark == POINT else POINT
-    if not bare:
+    if bare in NO_VALUE:
         return None
     try:
         if "_" in bare or (other in bare and not GROUPED[mark].fullmatch(bare)):  # 1_0 is Python's notation, not that of a table
@@ -122,6 +138,11 @@ def number_of(text: str, mark: Mark, where: str = "") -> float | None:
         return float(bare if mark == POINT else bare.replace(COMMA, POINT))
     except ValueError:
         raise InputError(where, text, "a number, or an empty cell") from None
+
+
+def is_number_or_time(text: str) -> bool:
+    """Whether a cell holds a number, or a date with a time."""
+    return is_number(text) or is_date_time(text)
 
 
 ZONE = r"(?P<zone>Z|UTC|[+-]\d\d(?::?\d\d)?)?"
@@ -212,6 +233,10 @@ class DateTimes:
         except ValueError:
             raise InputError(where, text, f"an existing date and time, as in the other rows ({self.text})") from None
 
+    def read(self, cell: str) -> int | None:
+        """The time in a cell, as `ns`; None where there is none."""
+        return None if cell.strip() in NO_VALUE else self.ns(cell)
+
     @property
     def text(self) -> str:
         """How the column was read, for people."""
@@ -240,3 +265,254 @@ def _zone_s(zone: str | None) -> int:
     if hours > 23 or minutes > 59:
         raise ValueError(zone)
     return (3600 * hours + 60 * minutes) * (-1 if zone[0] == "-" else 1)
+
+
+# --- tables
+
+COMMENTS = ("#", "%", "//", "!")
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
+SEPARATOR_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
+"""As Excel takes it from the first line."""
+HEAD_BYTES, LEAST_LINES, MOST_LINES = 2**16, 4, 200
+"""Text in which the names are looked for: so many bytes, at least and at most so many lines."""
+COMPARED_ROWS = 8
+LOOKED_AT_ROWS = 512
+"""Cells held at once; one has at most 128 KiB."""
+
+Row = Sequence[str]
+
+
+class Header(NamedTuple):
+    """The names of a table, and the units below them if it has any."""
+
+    names: Row
+    units: Row
+    place: int  # index of the row of names
+    first: int  # index of the row below the names and the units
+    rows: int  # rows of numbers of the same width below them, up to `COMPARED_ROWS`
+    numbers: int  # numbers and times in the first row
+
+
+def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] = is_quantity) -> Header | None:
+    """The row with the names of a table: the one above most rows of numbers of its width; without any the first one.
+
+    `rows`: each row, empty or not, and whether it is a comment, which may hold the names too; `is_unit`: whether a text is a
+    unit. Returns None if all rows are empty.
+    """
+    filled = [(place, cells) for place, (cells, comment) in enumerate(rows) if any(cells) and not comment]
+    best: Header | None = None
+    for place, (cells, _) in enumerate(rows):
+        is_first, several = bool(filled) and place == filled[0][0], sum(map(bool, cells)) > 1
+        if not (is_first or (several and not any(map(is_number_or_time, cells)))):
+            continue
+        below = [one for one in filled if one[0] > place and one[1] != cells]
+        units: Row = ()
+        if below and any(map(is_unit, below[0][1])) and not any(map(is_number_or_time, below[0][1])):
+            units = below[0][1]
+            below = [one for one in below if one[1] != units]  # some instruments write both again
+        fitting = [several and any(map(is_number_or_time, row)) and fits(row, len(cells)) for _, row in below[:COMPARED_ROWS]]
+        count = [*fitting, False].index(False)
+        numbers = sum(map(is_number_or_time, below[0][1])) if count else 0
+        first = below[0][0] if below else len(rows)
+        if best is None or count > best.rows:
+            best = Header(cells, units, place, first, count, numbers) if count or is_first else best
+        if fitting and all(fitting):
+            break
+    return best
+
+
+def fits(row: Row, width: int) -> bool:
+    """Whether a row has as many cells as there are names; further ones may be empty."""
+    return len(row) == width or (len(row) > width and not any(row[width:]))
+
+
+@dataclass(slots=True)
+class Progress:
+    """State of one reading of a table."""
+
+    rows: int = 0  # rows so far
+    complete: bool = False  # whether that is all
+    quoted: bool = False  # whether there are quotes
+    last: bytes = b""  # the last byte
+    line: int = 0  # number of the last line
+    ended: bool = True  # false after a row of one line without an end, which may be cut
+    left_out: bool = False  # whether that row is
+    aside: int = 0  # rows between the others that are comments, or the names and units again
+
+
+class Column(NamedTuple):
+    """A column to read: its index, its name, and how a cell is read."""
+
+    place: int
+    name: str
+    read: Callable[[str], float | int | None]
+
+
+class TextTable:
+    """A table in a file of text, packed by gzip or not.
+
+    `path`: the file; `name`: for messages; `is_unit`: whether a text is a unit of a column. Raises InputError for a file without
+    text.
+    """
+
+    def __init__(self, path: Path, name: str, is_unit: Callable[[str], bool] = is_quantity) -> None:
+        self.path, self.name, self.encoding, self.notes = path, name, "utf-8", list[str]()
+        lines = self._head()
+        given = SEPARATOR_LINE.fullmatch(lines[0].rstrip("\r\n")) if lines else None
+        found: list[tuple[tuple[int, int, int], str, Header]] = []
+        for separator in given[1] if given else SEPARATORS:
+            if separator == " " and any(key[0] for key, _, _ in found):
+                break  # spaces are in dates and names too
+            rows = [_cells(line, separator) for line in lines[given is not None :]]
+            header = header_of([((), True)] * (given is not None) + rows, is_unit)
+            if header:
+                count = lines[header.place].count(separator) * (separator != " ")
+                found.append(((header.rows, header.numbers, count), separator, header))
+        if not found:
+            raise InputError(name, "no line with text", "a table with a line of column names")
+        _, self.separator, header = max(found, key=itemgetter(0))
+        self.names = [cell.strip() for cell in header.names]
+        self.units = [cell.strip() for cell in header.units]
+        self.line, self.first = header.place + 1, header.first
+
+    def _head(self) -> list[str]:
+        """The first lines, and so the encoding."""
+        with self.binary() as file:
+            head, more = b"", b"-"
+            while more and (len(head) < HEAD_BYTES or len(re.findall(rb"\r\n|\r|\n", head)) < LEAST_LINES):
+                more = file.read(max(HEAD_BYTES, len(head)))
+                head += more
+        try:
+            text = codecs.getincrementaldecoder("utf-8-sig")().decode(head, not more)
+        except UnicodeDecodeError:
+            self.encoding, text = "latin-1", head.decode("latin-1")
+            self.notes.append("the file is not UTF-8; read as Latin-1")
+        if "\0" in text:
+            raise InputError(self.name, "binary data", "a table as text", "save it as text, such as CSV")
+        lines = list(itertools.islice(io.StringIO(text, newline=""), MOST_LINES))
+        return lines[:-1] if more and not lines[-1].endswith(("\n", "\r")) else lines
+
+    def binary(self) -> BinaryIO:
+        """The unpacked file; one in UTF-16 as UTF-8."""
+        packed = self.path.name.lower().endswith(".gz")
+        file = cast("BinaryIO", gzip.open(self.path) if packed else self.path.open("rb"))  # noqa: SIM115 - the caller closes it
+        is_wide = file.read(2) in UTF_16
+        file.seek(0)
+        return cast("BinaryIO", codecs.EncodedFile(file, "utf-8", "utf-16", "replace")) if is_wide else file
+
+    def rows(self, progress: Progress) -> Iterator[list[str]]:
+        """The rows below the header, with the state of reading. Raises InputError with the line for one that is no row."""
+        tap = cast("BinaryIO", Tap(self, progress))
+        with tap, io.TextIOWrapper(tap, self.encoding, errors="replace", newline="") as file:
+            inside = False  # of a row of several lines
+
+            def lines() -> Iterator[str]:
+                nonlocal inside
+                for progress.line, line in enumerate(file, 1):
+                    if progress.line > self.first:
+                        progress.ended = inside or line.endswith(("\n", "\r"))
+                        inside = True
+                        yield line if self.separator != " " else " ".join(line.split()) + "\n"
+
+            try:
+                for row in csv.reader(lines(), delimiter=self.separator):
+                    inside = False
+                    if row:
+                        yield row
+            except csv.Error as error:
+                raise InputError(f"{self.name}: line {progress.line}", str(error), "a table to the end of the file") from error
+
+    def whole_rows(self) -> Iterator[list[str]]:
+        """Rows as long as the header, without a last one that may be cut; others are reported when they are read."""
+        progress, width = Progress(), len(self.names)
+        with suppress(InputError):
+            for place, row in enumerate(self.rows(progress)):
+                if fits(row, width) and (progress.ended or not place):
+                    yield row
+
+    def first_cell(self, place: int) -> str:
+        """The first cell of a column with a value; empty without one."""
+        return next((cell for row in self.whole_rows() if (cell := row[place].strip()) not in NO_VALUE), "")
+
+    def look(self, looks: Sequence[tuple[int, Callable[[Sequence[str]], None]]]) -> None:
+        """Show the cells of some columns to a function each."""
+        rows = ([row[place].strip() for place, _ in looks] for row in self.whole_rows())
+        while chunk := list(itertools.islice(rows, LOOKED_AT_ROWS)):
+            for (_, see), cells in zip(looks, zip(*chunk, strict=True), strict=True):
+                see(cells)
+
+    def numbers(self, rows: Iterator[list[str]], columns: Sequence[Column], progress: Progress) -> Iterator[list[Any]]:
+        """The numbers of some columns row by row, None where there is no value.
+
+        Without comments, repeated names and units, and a last line that is cut before it is a row. Raises InputError with its
+        place.
+        """
+        for row in rows:
+            try:
+                numbers = self._numbers(row, columns, progress.line)
+            except InputError:
+                if row[0].lstrip().startswith(COMMENTS) or [cell.strip() for cell in row] in (self.names, self.units):
+                    progress.aside += 1
+                    continue
+                if progress.ended or len(row) > len(self.names):
+                    raise
+                numbers = [None]
+            progress.left_out = not progress.ended and numbers[0] is None
+            if not progress.left_out:
+                yield numbers
+
+    def _numbers(self, row: Sequence[str], columns: Sequence[Column], line: int) -> list[float | int | None]:
+        width = len(self.names)
+        if not fits(row, width):
+            remedy = ""
+            if self.separator == "," and len(row) > width:
+                remedy = "if numbers have a decimal comma, separate cells by semicolons or tabs"
+            elif self.separator == " ":
+                remedy = "between spaces no cell may be empty: separate cells by tabs"
+            raise InputError(f"{self.name}: line {line}", f"{len(row)} cells", f"{width} cells, as in the header", remedy)
+        numbers = []
+        for place, name, read in columns:
+            try:
+                numbers.append(read(row[place]))
+            except InputError as error:
+                raise InputError(f"{self.name}: line {line}, column {name}", error.given, error.allowed) from None
+        return numbers
+
+
+def _cells(line: str, separator: str) -> tuple[Row, bool]:
+    """The cells of a line without its mark of a comment, and whether it is one."""
+    text = line.strip("\r\n")
+    comment = text.lstrip().startswith(COMMENTS)
+    text = text.lstrip("#%!/ ") if comment else text
+    if separator == " ":
+        return (text.split("\t") if "\t" in text.strip() else text.split()), comment
+    try:
+        return [cell.strip() for cell in next(csv.reader([text], delimiter=separator), [])], comment
+    except csv.Error:  # an endless cell
+        return [cell.strip() for cell in text.split(separator)], comment
+
+
+class Tap(io.BufferedIOBase):
+    """Watches the bytes of a table in passing: whether they contain quotes, and which is the last."""
+
+    def __init__(self, table: TextTable, progress: Progress) -> None:
+        self._file, self._progress = table.binary(), progress
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Pass on the next bytes."""
+        data = self._file.read(-1 if size is None else size)
+        if data:
+            self._progress.quoted = self._progress.quoted or b'"' in data
+            self._progress.last = data[-1:]
+        return data
+
+    read1 = read
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
