@@ -18,9 +18,8 @@ from cyclonedds.core import Listener
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from trackres_ros.node.dds.participant import EVERY_SAMPLE, Participant, serialized
-from trackres_ros.node.dds.wire import idl_struct, qos, typestore
-from trackres_ros.node.endpoints import Quality
+from trackres_ros.node.dds.wire import EVERY_SAMPLE, Participant, idl_struct, qos, serialized, typestore
+from trackres_ros.node.transport import Quality
 
 SPEED, TORQUE = "/vehicle/speed", "/trackres/feedforward_torque"
 TWIST, WRENCH = "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/WrenchStamped"

@@ -30,7 +30,7 @@ from measuring import START_NS, alternated, median_ratio
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackres_ros.arrays import Array
-from trackres_ros.building.kernel_source import all_entries, built
+from trackres_ros.building import all_entries, built
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
 from trackres_ros.diagnosis.prepare import speed_smoothing
 from trackres_ros.errors import InputError
@@ -225,8 +225,7 @@ def estimate(messages: int = 2000, repeats: int = 5) -> dict[str, float]:
     Three reasons hold in each. What is of our own is made whole each time by rosbags, as a DiagnosticArray is; what is published
     is prepared, and made anew where the reasons are others.
     """
-    from trackres_ros.node.dds.messages import DdsEstimate, diagnostic_array
-    from trackres_ros.node.dds.wire import typestore
+    from trackres_ros.node.dds.wire import DdsEstimate, diagnostic_array, typestore
     from trackres_ros.node.transport import Level, Status
 
     store = typestore()

@@ -101,6 +101,7 @@ def main(arguments: list[str]) -> int:
     titles = given.titles
     if unknown := [title for title in titles if title not in BENCHMARKS]:
         parser.error(f"no benchmark {unknown[0]!r}; there are: {', '.join(BENCHMARKS)}")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # of containers: where it is set, each process compiles all that it imports
     load_before = os.getloadavg()[0]
     sections = kept()
     for title in titles or list(BENCHMARKS):

@@ -12,14 +12,13 @@ from typing import Any
 
 import click
 
-from trackres_ros import InputError
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Commands, emit, needs, output_folder, progress
-from trackres_ros.cli.main import SETTINGS
-from trackres_ros.cli.partial_output import watch
+from trackres_ros.errors import InputError
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.interpreter import python
 from trackres_ros.files.own_files import write
+from trackres_ros.tasks import options
+from trackres_ros.tasks.main import SETTINGS
+from trackres_ros.tasks.terminal import Commands, emit, needs, output_folder, progress, watch
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0

@@ -72,7 +72,7 @@ def page(cases: Mapping[str, Diagnosis]) -> str:
         "|---|---|---|---|",
     ]
     for what, found in cases.items():
-        classes = [f.step.members for f in found.found]
+        classes = [t.members for t in found.found]
         named = "; ".join(" or ".join(m) for m in classes) or found.verdict.status
         hit = [name for name in HIDDEN if any(name in m for m in classes)]
         mae = found.held_out.mae
@@ -82,7 +82,7 @@ def page(cases: Mapping[str, Diagnosis]) -> str:
         lines += ["", f"## {what[0].upper()}{what[1:]}", "", found.verdict.sentence, ""]
         fitted = ", ".join(f"{name} {value:.3g}" for name, value in found.final.base_values.items())
         lines += [f"Base, re-fitted along: {fitted}.", ""]
-        hidden = [n for n in found.steps[-1].separability.not_visible if n.name in HIDDEN]
+        hidden = [n for n in found.last.separability.not_visible if n.name in HIDDEN]
         lines += [f"- {n.name} cannot be seen: {n.why}" for n in hidden]
         for x in found.advice[:1]:
             lines.append(f"- To drive next, {x.minutes:.0f} min: {x.manoeuvre}. It tells {', '.join(x.separates)} apart.")

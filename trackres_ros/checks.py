@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import numbers
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
 from trackres_ros.errors import InputError, nearest
 
 LARGEST_SEED = 2**32 - 1
+LARGEST = 1e300  # an integer may be larger than any float
 
 
 def number(given: object, where: str, low: float, high: float, unit: str = "", if_outside: str = "") -> float:
@@ -36,6 +38,42 @@ def whole(given: object, where: str, low: int, high: int, unit: str = "") -> int
         given = int(given)
     if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
         raise InputError(where, given, allowed)
+    return given
+
+
+def finite(given: object, where: str) -> float:
+    """A finite number; true and false are refused."""
+    given = _plain(given)
+    if isinstance(given, bool) or not isinstance(given, int | float) or not abs(given) < LARGEST:
+        raise InputError(where, given, "a finite number")
+    return float(given)
+
+
+def positive(given: object, where: str) -> float:
+    """A finite number above 0."""
+    if not finite(given, where) > 0.0:
+        raise InputError(where, given, "a positive number")
+    return finite(given, where)
+
+
+def text(given: object, where: str) -> str:
+    """A text that is not empty."""
+    if not isinstance(given, str) or not given.strip():
+        raise InputError(where, given, "a text that is not empty")
+    return given
+
+
+def name(given: object, where: str, pattern: str, allowed: str) -> str:
+    """A name of a form: a regular expression, and the same in words."""
+    if not re.fullmatch(pattern, text(given, where)):
+        raise InputError(where, given, allowed)
+    return str(given)
+
+
+def switch(given: object, where: str) -> bool:
+    """True or false."""
+    if not isinstance(given, bool):
+        raise InputError(where, given, "true or false")
     return given
 
 

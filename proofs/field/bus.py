@@ -18,10 +18,11 @@ from scipy.spatial import cKDTree
 from proofs.field.data import Array
 from proofs.field.run import NOTHING, UPHILL, WARM, FieldTrial
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis.empirical.payload import Payload
 from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.track import Frame
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY
 
 FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus"
@@ -112,7 +113,7 @@ def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, dist
 
 def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
     """Compare the found masses with the passengers, which `given` has; None without any."""
-    stretches = next((t.described.stretches for t in tried.found.described if t.described.stretches), ())
+    stretches = next((t.pattern.stretches for t in tried.found.described if isinstance(t.pattern, Payload)), ())
     if not stretches:
         return None
     known = {s.name: s for s in given.found.sessions}

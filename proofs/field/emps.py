@@ -16,11 +16,10 @@ import numpy as np
 import yaml
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
-from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.fitting import Fit, with_levels
 from trackres_ros.diagnosis.prepare.session import Mask
-from trackres_ros.diagnosis.report.timeline import draw_timeline
-from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
+from trackres_ros.diagnosis.report.series import draw_timeline
+from trackres_ros.diagnosis.selection.as_used import NORMAL_95, intervals
 from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.friction_by_direction import FrictionByDirection
 from trackres_ros.errors import InputError
@@ -101,7 +100,7 @@ def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
 
 
 def _found(d: Diagnosis) -> str:
-    terms = [(f.name, f.graded.grade) for f in d.found] + [(t.described.name, t.graded.grade) for t in d.described]
+    terms = [(t.name, t.grade) for t in (*d.found, *d.described)]
     return ", ".join(f"`{name}` {grade}" for name, grade in terms) + f". It says: “{d.verdict.sentence}”"
 
 

@@ -27,11 +27,11 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.learning.learner import Learner
 from trackres_ros.node.parameters import make_parameters
-from trackres_ros.offline.replay import replay
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.text.numbers import figures
+from trackres_ros.tasks.replay_run import replay
+from trackres_ros.text import figures
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, load_any
 from trackres_ros.vehicle.surroundings import with_surroundings

@@ -27,11 +27,11 @@ from proofs.field.run import (
     twice,
 )
 from proofs.field.warmth import WANTED_RANK, PooledStarts, pool, start_states, warming
-from trackres_ros.diagnosis.empirical.closest import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.selection.intervals import NORMAL_95
+from trackres_ros.diagnosis.selection.as_used import NORMAL_95
+from trackres_ros.diagnosis.selection.locate import evenly_filled
 from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text import decimals
 
 EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16

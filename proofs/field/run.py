@@ -13,7 +13,6 @@ import numpy as np
 
 from proofs.field.data import Array, car, robot, trips
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.errors import InputError
 
 WARM = frozenset({"warmup", "roadwheel_tyres", "viscous_bearing"})
@@ -45,12 +44,12 @@ class FieldTrial:
     def named(self) -> tuple[tuple[str, ...], ...]:
         """Classes of named effects; empty if the verdict names none."""
         names_any = self.found.verdict.status in ("named", "one_of")
-        return tuple(f.step.members for f in self.found.found) if names_any else ()
+        return tuple(t.members for t in self.found.found) if names_any else ()
 
     @property
     def described(self) -> tuple[str, ...]:
         """Forms of the unnamed terms that hold-out laps confirm."""
-        return tuple(t.described.form for t in self.found.described if t.graded.grade == CONFIRMED)
+        return tuple(str(t.form) for t in self.found.described if t.confirmed)
 
     @property
     def outcome(self) -> str:
@@ -129,7 +128,7 @@ def starts(data: Path, tried: FieldTrial) -> list[Start]:
 def acts_early(tried: FieldTrial, index: int) -> float:
     """Time during which the first named effect acts in the first `COLD_S` of one recording [s]."""
     name = tried.found.sessions[index].name
-    spans = tried.found.found[0].where if tried.found.found else ()
+    spans = tried.found.found[0].spans if tried.found.found else ()
     return sum(max(0.0, min(s.end, COLD_S) - s.begin) for s in spans if s.recording == name)
 
 

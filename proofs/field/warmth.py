@@ -13,8 +13,7 @@ from scipy.stats import spearmanr
 
 from proofs.field.data import Array
 from trackres_ros.diagnosis.base.base import Predicted
-from trackres_ros.diagnosis.inference.fitting import Fit, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.fitting import Fit, fit, with_levels
 from trackres_ros.effects.vehicle.warmup import WarmUp
 from trackres_ros.units import MAD_TO_STD
 

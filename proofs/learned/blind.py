@@ -26,8 +26,8 @@ from trackres_ros.estimator.snapshot import read_learning, save
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.learning.store import stored, take
-from trackres_ros.offline.replay import replay
 from trackres_ros.recording.opening import open_source
+from trackres_ros.tasks.replay_run import replay
 from trackres_ros.vehicle import load
 
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # varies from run to run

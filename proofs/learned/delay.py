@@ -36,8 +36,8 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.columns import LEARNED
 from trackres_ros.learning.learner import Learner
-from trackres_ros.offline.replay import replay
 from trackres_ros.recording.opening import open_source
+from trackres_ros.tasks.replay_run import replay
 from trackres_ros.vehicle import load
 
 LONGEST_S = 0.5

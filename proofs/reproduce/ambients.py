@@ -23,7 +23,7 @@ from proofs.reproduce.families import (
     section_of,
 )
 from proofs.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Figure, Section, listed, percents
-from trackres_ros.offline.simulate import ramp_and_hold
+from trackres_ros.estimator.drives import ramp_and_hold
 from trackres_ros.output.style import legend_beside, picture, thinned
 from trackres_ros.units import KMH_PER_MPS
 

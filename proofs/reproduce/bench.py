@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trackres_ros.estimator.drives import SimulatedDrive, ramp_and_hold, simulate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.track import with_methods
-from trackres_ros.offline.simulate import SimulatedDrive, ramp_and_hold, simulate
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]

@@ -27,9 +27,9 @@ from proofs.reproduce.section import (
     span,
     write_csv,
 )
-from trackres_ros.offline.simulate import SimulatedDrive
+from trackres_ros.estimator.drives import SimulatedDrive
 from trackres_ros.output.style import STEPS, legend_beside, picture, thinned
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

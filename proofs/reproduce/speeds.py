@@ -21,7 +21,7 @@ from proofs.reproduce.families import (
     section_of,
 )
 from proofs.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Section, percent, percents, span
-from trackres_ros.offline.simulate import SimulatedDrive, ramp_and_hold
+from trackres_ros.estimator.drives import SimulatedDrive, ramp_and_hold
 from trackres_ros.units import KMH_PER_MPS
 
 SPEEDS_KMH = (10.0, 20.0, 30.0, 40.0, 50.0)

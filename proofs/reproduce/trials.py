@@ -27,7 +27,7 @@ from proofs.reproduce.section import (
     percents,
     write_csv,
 )
-from trackres_ros.offline.simulate import SimulatedDrive, laps, simulate, through_points
+from trackres_ros.estimator.drives import SimulatedDrive, laps, simulate, through_points
 from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import KMH_PER_MPS

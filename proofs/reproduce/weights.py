@@ -12,7 +12,7 @@ import numpy as np
 from proofs.reproduce.bench import COMBINATIONS, Bench
 from proofs.reproduce.families import SAME, Family, draw_family, falls, run_family, section_of
 from proofs.reproduce.section import HOLDS, Claim, Section, percent
-from trackres_ros.offline.simulate import ramp_and_hold
+from trackres_ros.estimator.drives import ramp_and_hold
 from trackres_ros.units import KMH_PER_MPS
 
 WEIGHTS_KN = (200.0, 250.0, 300.0, 350.0)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from trackres_ros.diagnosis.empirical.terms import FOLLOWED
+from trackres_ros.diagnosis.empirical.term import FOLLOWED
 
 SURE = ("named", "one_of")
 DESCRIBED, CONFIRMED = "described", "confirmed"

@@ -72,14 +72,17 @@ def _diagnose(results: Path, folder: Path) -> None:
 
 def _over(found: Diagnosis) -> dict[str, list[list[float]]]:
     """Of each described term: values of its variable, rising, and its torque there [Nm]; without those that have none."""
+    from trackres_ros.diagnosis.empirical.finders import variable_of
+
     shown = {}
     for term in found.described:
-        x, torque = (np.concatenate(list(of)) if of else np.empty(0) for of in (term.course, term.adds))
+        course = variable_of(term, found.final)
+        x, torque = (np.concatenate(list(of)) if of else np.empty(0) for of in (course, term.adds))
         speed = np.concatenate([s.speed for s in found.refitted.problem.sessions])
         if len(x) != len(speed):
             continue
         drives = np.flatnonzero((speed > DRIVING_MPS) & np.isfinite(x))
         rising = drives[np.argsort(x[drives])]
         kept = rising[np.linspace(0, len(rising) - 1, min(SHOWN, len(rising))).astype(int)]
-        shown[term.described.name] = [x[kept].tolist(), torque[kept].tolist()]
+        shown[term.name] = [x[kept].tolist(), torque[kept].tolist()]
     return shown

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.files.yamls import read_yaml
+from trackres_ros.files.documents import read_yaml
 
 Array = NDArray[np.float64]
 

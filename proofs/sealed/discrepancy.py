@@ -15,9 +15,9 @@ import numpy as np
 
 from proofs.sealed.drives import Array
 from trackres_ros.diagnosis.base.variables import varying
-from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Split
+from trackres_ros.diagnosis.selection.locate import torque_residuals
 
 Learn = Callable[[Array, Array, Array], Array]
 """Features and targets for training, features for prediction; returns the predictions."""

@@ -25,8 +25,8 @@ from proofs.sealed.street import loaded
 from proofs.sealed.street_drives import street_drive
 from proofs.sealed.town import draw_town
 from proofs.sealed.truth import Build, Hidden, TruthRun, simulate_truth
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 
 VEHICLE = "xgd24d"
 PROFILES = "profiles"
@@ -207,8 +207,7 @@ def weight_and_radius() -> tuple[float, float]:
 def refit(paths: Sequence[Path], vehicle: Path, into: Path, remark: str) -> Path:
     """Write the vehicle file with the parameters that a diagnosis begins with re-fitted to recordings."""
     from trackres_ros.diagnosis import load_base, read_recordings
-    from trackres_ros.diagnosis.inference.fitting import Problem, fit
-    from trackres_ros.diagnosis.inference.levels import with_levels
+    from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
     from trackres_ros.diagnosis.prepare.gate import gate
     from trackres_ros.vehicle.writing.changes import FileChanges
 

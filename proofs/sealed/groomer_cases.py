@@ -22,8 +22,8 @@ from proofs.processes import each
 from proofs.sealed.drives import Array
 from proofs.sealed.groomer import HIDDEN, MOTOR_NOISE_NM, RATIO, TOPICS, Groomer, Snow, snow_drives, write_table
 from proofs.sealed.size import whitened
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import config_dir
-from trackres_ros.files.yamls import read_yaml
 
 VEHICLE = Path(__file__).with_name("groomer.yaml")
 NONE, GEARBOX = "none", "drivetrain_efficiency"

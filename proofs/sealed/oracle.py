@@ -16,11 +16,9 @@ from proofs.sealed.drives import Array
 from proofs.sealed.generate import means
 from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
 from trackres_ros.diagnosis.base.track import TrackBase
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import DriveSession
-from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.prepare.session import DriveSession, split
 from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active

@@ -22,7 +22,7 @@ from proofs.sealed.cases import NOT_IN_CATALOGUE
 from proofs.sealed.discrepancy import BASE
 from proofs.sealed.scored import NO_WORSE, OURS, Scored, own_shares, shares, sizes, wilson
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.report.page import write_page
+from trackres_ros.diagnosis.report.page import glance, write_page
 from trackres_ros.diagnosis.report.pictures import draw_all
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.own_files import write
@@ -121,7 +121,8 @@ def write_case(folder: Path, cases: Path, s: Scored, path: Path) -> None:
     found, paths = diagnosed(cases / s.case.name)
     into = folder / "pictures" / s.case.name
     title = f"Case {s.case.name}; hidden: {s.case.title}"
-    write_page(path, report(found, [Path(p.name) for p in paths]), draw_all(found, into), title)
+    content = report(found, [Path(p.name) for p in paths])
+    write_page(path, content, glance(found, content["topics_lines"]), draw_all(found, into), title)
 
 
 def table(

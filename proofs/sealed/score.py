@@ -29,7 +29,7 @@ from proofs.sealed.scored import OURS, MassError, Scored, mass_errors, true_valu
 from proofs.sealed.statements import is_true
 from proofs.sealed.street import LOAD
 from proofs.sealed.truth import G
-from trackres_ros.diagnosis.empirical.closest import evenly_filled
+from trackres_ros.diagnosis.selection.locate import evenly_filled
 
 Truth = Mapping[str, Any]
 """The kept part of the truth of a case, see `generate`."""

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from ros_messages import STORE
 from waiting import wait_for
 
-from trackres_ros.node import inbox
+from trackres_ros.node import inputs
 from trackres_ros.node.dds import node as dds_node
 from trackres_ros.node.dds.node import DdsNode
-from trackres_ros.node.dds.participant import Participant
-from trackres_ros.node.endpoints import Quality
-from trackres_ros.node.inbox import Inbox
+from trackres_ros.node.dds.wire import Participant
+from trackres_ros.node.inputs import Inbox
 from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.transport import Quality
 
 FLOAT = "std_msgs/msg/Float64"
 QUALITY = Quality(reliable=True, depth=100, deadline_s=0.0)
@@ -38,19 +38,19 @@ class Loop:
         self.node._inbox = Inbox([self._take], self._hand, lambda: (0, 0), lambda _: None, 1000)
 
     def run(self, until):
-        requests = SimpleNamespace(started=lambda: None, carry_out=self._turn, to_stop=False)
+        requests = SimpleNamespace(started=lambda: None, pending=self._turn, to_stop=False)
         clock = SimpleNamespace(monotonic_ns=lambda: self.now_ns, time_ns=time.time_ns, time=time.time)
         self._ends = lambda: setattr(requests, "to_stop", until(self))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(dds_node, "time", clock)
-            patch.setattr(inbox, "time", clock)
+            patch.setattr(inputs, "time", clock)
             try:
                 self.node.spin(requests)
             finally:
                 self.node.close()
         return self
 
-    def _turn(self, _application):
+    def _turn(self):
         self.turns += 1
         self._ends()
         return ()

@@ -13,13 +13,12 @@ from hypothesis import strategies as st
 from ros_messages import build, stamped
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.dds.messages import CdrInput, clock_ns, diagnostic_array, prepared
-from trackres_ros.node.dds.wire import typestore
-from trackres_ros.node.endpoints import InputTopic, live_topics
-from trackres_ros.node.transport import Level, Status
+from trackres_ros.node.dds.wire import CdrInput, clock_ns, diagnostic_array, prepared, typestore
+from trackres_ros.node.transport import InputTopic, Level, Status, live_topics
 from trackres_ros.output.topics import ESTIMATE_TOPIC
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.cdr import MalformedError
+from trackres_ros.recording.combining import Reading
 from trackres_ros.vehicle import load
 
 STAMP_NS = 1_700_000_000_123_456_789
@@ -100,8 +99,9 @@ def test_a_diagnostic_array():
 
 def reader(kind, *fields, scale=1.0, offset=0.0):
     roles = tuple(["speed", "torque"][: len(fields)])
-    bindings = tuple(TopicBinding("/t", kind, field, scale=scale, offset=offset) for field in fields)
-    return CdrInput(InputTopic("/t", kind, roles, bindings, (None,) * len(roles)), "topics.yaml")
+    bindings = (TopicBinding("/t", kind, field, scale=scale, offset=offset) for field in fields)
+    readings = tuple(Reading(role, None, binding) for role, binding in zip(roles, bindings, strict=True))
+    return CdrInput(InputTopic("/t", kind, readings), "topics.yaml")
 
 
 def raw_of(kind, big=False, **fields):

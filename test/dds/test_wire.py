@@ -25,7 +25,7 @@ from trackres_ros.node.dds.wire import (
     type_hash,
     typestore,
 )
-from trackres_ros.node.endpoints import Quality
+from trackres_ros.node.transport import Quality
 from trackres_ros.recording.message_types import message_fields
 
 HASHES = {  # as ROS 2 Jazzy has installed them, share/*/msg/*.json

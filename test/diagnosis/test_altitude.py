@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from trackres_ros.diagnosis.prepare.altitude import error_by_revisits, torque_errors, with_slope
 from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.prepare.speed_smoothing import error_by_revisits, torque_errors, with_slope
 from trackres_ros.units import EARTH_M, GRAVITY
 
 MASS, RADIUS, SPEED, LAP_M, HOURS = 19000.0, 0.47, 10.0, 24000.0, 4

@@ -17,15 +17,13 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.base import BaseParameter, RangedValue
 from trackres_ros.diagnosis.base.instrument import instrument, usual_offset
 from trackres_ros.diagnosis.base.patterns import WATCHED
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
+from trackres_ros.diagnosis.preparation import LEAST_S, prepared, seconds_without_torque, without_an_offset
 from trackres_ros.diagnosis.prepare.gate import Gated
-from trackres_ros.diagnosis.prepare.session import Cumulative
-from trackres_ros.diagnosis.prepare.split import lap_name
+from trackres_ros.diagnosis.prepare.session import Cumulative, lap_name
 from trackres_ros.diagnosis.selection import as_used
 from trackres_ros.diagnosis.selection.as_used import AsUsed, _kept, _Option, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
-from trackres_ros.diagnosis.stages.prepare import LEAST_S, prepared, seconds_without_torque, without_an_offset
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active, Effect, Terms, catalogue
 from trackres_ros.effects.effect import Parameter

@@ -11,8 +11,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.prepare.both_sides import GIVEN, with_acceleration
-from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.gate import GIVEN, gate, with_acceleration
 from trackres_ros.diagnosis.prepare.resample import smoothed_motion
 
 RATE_HZ = 20.0

@@ -10,8 +10,8 @@ import pytest
 from csv_tables import written
 
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
 from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.resample import motor_brakes_alone
 from trackres_ros.diagnosis.synthetic import drives
 
 NOISE_NM = 6.0

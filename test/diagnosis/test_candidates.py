@@ -4,16 +4,15 @@
 """The gain of a candidate, and what a round of the search tells, on constructed candidates."""
 
 import math
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.base.patterns import ByPlace, ResidualPattern
-from trackres_ros.diagnosis.report.content import _why
-from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, NAME, Candidate, compared, rms, spurious_gain
-from trackres_ros.diagnosis.selection.steps import Step
+from trackres_ros.diagnosis.empirical.term import CLOCK, FORM, NAME, Round, Term, compared, rms, spurious_gain
+from trackres_ros.diagnosis.report.content import why as why_of
 from trackres_ros.effects.learned import SPEED, Curve
 
 SAMPLES = 1000
@@ -21,8 +20,7 @@ COST = 3.0  # logarithm of the number of candidates
 
 
 def candidate(name="x", level=10.0, share=0.1, effect=None):
-    fit = SimpleNamespace(effects=[SimpleNamespace(effect=effect or SimpleNamespace(name=name))])
-    return Candidate(name, fit, gain=level, evidence=level, share=share, level=level)
+    return Term(effect or SimpleNamespace(name=name), None, gain=level, evidence=level, share=share, level=level)
 
 
 def fitted(torque=100.0, added=0.0, log_likelihood=0.0, log_evidence=0.0, dc_gain=0.5, std=2.0):
@@ -41,11 +39,12 @@ def fitted(torque=100.0, added=0.0, log_likelihood=0.0, log_evidence=0.0, dc_gai
     ("torque", "added", "share"), [(100.0, 5.0, 0.05), (1e-3, 1e-4, 0.1), (1e-3, 2e-3, 2.0), (0.0, 0.0, 0.0)]
 )
 def test_the_share_is_relative_to_the_measured_torque(torque, added, share):
-    assert compared(fitted(torque), fitted(torque, added), "a").share == pytest.approx(share)
+    assert compared(fitted(torque), fitted(torque, added), SimpleNamespace(name="a")).share == pytest.approx(share)
 
 
 def test_a_gain_is_over_the_fit_without_and_its_evidence_costs():
-    one = compared(fitted(log_likelihood=-50.0, log_evidence=-60.0), fitted(log_likelihood=-40.0, log_evidence=-53.0), "a", 3.0)
+    before, after = fitted(log_likelihood=-50.0, log_evidence=-60.0), fitted(log_likelihood=-40.0, log_evidence=-53.0)
+    one = compared(before, after, SimpleNamespace(name="a"), 3.0)
     assert (one.gain, one.evidence) == (10.0, 4.0)
     assert math.isnan(one.level)  # no lap has judged it
 
@@ -78,12 +77,11 @@ def test_a_name_goes_before_a_form_and_a_form_before_the_clock(effect, kind):
 
 
 def test_the_hint_is_the_best_name_beyond_chance():
-    def hint(candidates, chosen=None):
-        return Step(None, None, tuple(candidates), COST, chosen).hint
+    def hint(candidates):
+        return Round(None, None, tuple(candidates), COST).hint
 
     several = [candidate("a", 4.0), candidate("b", 6.0), candidate("c", COST)]
     assert hint(several) == "b"
-    assert hint(several, several[0]) == ""
     assert hint(several[2:]) == ""
     assert hint(()) == ""
     assert hint([candidate("small", 9.0, share=0.00499), candidate("a", 4.0, share=0.005)]) == "a"
@@ -93,8 +91,7 @@ def test_the_hint_is_the_best_name_beyond_chance():
 
 def test_each_candidate_says_why_it_was_not_chosen():
     def why(c, chosen=None, **given):
-        others = () if chosen is None else (chosen,)
-        return _why(c, Step(None, None, (*others, c), COST, chosen, **given))
+        return why_of(c, COST, chosen if chosen is None or chosen is c else replace(chosen, **given))
 
     best = candidate("best", 20.0)
     assert why(best, best) == "chosen"
@@ -108,6 +105,6 @@ def test_each_candidate_says_why_it_was_not_chosen():
 
 
 def test_what_was_found_cannot_be_changed_afterwards():
-    for found, attribute in ((candidate(), "gain"), (Step(None, None, ()), "chosen")):
+    for found, attribute in ((candidate(), "gain"), (Round(None, None, ()), "cost")):
         with pytest.raises(FrozenInstanceError):
             setattr(found, attribute, None)

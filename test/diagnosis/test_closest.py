@@ -4,14 +4,16 @@
 """What a torque follows: the channel that comes closest, with the share that other laps confirm; and the load between drives."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.empirical.closest import FOLLOWS_LEAST, closest_channel
-from trackres_ros.diagnosis.selection.grade import ONLY_BETWEEN, Graded
+from trackres_ros.diagnosis.empirical.term import ONLY_BETWEEN, Term
+from trackres_ros.diagnosis.pipeline import _by_load
 from trackres_ros.diagnosis.selection.held_out import Improvement
-from trackres_ros.diagnosis.stages.judge import _by_load
+from trackres_ros.diagnosis.selection.locate import FOLLOWS_LEAST, closest_channel
+from trackres_ros.effects.learned import ABOVE, LOAD, SPEED, STEP, Corner
 
 
 def said(found, torques):
@@ -49,7 +51,9 @@ def test_no_channel_explains_what_each_lap_has_differently(diagnosed):
 
 def test_load_is_told_first_where_only_recordings_differ_in_it():
     better, between = Improvement(100.0, 90.0, 5.0, 15.0), (f"{ONLY_BETWEEN} 5 recordings, as other things may",)
-    of_load, of_speed = (Graded(name, better, between) for name in ("hinge_above_load", "step_of_speed"))
+    of_load, of_speed = (
+        Term(form, None, improvement=better, faults=between) for form in (Corner(LOAD, ABOVE), Corner(SPEED, STEP))
+    )
     assert _by_load((of_speed, of_load)) == "hinge_above_load"
-    for silent in ((of_speed,), (Graded("hinge_above_load", better, ("mostly cancels another term",)),), ()):
+    for silent in ((of_speed,), (replace(of_load, faults=("mostly cancels another term",)),), ()):
         assert not _by_load(silent)

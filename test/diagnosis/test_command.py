@@ -15,8 +15,8 @@ from csv_tables import changed, rewritten, written
 from scipy.integrate import cumulative_trapezoid
 
 from trackres_ros.diagnosis import pipeline, read_recordings
+from trackres_ros.diagnosis.preparation import prepared
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.errors import InputError
 
 FORM = {"schema", "recordings", "base", "verdict", "effects", "heldout", "not_visible", "rejected", "advice"}

@@ -14,9 +14,9 @@ import yaml
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
-from trackres_ros.diagnosis.empirical.terms import Form
+from trackres_ros.diagnosis.empirical.term import Form
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.report.term_pictures import draw_term
+from trackres_ros.diagnosis.report.pictures import draw_term
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.files.resources import config_dir
@@ -80,11 +80,11 @@ def test_a_torque_in_left_turns_is_described_and_written(of_bus, bus, tmp_path):
 
     found, told = described(with_added(of_bus, adds), bus)
     assert found.found == ()
-    assert told.described.form == "step"
-    assert told.described.variable == "yaw rate to the left"
-    assert told.described.size_nm == pytest.approx(TURN_NM, rel=0.15)
+    assert told.form == "step"
+    assert told.variable == "yaw rate to the left"
+    assert told.size_nm == pytest.approx(TURN_NM, rel=0.15)
     (effect,) = load_any(written(found, tmp_path)).effects
-    assert effect.effect.name == told.described.name
+    assert effect.effect.name == told.name
     assert effect.effect.name == "step_of_yaw_rate"
     sessions, values = found.sessions, found.final.base_values
     for s, bare, p in zip(sessions, *(found.base.predict(sessions, values, e) for e in ((), (effect,))), strict=True):
@@ -114,16 +114,16 @@ def runs(changes, times):
 @pytest.mark.long
 def test_spells_are_described_and_written_only_as_a_disturbance(pumped, tmp_path):
     _, found, changes = pumped
-    (told,) = [t for t in found.described if t.described.form == "spells"]
-    assert not told.described.predictable
+    (told,) = [t for t in found.described if t.form == "spells"]
+    assert not told.predictable
     runs_of = [np.sum(of[::2][:100] < s.time[s.used][-1]) for of, s in zip(changes, found.sessions, strict=False)]
-    counted = int(re.search(r"(\d+) times in these recordings", told.described.sentence)[1])
+    counted = int(re.search(r"(\d+) times in these recordings", told.sentence)[1])
     assert abs(counted - sum(runs_of)) <= 2  # on all laps, over stops
-    assert told.described.size_nm == pytest.approx(PUMP_NM, rel=0.2)
-    assert 0.5 * ON_S < told.described.memory < 2.0 * ON_S
-    assert told.described.name not in {a.effect.name for a in found.kept.effects}
+    assert told.size_nm == pytest.approx(PUMP_NM, rel=0.2)
+    assert 0.5 * ON_S < told.memory < 2.0 * ON_S
+    assert told.name not in {a.effect.name for a in found.kept.effects}
     vehicle = load(written(found, tmp_path))
-    assert told.described.name not in {a.effect.name for a in vehicle.effects}
+    assert told.name not in {a.effect.name for a in vehicle.effects}
     spells = vehicle.disturbance
     assert spells.level - spells.rest == pytest.approx(PUMP_NM, rel=0.2)
     assert 0.5 * ON_S < spells.mean_there < 2.0 * ON_S
@@ -189,10 +189,10 @@ def test_a_torque_repeated_at_a_place_is_described_never_written(of_bus, bus, ch
         return SLOPE_NM * ((place > BEGIN_M) & (place < END_M)) * (speed > 0.1)
 
     found, told = described(with_added(of_bus, adds), bus)
-    assert told.described.form == "place"
-    assert told.described.period_m == pytest.approx(LAP_M, rel=0.01)
-    assert told.described.size_nm == pytest.approx(SLOPE_NM, rel=0.2)
-    assert "passes" in told.described.sentence
+    assert told.form == "place"
+    assert told.period_m == pytest.approx(LAP_M, rel=0.01)
+    assert told.size_nm == pytest.approx(SLOPE_NM, rel=0.2)
+    assert "passes" in told.sentence
     assert found.kept.effects == ()
     check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
     pytest.importorskip("matplotlib")

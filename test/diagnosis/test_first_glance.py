@@ -17,9 +17,10 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import unquote
 
 import numpy as np
@@ -28,13 +29,26 @@ from browser import BROWSER, IN_A_BROWSER, opened
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.empirical.torque import against_travel
-from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.empirical.term import Term
+from trackres_ros.diagnosis.findings.next_drives import Advice
+from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.findings.wording import range_of, upper
-from trackres_ros.diagnosis.report.content import _term, inputs
+from trackres_ros.diagnosis.prepare.session import SensorFinding
+from trackres_ros.diagnosis.report.content import inputs, report
 from trackres_ros.diagnosis.report.interactive import DOCUMENT, _nm, _places, interactive
-from trackres_ros.diagnosis.report.page import interval, provenance, sha256, write_page
+from trackres_ros.diagnosis.report.page import (
+    MOST_WORDS,
+    by_file,
+    glance,
+    headline,
+    interval,
+    lights,
+    provenance,
+    sha256,
+    tiles,
+    write_page,
+)
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
 from trackres_ros.diagnosis.report.series import (
     MOST_RECORDINGS,
@@ -45,8 +59,9 @@ from trackres_ros.diagnosis.report.series import (
     uncertainty,
     within,
 )
-from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
 from trackres_ros.diagnosis.selection.held_out import Improvement
+from trackres_ros.diagnosis.selection.locate import Bin, Location, RegimeMap, against_travel
+from trackres_ros.effects.effect import BELONGS_TO
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5
@@ -54,48 +69,67 @@ SEEN = "the vehicle needs about 133 Nm more than the model"
 MAE = {"nominal": 67.1, "refitted": 62.6, "with_effects": 22.6}
 
 
-def report_of(status, grade, names=(), mae=MAE, **more):
-    """As much of a report as a first glance takes."""
-    effects = [
-        {
-            "name": n[0], "class": list(n), "weights": dict.fromkeys(n, 1.0 / len(n)), "where": {"time": [], "regime": []},
-            "acts": {"text": "above 0.01 1/m of curvature", "size": SEEN, "by": ""}, "grade": grade,
-            "heldout": {"mae": [62.6, 22.6]}, "belongs_to": "vehicle",
-        }
-        for n in names
-    ]  # fmt: skip
-    verdict = {"status": status, "grade": grade, "seen": SEEN, "may_be": [], "changed": [], "hint": None}
+FINE_CURVES = Location("curvature", "1/m", 0.01, 0.5, 0.0, 0.5, 0.0, 133.0, 1.0)
+BETTER = Improvement(62.6, 22.6, 30.0, 50.0)
+SUSPECTED = Improvement(62.6, 60.0, -1.0, 6.0)
+
+
+def named(*members, improvement=BETTER, belongs_to="vehicle", **more):
+    """A term of the catalogue, the first of a class."""
+    effect = SimpleNamespace(name=members[0], belongs_to=belongs_to)
+    weights = dict.fromkeys(members, 1.0 / len(members))
+    where = {"location": FINE_CURVES, "place": FINE_CURVES.text, "seen": SEEN}
+    return Term(effect, None, members=members, weights=weights, improvement=improvement, **{**where, **more})
+
+
+def unnamed(form, size_nm, improvement, name="c", **more):
+    """A term without a name."""
+    effect = ResidualPattern(name, "of a test", (), 1e4)
+    text = {"form": form, "size_nm": size_nm, "sentences": ("It needs more",), "mechanisms": ("a cause",)}
+    return Term(effect, None, improvement=improvement, **text, **more)
+
+
+def of(status, grade, terms=(), mae=MAE, drift=None, written=None, **more):
+    """As much of a diagnosis as a first glance takes; all named effects are written, and so are fitted values."""
+    found = tuple(t for t in terms if t.is_named)
+    nowhere = RegimeMap((), 1.0, 0)
     content = {
-        "verdict": verdict, "effects": effects, "described": [], "advice": [], "topics_lines": {}, "sensors": [],
-        "residual_by_regime": {"base": [], "end": []}, "written": {"base": True, "effects": [n[0] for n in names]},
-        "heldout": {"mae": mae, "without_sensor_error": None},
+        "verdict": Verdict(status, grade, "", seen=SEEN), "terms": tuple(terms), "found": found, "drift": drift, "advice": (),
+        "described": tuple(t for t in terms if not t.is_named), "gated": SimpleNamespace(sensors=()), "at_base": nowhere,
+        "at_end": nowhere, "last": SimpleNamespace(hint=""), "kept": kept(found) if written is None else written,
+        "held_out": SimpleNamespace(mae=mae, without_sensor=None),
     }  # fmt: skip
-    return {**content, **more}
+    return SimpleNamespace(**{**content, **more})
+
+
+def kept(terms, values=True):
+    """What a diagnosis writes of named terms."""
+    by_kind = {kind: [t.name for t in terms if t.effect.belongs_to == kind] for kind in BELONGS_TO}
+    return SimpleNamespace(values={} if values else None, names_of=by_kind.get)
 
 
 def test_no_percent_counts_an_assumed_error_of_the_sensor():
-    for names in ([], [["scrub"]]):
-        r = report_of("named" if names else "none", "confirmed", names)
-        plain = tiles(r)[2].detail
-        r["heldout"]["without_sensor_error"] = 33.0
-        better = tiles(r)[2]
+    for terms in ([], [named("scrub")]):
+        d = of("named" if terms else "none", "confirmed", terms)
+        plain = tiles(d, {})[2].detail
+        better = tiles(of(d.verdict.status, "confirmed", terms, held_out=SimpleNamespace(mae=MAE, without_sensor=33.0)), {})[2]
         assert better.answer == "51 % less error"
         assert better.detail == f"{plain}, 33 without the assumed error of the torque sensor"
 
 
 def test_a_gain_by_an_assumed_sensor_alone_is_no_better_file():
-    r = report_of("none", "confirmed", [], {"nominal": 49.0, "refitted": 39.9, "with_effects": 39.9})
-    r["heldout"]["without_sensor_error"] = 48.8
-    assert (tiles(r)[2].answer, tiles(r)[3].answer) == ("Nothing to gain", "Nothing to do")
+    mae = {"nominal": 49.0, "refitted": 39.9, "with_effects": 39.9}
+    d = of("none", "confirmed", held_out=SimpleNamespace(mae=mae, without_sensor=48.8))
+    assert (tiles(d, {})[2].answer, tiles(d, {})[3].answer) == ("Nothing to gain", "Nothing to do")
 
 
 def test_the_tile_on_a_sensor_replaces_lines_like_the_terminal():
     lines = {"torque": "torque: {column: t, delay_s: 0.4}", "speed": "speed: {column: v, scale: 0.98}"}
     each = {f"torque of {name}": f"torque: {{column: {name}}}  # {name}" for name in "ab"}
-    for of, file in ((lines, "the topics file"), (each, "the topics file of each recording")):
-        last = tiles(report_of("named", "confirmed", [["delay"]], topics_lines=of))[-1]
+    for of_file, file in ((lines, "the topics file"), (each, "the topics file of each recording")):
+        last = tiles(of("named", "confirmed", [named("delay")]), of_file)[-1]
         assert last.answer == "Correct the sensor"
-        assert last.detail == f"in {file}, replace the line of the role with {'; '.join(of.values())}"
+        assert last.detail == f"in {file}, replace the line of the role with {'; '.join(of_file.values())}"
 
 
 words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)
@@ -108,129 +142,141 @@ words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)
 )  # fmt: skip
 def test_the_sentence_is_short_whatever_was_found(status, grade, names, before, after):
     mae = {"nominal": before, "refitted": after, "with_effects": after}
-    r = report_of(status, grade, mae=mae)
+    d = of(status, grade, mae=mae)
     if status in ("named", "one_of"):
-        r = report_of(status, "confirmed", names, mae)
-    assert 4 < len(headline(r).split()) < MOST_WORDS
-    assert [t.name for t in tiles(r)] == ["Where", "What", "How much better", "Next"]
-    assert all(t.answer and t.detail for t in tiles(r))
+        d = of(status, "confirmed", [named(*members) for members in names], mae)
+    assert 4 < len(headline(d).split()) < MOST_WORDS
+    assert [t.name for t in tiles(d, {})] == ["Where", "What", "How much better", "Next"]
+    assert all(t.answer and t.detail for t in tiles(d, {}))
 
 
 def test_surroundings_are_not_listed_as_in_the_vehicle_file():
-    r = report_of("named", "confirmed", [["grade"], ["warmup"]])
-    r["effects"][0]["belongs_to"] = "surroundings"
-    last = tiles(r)[-1]
+    terms = named("grade", belongs_to="surroundings"), named("warmup")
+    d = of("named", "confirmed", terms)
+    last = tiles(d, {})[-1]
     assert last.answer == "Use vehicle.yaml and surroundings.yaml"
     assert last.detail == "the first has warmup; surroundings.yaml has grade, for the places where it applies"
-    assert by_file(r) == (["warmup"], ["grade"])
-    r["written"]["effects"] = ["grade"]
-    assert tiles(r)[-1].detail == "surroundings.yaml has grade, for the places where it applies"
+    assert by_file(d) == (["warmup"], ["grade"])
+    alone = of("named", "confirmed", terms, written=kept(terms[:1]))
+    assert tiles(alone, {})[-1].detail == "surroundings.yaml has grade, for the places where it applies"
 
 
 def test_a_confirmed_term_without_a_name_is_listed_with_names():
-    of = {"form": "payload", "variable": "mass", "gate": "", "size_nm": 50.0, "mechanisms": ["people"]}
-    described = [graded(of, grade, 62.6, 40.0) for grade in ("confirmed", "suspected")]
-    both, alone = (tiles(report_of("named", "confirmed", [["grade"]], described=of))[1] for of in (described[:1], described[1:]))
+    payloads = [unnamed("payload", 50.0, improvement, variable="mass") for improvement in (BETTER, SUSPECTED)]
+    both, alone = (tiles(of("named", "confirmed", [named("grade"), payload]), {})[1] for payload in payloads)
     assert both.answer == "grade and a payload (no name)"
     assert alone.answer == "grade"
 
 
 def test_an_unpredictable_term_is_worth_the_error_it_removes():
-    of = {"form": "recordings", "variable": "recording", "gate": "", "size_nm": 500.0, "mechanisms": ["a load"]}
     mae = {"nominal": 300.0, "refitted": 400.0, "with_effects": 400.0}
-    levels = graded({**of, "held_out_from": "a live estimate"}, "confirmed", 400.0, 75.0)
-    where, what, better, _ = tiles(report_of("described", "confirmed", [], mae, described=[levels]))
+    levels = unnamed("recordings", 500.0, Improvement(400.0, 75.0, 300.0, 350.0), variable="recording")
+    where, what, better, _ = tiles(of("described", "confirmed", mae=mae, drift=levels), {})
     assert where.answer == "From recording to recording"
     assert what.answer == "a different level in each recording (no name)"
     assert better.answer == "75 % less error"
     assert "400 re-fitted, 75 with it, from a live estimate" in better.detail
 
 
-def test_the_tiles_say_what_the_report_does():
-    where, what, better, following = tiles(report_of("named", "confirmed", [["turning_scrub"]]))
+def test_the_tiles_say_what_the_diagnosis_does():
+    where, what, better, following = tiles(of("named", "confirmed", [named("turning_scrub")]), {})
     assert where.answer == "In curves tighter than 100 m"
     assert (what.answer, what.detail) == ("turning scrub", "laps left out of the fit confirm it")
     assert better.answer == "66 % less error"
     assert "67.1 Nm with the file, 62.6 re-fitted, 22.6 with it" in better.detail  # what the re-fit did is not the effect's
     assert following.answer == "Use vehicle.yaml"
-    tied = tiles(report_of("one_of", "confirmed", [["rain", "convection"]]))[1]
+    tied = tiles(of("one_of", "confirmed", [named("rain", "convection")]), {})[1]
     assert "rain (50 %) or convection (50 %)" in tied.answer
 
 
-def graded(term, grade, before, after):
-    return {**term, "grade": grade, "heldout": {"mae": [before, after], "ci95": [0.0, 1.0], "grade": grade}}
+@pytest.mark.parametrize(("changed", "place"), [
+    ({}, "In curves tighter than 100 m"), ({"high": 0.3}, "From 0.01 to 0.3 1/m of curvature"),
+    ({"variable": "speed", "unit": "m/s"}, "Above 0.01 m/s of speed"), ({"low": 0.0, "high": 0.1}, "Below 0.1 1/m of curvature"),
+])  # fmt: skip
+def test_only_an_effect_beyond_a_curvature_is_one_of_curves(changed, place):
+    where = replace(FINE_CURVES, **changed)
+    lower = named("scrub", location=where, place=where.text)
+    assert tiles(of("named", "confirmed", [lower]), {})[0].answer == place
+    said = replace(lower, place="while it rains")
+    assert tiles(of("named", "confirmed", [said]), {})[0].answer == "While it rains"
 
 
 def test_headline_and_next_step_follow_the_largest_confirmed_one():
-    r = report_of("named", "confirmed", [["viscous_bearing"], ["grade"]])
-    small, large = r["effects"]
-    large["acts"] = {"text": "", "by": "", "size": "the vehicle needs sometimes more and sometimes less torque than the model"}
-    r["effects"] = [graded(small, "confirmed", 216.0, 214.0), graded(large, "confirmed", 1311.0, 214.0)]
-    r["written"]["effects"] = ["grade"]
-    r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
-    assert headline(r).startswith("The vehicle needs sometimes more and sometimes less torque than the model. The cause is grade")
-    assert "(confirmed)" in headline(r)
-    assert tiles(r)[1].answer == "grade"  # the other takes less than 2 % off the error
-    assert tiles(r)[-1].answer.startswith("Use")
-    r["effects"] = [graded(small, "confirmed", 216.0, 210.0), graded(large, "suspected", 1311.0, 214.0)]
-    assert "grade" not in headline(r)
-    assert tiles(r)[-1].answer == "Drive once more"
-    assert tiles(r)[0].answer == "In curves tighter than 100 m"
+    sometimes = "the vehicle needs sometimes more and sometimes less torque than the model"
+    everywhere = replace(FINE_CURVES, low=0.0)
+    small = named("viscous_bearing", improvement=Improvement(216.0, 214.0, 1.0, 3.0))
+    large = named("grade", improvement=Improvement(1311.0, 214.0, 900.0, 1200.0), place="", location=everywhere, seen=sometimes)
+    advice = Advice(("viscous_bearing", "stribeck"), (), "coast down", 5.0, 5.0, 1.0)
+    d = of("named", "confirmed", [small, large], written=kept([large]), advice=(advice,))
+    assert headline(d).startswith(f"{upper(sometimes)}. The cause is grade")
+    assert "(confirmed)" in headline(d)
+    assert tiles(d, {})[1].answer == "grade"  # the other takes less than 2 % off the error
+    assert tiles(d, {})[-1].answer.startswith("Use")
+    small = replace(small, improvement=Improvement(216.0, 210.0, 3.0, 9.0))
+    large = replace(large, improvement=Improvement(1311.0, 214.0, -1.0, 1200.0))
+    d = of("named", "confirmed", [small, large], written=kept([large]), advice=(advice,))
+    assert "grade" not in headline(d)
+    assert tiles(d, {})[-1].answer == "Drive once more"
+    assert tiles(d, {})[0].answer == "In curves tighter than 100 m"
 
 
 def test_a_suspected_effect_is_listed_and_never_the_headline():
-    """Whatever else the report holds: the headline begins with the difference, and names follow as what it may be."""
-    may_be = [{"name": "rain", "share": 0.4}, {"name": "air_drag", "share": None}, {"name": "none of these", "share": 0.35}]
-    r = report_of("unexplained", "suspected", [["rain"]])
+    """Whatever else there is: the headline begins with the difference, and names follow as what it may be."""
+    may_be = (("rain", 0.4), ("air_drag", None), ("none of these", 0.35))
     seen = "At speed 1 to 2 m/s the vehicle needs 70 Nm less than the model"
-    r["effects"] = [graded(r["effects"][0], "suspected", 149.0, 120.0)]
-    r["verdict"] |= {"seen": seen, "may_be": may_be}
-    assert headline(r) == f"{seen}. It may be: rain (40 %), air drag, none of these (35 %)."
-    what = tiles(r)[1]
+    rain = named("rain", improvement=Improvement(149.0, 120.0, -1.0, 60.0))
+    d = of("unexplained", "suspected", [rain], verdict=Verdict("unexplained", "suspected", "", may_be, seen))
+    assert headline(d) == f"{seen}. It may be: rain (40 %), air drag, none of these (35 %)."
+    what = tiles(d, {})[1]
     assert (what.answer, what.detail) == ("Unexplained", "it may be: rain (40 %), air drag, none of these (35 %)")
-    confirmed = report_of("named", "confirmed", [["rain"], ["scrub"]])
-    confirmed["effects"][0]["grade"], confirmed["effects"][1]["grade"] = "suspected", "confirmed"
-    confirmed["verdict"]["may_be"] = may_be[:1]
+    confirmed = of("named", "confirmed", [rain, named("scrub")], verdict=Verdict("named", "confirmed", "", may_be[:1], SEEN))
     assert "rain" not in headline(confirmed)
-    assert tiles(confirmed)[1].answer == "scrub"
-    assert "it may also be: rain (40 %)" in tiles(confirmed)[1].detail
+    assert tiles(confirmed, {})[1].answer == "scrub"
+    assert "it may also be: rain (40 %)" in tiles(confirmed, {})[1].detail
 
 
 def test_what_is_only_suspected_asks_for_more_laps():
-    curve = {"form": "curve", "name": "c", "variable": "speed", "gate": "", "size_nm": 384.0, "mechanisms": ["m"]}
-    unsure, nothing = graded(curve, "suspected", 149.0, 145.0), {"base": True, "effects": []}
-    r = report_of("unexplained", "suspected", described=[unsure], written=nothing)
-    where, _, _, following = tiles(r)
+    unsure = unnamed("curve", 384.0, Improvement(149.0, 145.0, -1.0, 9.0), variable="speed")
+    where, _, _, following = tiles(of("unexplained", "suspected", [unsure]), {})
     assert where.detail == "About 384 Nm where it acts"
     assert following.answer == "Record more laps"
-    named = report_of("named", "confirmed", [["rain"]], written={"base": False, "effects": []})
-    assert tiles(named)[-1].answer == "Keep the given values"
-    r["verdict"] |= {"status": "described", "grade": "confirmed"}
-    r["described"] = [graded(curve, "confirmed", 149.0, 45.0)]
-    assert tiles(r)[-1].answer == "Look for the cause"
+    given_values = of("named", "confirmed", [named("rain")], written=kept((), values=False))
+    assert tiles(given_values, {})[-1].answer == "Keep the given values"
+    sure = replace(unsure, improvement=Improvement(149.0, 45.0, 90.0, 110.0))
+    assert tiles(of("described", "confirmed", [sure]), {})[-1].answer == "Look for the cause"
+
+
+def test_a_slow_residual_is_at_no_place():
+    """Other unconfirmed terms do not place it."""
+    unsure = unnamed("curve", 384.0, Improvement(149.0, 145.0, -1.0, 9.0), variable="speed")
+    seen = "Averaged over 30 s, the measured torque differs from the model by 40 Nm"
+    for slow, place in ((True, "At times unrelated to any recorded channel"), (False, "By speed")):
+        verdict = Verdict("unexplained", "suspected", "", seen=seen, slow=slow)
+        assert tiles(of("unexplained", "suspected", [unsure], verdict=verdict), {})[0].answer == place
 
 
 def test_tiles_and_headline_hold_what_a_warning_says_of_a_sensor():
     says = "The speed is 5.5 % more than the recorded distance implies"
-    r = report_of("none", "confirmed", sensors=[{"effect": "speed_scale", "value": -0.052, "text": says}])
-    _, what, _, following = tiles(r)
-    assert headline(r).startswith(f"{says}. ")
+    gated = SimpleNamespace(sensors=(SensorFinding(says.lower(), says, "speed_scale", -0.052),))
+    d = of("none", "confirmed", gated=gated)
+    _, what, _, following = tiles(d, {})
+    assert headline(d).startswith(f"{says}. ")
     assert (what.answer, what.detail) == ("A sensor may be wrong", f"{says}; apart from that: no physics is missing")
     assert following.answer == "Check the sensor"
-    assert tiles(report_of("named", "confirmed", [["scrub"]], sensors=r["sensors"]))[-1] == following
-    assert "No physics is missing" not in headline(r)
+    assert tiles(of("named", "confirmed", [named("scrub")], gated=gated), {})[-1] == following
+    assert "No physics is missing" not in headline(d)
 
 
 @pytest.mark.parametrize("error", [20.3, 0.0])
 def test_where_nothing_is_gained_nothing_is_to_be_done(error):
     mae = {"nominal": error, "refitted": 0.998 * error, "with_effects": 0.998 * error}
-    _, what, better, following = tiles(report_of("none", "confirmed", mae=mae))
+    _, what, better, following = tiles(of("none", "confirmed", mae=mae), {})
     assert (what.answer, better.answer, following.answer) == ("No physics is missing", "Nothing to gain", "Nothing to do")
 
 
 def test_worse_is_said_to_be_worse():
     mae = {"nominal": 10.0, "refitted": 12.0, "with_effects": 12.0}
-    assert tiles(report_of("unexplained", "suspected", mae=mae))[2].answer == "20 % more error"
+    assert tiles(of("unexplained", "suspected", mae=mae), {})[2].answer == "20 % more error"
 
 
 def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
@@ -246,10 +292,9 @@ def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
     assert any("0" in of["effect:turning_scrub"] for of in bins_of_steps(diagnosed))
 
 
-def test_what_can_be_lit_is_there(diagnosed, scrubbed):
-    _, found, _ = scrubbed
+def test_what_can_be_lit_is_there(diagnosed):
     letters = bins_of_steps(diagnosed)
-    for key, _ in lights(found):
+    for key, _ in lights(diagnosed):
         name, number = ("effect:turning_scrub", "0") if key.startswith("effect:") else key.rsplit(":", 1)
         assert any(number in of[name] for of in letters), key
 
@@ -295,10 +340,10 @@ def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
 
 
 @pytest.mark.parametrize("count", [2, MOST_RECORDINGS, MOST_RECORDINGS + 3])
-def test_the_page_says_of_how_many_recordings_it_draws_some(scrubbed, tmp_path, count):
+def test_the_page_says_of_how_many_recordings_it_draws_some(scrubbed, diagnosed, tmp_path, count):
     r = copy.deepcopy(scrubbed[1])
     r["inputs"]["recordings"] = count * r["inputs"]["recordings"][:1]
-    write_page(tmp_path / "p.html", r, [], "t")
+    write_page(tmp_path / "p.html", r, glance(diagnosed, {}), [], "t")
     said = f"Of {count} recordings, the {MOST_RECORDINGS} with the largest error are drawn." in (tmp_path / "p.html").read_text()
     assert said == (count > MOST_RECORDINGS)
 
@@ -322,9 +367,8 @@ def test_sentence_and_table_have_the_same_figures(diagnosed):
 @given(st.floats(-1e5, 1e5), st.floats(1e-6, 1e5))
 def test_sentence_and_tile_have_the_same_range(low, width):
     b = Bin("distance", low, low + width, 93.0, "m", 50, 0.001)
-    r = report_of("unexplained", "suspected")
-    r["residual_by_regime"]["end"] = [{**asdict(b), "lo": b.low, "hi": b.high}]
-    assert tiles(r)[0].answer == upper(range_of(b))
+    d = of("unexplained", "suspected", at_end=RegimeMap((b,), 0.001, 50))
+    assert tiles(d, {})[0].answer == f"At {range_of(b)}"
 
 
 def test_white_noise_is_white_and_a_wandering_one_is_not():
@@ -364,12 +408,12 @@ def test_the_page_says_where_it_comes_from(scrubbed, recorded, tmp_path):
 
 
 def test_without_bokeh_the_page_says_how_to_install_it(diagnoses, scrubbed, tmp_path, monkeypatch):
-    from trackres_ros.results.diagnosis import _plots
+    from trackres_ros.tasks.diagnose import _plots
 
     monkeypatch.setitem(sys.modules, "bokeh", None)
     why = _plots(diagnoses("turning_scrub"))
     assert "[interactive]" in why
-    write_page(tmp_path / "report.html", scrubbed[1], [], "Diagnosis", why)
+    write_page(tmp_path / "report.html", scrubbed[1], glance(diagnoses("turning_scrub"), {}), [], "Diagnosis", why)
     page = (tmp_path / "report.html").read_text()
     assert why in page.replace("&#39;", "'")
     assert "<script" not in page
@@ -508,15 +552,19 @@ def last_ink(path):
 
 
 @pytest.mark.parametrize("grade", ["confirmed", "suspected"])
-def test_a_page_of_any_verdict_can_be_written(scrubbed, tmp_path, grade):
+def test_a_page_of_any_verdict_can_be_written(scrubbed, diagnosed, tmp_path, grade):
     """Also with a drift, which no fit has."""
     r = copy.deepcopy(scrubbed[1])
-    drift = _term(Described("drift", "", "It drifts", ("wind",), 50.0), Improvement(80.0, 40.0, 30.0, 50.0), grade)
+    improvement = BETTER if grade == "confirmed" else SUSPECTED
+    drift = unnamed("drift", 50.0, improvement)
     for status in ("none", "unexplained"):
-        r["verdict"] |= {"status": status, "seen": SEEN}
-        r["effects"], r["described"] = [], [drift]
-        write_page(tmp_path / "report.html", r, [], "Diagnosis")
+        d = replace(
+            diagnosed, terms=(), drift=drift, final=diagnosed.refitted, verdict=Verdict(status, grade, "It is so", seen=SEEN)
+        )
+        said = report(d, [])
+        r |= {name: said[name] for name in ("verdict", "effects", "described")}
+        write_page(tmp_path / "report.html", r, glance(d, {}), [], "Diagnosis")
         page = (tmp_path / "report.html").read_text()
-        assert stage_of(r) == "refitted"
+        assert glance(d, {}).stage == "refitted"
         assert 'class="tiles ' + status in page
         assert "with the effects" not in page.lower()

@@ -19,8 +19,8 @@ from faults import Faults, contents, shown
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
-from trackres_ros.diagnosis.prepare.notes import WarningNote
-from trackres_ros.diagnosis.report.picture import Picture
+from trackres_ros.diagnosis.prepare.session import WarningNote
+from trackres_ros.diagnosis.report.series import Picture
 from trackres_ros.files import own_files
 from trackres_ros.files.resources import shipped_road_vehicles
 from trackres_ros.vehicle import RoadVehicle
@@ -176,7 +176,7 @@ def test_a_full_disk_leaves_the_previous_diagnosis(found, tmp_path, monkeypatch)
         return [Picture(folder / "believed.svg", "believed", "as believed")]
 
     monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", drawn)
-    monkeypatch.setattr("trackres_ros.results.diagnosis._plots", lambda _: "not drawn")
+    monkeypatch.setattr("trackres_ros.tasks.diagnose._plots", lambda _: "not drawn")
     folder = found.report(tmp_path / "report")
     before = dict.fromkeys([name for name in contents(folder) if not name.startswith("rubber/")], b"of the run before")
     before |= {"report.html": b"<title>Diagnosis of the run before</title>", "effect_before.svg": b"of the run before"}

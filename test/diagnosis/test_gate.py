@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from proofs.sealed.cases import CATALOGUE, OUTSIDE, Case
 from proofs.sealed.generate import make_case
 from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.prepare.checks import Course, same_drive
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.same_drive import Course, same_drive
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
-from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError

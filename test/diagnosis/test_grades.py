@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.selection.grade import Graded, displaced, on_bounds
+from trackres_ros.diagnosis.empirical.term import Term, displaced, on_bounds
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.effects.effect import Active, Parameter
 
@@ -27,7 +27,7 @@ def fitted(rolling=1.0):
 @pytest.mark.parametrize("why", ["", "on_bounds", "faults"])
 def test_a_doubtful_term_is_at_best_suspected(why):
     doubt = {why: ("size",)} if why else {}
-    graded = [Graded("x", improvement, **doubt) for improvement in (SURE, UNSURE, WORSE)]
+    graded = [Term(None, None, improvement=improvement, **doubt) for improvement in (SURE, UNSURE, WORSE)]
     assert [g.grade for g in graded] == [SUSPECTED if why else CONFIRMED, SUSPECTED, REFUTED]
     assert [g.confirmed for g in graded] == [not why, False, False]
 
@@ -57,7 +57,7 @@ def test_a_value_within_a_thousandth_of_its_span_is_on_a_bound(value, given, bou
 
 def test_what_displaces_is_refuted_whatever_it_improves():
     for improvement in (SURE, UNSURE, WORSE):
-        graded = Graded("x", improvement, displaces=("rolling",))
+        graded = Term(None, None, improvement=improvement, displaces=("rolling",))
         assert (graded.grade, graded.confirmed) == (REFUTED, False)
 
 

@@ -116,7 +116,7 @@ def test_what_is_of_an_instruments_size_is_no_finding(diagnosed_with):
 def test_what_no_instrument_does_is_named(name, diagnosed_with):
     found = diagnosed_with({name: LARGE[name]})
     (first,) = found.found
-    assert name in first.step.members  # a constant may be one of several here
+    assert name in first.members  # a constant may be one of several here
     if first.name == name:
         assert name not in {a.effect.name for a in found.final.instrument}
         (value,) = first.values.values()

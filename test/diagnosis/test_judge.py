@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import driven, explained, form, graded, judging, machine, named, series
 
-from trackres_ros.diagnosis.base.patterns import ClockTerm
-from trackres_ros.diagnosis.empirical.finders import Term
-from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, Chosen, _class_of, _competes
+from trackres_ros.diagnosis.base.patterns import ByPlace, ClockTerm, ResidualPattern
+from trackres_ros.diagnosis.empirical.term import CLOCK, FORM, NAME, ONLY_BETWEEN, Round, Term
+from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of, _competes
 from trackres_ros.diagnosis.search.explanations import Explanation
-from trackres_ros.diagnosis.selection.grade import ONLY_BETWEEN
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
 from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, VARIABLES, Corner
 
@@ -47,8 +46,14 @@ def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
 
 
 def of_kinds(kinds, **given):
-    candidates = {name: SimpleNamespace(kind=kind) for name, kind in kinds.items()}
-    return Explanation(None, None, 0.0, candidates, **given)
+    return Explanation(None, None, 0.0, {name: Term(EFFECTS[kind](name), None) for name, kind in kinds.items()}, **given)
+
+
+EFFECTS = {
+    NAME: lambda name: SimpleNamespace(name=name),
+    FORM: lambda name: Corner(SPEED, STEP),
+    CLOCK: lambda name: ResidualPattern(name, "of a test", (), 1e4),
+}
 
 
 def test_shares_are_of_names_and_forms_have_none():
@@ -83,7 +88,7 @@ def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
     by_form = judged({"form": 1}, 1e6 - fallen * samples * (0.1 * adds) ** 2)
     assert Choice._beats(choice, by_form, name) == beaten
     assert Choice._beats(choice, judged({"other": 0}, 1e6), name)  # a name needs no more than to be surely better
-    by_place = replace(name, terms={"scrub": Term(None, route="a map")})
+    by_place = replace(name, terms={"scrub": Term(ByPlace("scrub", "of a test", (), 1e4, None, 1.0), None)})
     assert Choice._beats(choice, by_form, by_place)  # what was learned for each place has no form to err in
 
 
@@ -123,32 +128,32 @@ def test_a_name_stands_without_the_forms_beside_it(alone, monkeypatch):
 
 def chosen_beside(own, candidates, cost=3.0, members=()):
     """A chosen term `own`, and the candidates of the round without it."""
-    candidates = [SimpleNamespace(**{"is_name": True, "matters": True, "effect": None, **c}) for c in (own, *candidates)]
-    step = SimpleNamespace(cost=cost, chosen=candidates[0], candidates=candidates, members=members)
-    return Chosen(SimpleNamespace(candidates={own["name"]: candidates[0]}), {}, None, {own["name"]: step}, None, (), {})
+    first, *others = (replace(Term(SimpleNamespace(name=""), None, share=0.1), **given) for given in (own, *candidates))
+    return replace(first, rivals=Round(None, None, tuple(others), cost), members=members)
 
 
 @pytest.mark.parametrize(
     ("level", "rival", "instead"),
     [
         (20.0, {"level": 9.9}, ""), (20.0, {"level": 10.1}, "b"), (4.0, {"level": 2.5}, ""), (4.0, {"level": 3.5}, "b"),
-        (20.0, {"level": 15.0, "is_name": False}, ""), (20.0, {"level": 15.0, "matters": False}, ""),
+        (20.0, {"level": 15.0, "effect": Corner(SPEED, STEP)}, ""), (20.0, {"level": 15.0, "share": 0.001}, ""),
     ],
 )  # fmt: skip
 def test_a_name_in_place_gains_half_as_much_and_its_cost(level, rival, instead):
-    others = [{"name": "c", "level": 1.0}, {"name": "b", **rival}]
-    assert chosen_beside({"name": "a", "level": level}, others).instead_of("a") == instead
+    a, b, c, d = (SimpleNamespace(name=name) for name in "abcd")
+    others = [{"effect": c, "level": 1.0}, {"effect": b, **rival}]
+    assert chosen_beside({"effect": a, "level": level}, others).instead == instead
     if instead:
-        assert chosen_beside({"name": "a", "level": level}, [*others, {"name": "d", "level": 16.0}]).instead_of("a") == "d"
+        assert chosen_beside({"effect": a, "level": level}, [*others, {"effect": d, "level": 16.0}]).instead == "d"
 
 
 def test_a_form_is_like_those_over_other_variables_in_its_class():
-    forms = {"x": Corner(SPEED, STEP), "y": Corner(AMBIENT, STEP), "z": Corner(SPEED, ABOVE)}
-    own, *others = ({"name": name, "level": 5.0, "effect": effect} for name, effect in forms.items())
-    assert chosen_beside(own, others, members=("x", "y", "z")).variables_like("x") == (VARIABLES[AMBIENT].text,)
-    assert chosen_beside(own, others, members=("x", "z")).variables_like("x") == ()
-    name = {"name": "x", "level": 5.0, "effect": named()["torque_gain"]}
-    assert chosen_beside(name, others, members=("x", "y")).variables_like("x") == ()
+    own, *others = ({"level": 5.0, "effect": form} for form in (Corner(SPEED, STEP), Corner(AMBIENT, STEP), Corner(SPEED, ABOVE)))
+    x, y, z = (each["effect"].name for each in (own, *others))
+    assert chosen_beside(own, others, members=(x, y, z)).alike == (VARIABLES[AMBIENT].text,)
+    assert chosen_beside(own, others, members=(x, z)).alike == ()
+    name = {"level": 5.0, "effect": named()["torque_gain"]}
+    assert chosen_beside(name, others, members=("torque_gain", y)).alike == ()
 
 
 # On drives
@@ -184,8 +189,7 @@ def test_a_confirmed_explanation_has_only_confirmed_terms(by_gain, chosen):
         kept = by_gain.laps.improvement_of(by_gain.refitted, judged.fit)
         assert kept.after <= kept.before
     assert seen >= 2
-    assert chosen.graded.keys() == chosen.explanation.key
-    assert all(g.confirmed for g in chosen.graded.values())
+    assert all(term.confirmed for term in chosen.explanation.terms.values())
 
 
 def test_the_name_is_chosen_where_a_form_predicts_alike(by_gain, chosen):
@@ -194,8 +198,7 @@ def test_the_name_is_chosen_where_a_form_predicts_alike(by_gain, chosen):
     assert any(by_gain.choice._is_confirmed(by_gain.search.polished(e)) for e in rivals)
     assert chosen.explanation.key == {"torque_gain"}
     assert chosen.final.effect_names == ("torque_gain",)
-    assert chosen.is_named("torque_gain")
-    assert chosen.term("torque_gain").candidate.name == "torque_gain"
+    assert chosen.explanation.terms["torque_gain"].is_named
 
 
 def test_a_form_with_a_higher_worth_still_yields_to_the_name(by_gain, chosen):
@@ -205,7 +208,7 @@ def test_a_form_with_a_higher_worth_still_yields_to_the_name(by_gain, chosen):
     assert by_gain.choice._pick([better, name]) is name
     assert by_gain.choice._pick([better]) is better
     assert by_gain.choice._pick([]) is by_gain.search.nothing
-    clock = replace(better, candidates={"x": SimpleNamespace(kind=2)}, terms={}, worth=name.worth + 99.0)
+    clock = replace(better, terms={"x": Term(EFFECTS[CLOCK]("x"), None)}, worth=name.worth + 99.0)
     assert by_gain.choice._pick([clock, better]) is better
 
 
@@ -352,8 +355,8 @@ def test_a_term_that_grows_the_error_is_refuted(hidden):
 
 def test_next_to_nothing_is_not_confirmed(hidden):
     of, explanation, name = hidden
-    little = {name: replace(explanation.candidates[name], share=0.004)}
-    assert judged_with(of, replace(explanation, candidates=little), name).fault == "adds only 0.4 % of the torque"
+    little = {name: replace(explanation.terms[name], share=0.004)}
+    assert judged_with(of, replace(explanation, terms=little), name).fault == "adds only 0.4 % of the torque"
 
 
 # A recorded channel and the clock
@@ -407,22 +410,21 @@ def test_only_what_is_confirmed_is_chosen_unless_asked_otherwise(hidden, monkeyp
     of, _, _ = hidden
     monkeypatch.setattr(Choice, "_is_confirmed", lambda *_: False)
     nothing, first = (Choice(of.search, of.search.nothing.fit, of.laps, of.use).best(keep) for keep in (False, True))
-    assert nothing.explanation is of.search.nothing
-    assert not nothing.graded
+    assert nothing.explanation.fit is of.search.nothing.fit
+    assert not nothing.explanation.terms
     assert nothing.shares == {"none of these": 1.0}
     assert first.explanation.worth == max(e.worth for e in of.search.known.values() if e.settled)
-    assert first.graded.keys() == first.explanation.key == first.steps.keys()
+    assert all(term.grade != CONFIRMED and term.rivals for term in first.explanation.terms.values())
 
 
 # Classes
 
 
 def test_each_class_has_what_was_chosen_and_weights_of_one(chosen):
-    assert chosen.steps.keys() == chosen.explanation.key
-    for name, step in chosen.steps.items():
-        assert step.chosen.name == name == step.members[0]
-        assert step.candidates[0] is step.chosen
-        assert step.weights.keys() == set(step.members)
-        assert sum(step.weights.values()) == pytest.approx(1.0)
-        assert step.stability >= CLASS_SHARE or len(step.members) > 1
-        assert not set(step.worse) & set(step.members) - {name}
+    for name, term in chosen.explanation.terms.items():
+        assert term.name == name == term.members[0]
+        assert name not in {rival.name for rival in term.rivals.candidates}
+        assert term.weights.keys() == set(term.members)
+        assert sum(term.weights.values()) == pytest.approx(1.0)
+        assert term.stability >= CLASS_SHARE or len(term.members) > 1
+        assert not set(term.worse) & set(term.members) - {name}

@@ -11,9 +11,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.report.page import write_page
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
@@ -23,6 +21,7 @@ from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
+from trackres_ros.tasks.main import cli
 from trackres_ros.vehicle import load, load_any, with_surroundings
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 from trackres_ros.vehicle.writing.sensor_lines import sensor_lines
@@ -322,12 +321,11 @@ def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(good, run, loade
     tilted = Active(effects["grade_profile"], {"rise_ahead": 0.02, "rise_left": 0.0})
     paths = write_recordings(loaded.base, tmp_path, sessions, [tilted], rng)
     out = tmp_path / "report"
-    done = run(paths, out)
+    done = run(paths, out, page=True)
     found = json.loads((out / "report.json").read_text())
     assert found["effects"][0]["belongs_to"] == "surroundings"
     assert found["kept"] == {"vehicle": [], "surroundings": ["grade_profile"], "sensor": []}
     assert "surroundings.yaml" in done.output
-    write_page(out / "report.html", found, [], "Diagnosis")
     assert "surroundings.yaml" in (out / "report.html").read_text()
     assert not load(out / "vehicle.yaml").effects
     drive = tmp_path / "drive.csv"

@@ -10,8 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
+from trackres_ros.diagnosis.inference.fitting import Problem, fit, for_tests, with_levels
 from trackres_ros.diagnosis.synthetic import drives
 
 STEP_S = 1.0

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.empirical import finders
 from trackres_ros.diagnosis.inference.failures import attempt, failures
 from trackres_ros.diagnosis.inference.noise import solved
-from trackres_ros.diagnosis.stages.prepare import prepared
+from trackres_ros.diagnosis.preparation import prepared
 
 
 def shaft(inputs, p):
@@ -56,8 +56,8 @@ def pump_runs(folder):
 def test_a_pump_that_only_turns_forward_is_diagnosed(diagnosed):
     found = diagnosed("pump_runs")
     (lacks,) = found.effects  # forward only, three names are one
-    assert lacks.graded.grade == "confirmed"
-    assert {"coulomb_friction", "torque_offset"} <= set(lacks.step.members)
+    assert lacks.grade == "confirmed"
+    assert {"coulomb_friction", "torque_offset"} <= set(lacks.members)
     assert not any("failed" in warning for warning in found.warnings)
 
 
@@ -187,7 +187,7 @@ def diagnosed(tmp_path_factory):
 def test_dry_friction_of_a_machine_is_confirmed(diagnosed, name):
     found = diagnosed(name)
     (friction,) = found.effects
-    assert (friction.name, friction.graded.grade) == ("coulomb_friction", "confirmed")
+    assert (friction.name, friction.grade) == ("coulomb_friction", "confirmed")
     assert friction.values["friction"] == pytest.approx(FRICTION[name], rel=0.1)
     assert not any(word in warning for warning in found.warnings for word in ("times the", "failed", "clock"))
 
@@ -195,13 +195,13 @@ def test_dry_friction_of_a_machine_is_confirmed(diagnosed, name):
 def test_a_motor_without_a_delay_is_given_none(diagnosed):
     found = diagnosed("cogging_motor")
     assert "delay" not in found.sentence
-    assert "delay" not in {name for effect in found.effects for name in effect.step.members}
+    assert "delay" not in {name for effect in found.effects for name in effect.members}
 
 
 def test_drag_of_a_quadrotor_is_a_curve_of_its_speed(diagnosed):
     found = diagnosed("quadrotor_flight")
     assert found.status == "described"
-    assert any(term.described.variable == "speed" and term.graded.grade == "confirmed" for term in found.described)
+    assert any(term.variable == "speed" and term.grade == "confirmed" for term in found.described)
     mae = found.diagnosis.held_out.mae
     assert mae["with_effects"] < 0.3 * mae["refitted"]
 

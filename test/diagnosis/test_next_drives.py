@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.empirical.term import Round, compared
 from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, apart, information, known, menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.split import lap_name, split
-from trackres_ros.diagnosis.selection.candidate import compared
-from trackres_ros.diagnosis.selection.steps import Step
+from trackres_ros.diagnosis.prepare.session import lap_name, split
 from trackres_ros.errors import InputError
 
 FASTEST_MPS = 14.0
@@ -62,9 +61,9 @@ def tied(recorded, loaded, effects):
     sessions = gate(read_recordings(recorded("drivetrain_drag"), None), loaded.known).sessions
     before = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
     fits = {name: fit(before.problem, [effects[name]], before.at, before.noises) for name in ("drivetrain_drag", "torque_offset")}
-    found = [compared(before, with_it, name) for name, with_it in fits.items()]
-    scored = tuple(replace(c, level=c.gain) for c in found)
-    return Step(before, None, scored, 5.0, scored[0], tuple(fits), dict.fromkeys(fits, 0.5), 1.0)
+    found = [compared(before, with_it, effects[name]) for name, with_it in fits.items()]
+    drag, offset = (replace(term, level=term.gain) for term in found)
+    return replace(drag, rivals=Round(before, None, (offset,), 5.0), members=tuple(fits), weights=dict.fromkeys(fits, 0.5))
 
 
 def test_drag_and_offset_are_told_apart_in_reverse(tied):
@@ -78,19 +77,19 @@ def test_drag_and_offset_are_told_apart_in_reverse(tied):
 def test_what_is_not_tied_needs_no_advice(tied):
     alone = replace(tied, members=("drivetrain_drag",), weights={"drivetrain_drag": 1.0})
     assert advise(alone, FASTEST_MPS) == []
-    assert advise(replace(tied, chosen=None), FASTEST_MPS) == []
+    assert advise(replace(tied, rivals=None), FASTEST_MPS) == []
 
 
 def test_standing_adds_no_evidence_beyond_the_models_own_error(tied):
-    facts, like = tied.before.problem.base.facts, tied.before.problem.sessions[0]
+    facts, like = tied.rivals.before.problem.base.facts, tied.rivals.before.problem.sessions[0]
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](like)
-    nothing_hidden = [tied.before, tied.before]
+    nothing_hidden = [tied.rivals.before, tied.rivals.before]
     assert apart(nothing_hidden, drive)[0, 1] < 0.0
-    assert known(tied, ["drivetrain_drag"])[0, 1] == pytest.approx(2.0 * (tied.candidates[0].level - tied.cost))
+    assert known([tied.level - tied.rivals.cost])[0, 1] == pytest.approx(2.0 * (tied.level - tied.rivals.cost))
 
 
 def test_laps_can_be_held_out_by_name(tied):
-    sessions = tied.before.problem.sessions
+    sessions = tied.rivals.before.problem.sessions
     usual = split(sessions)
     laps = [lap_name(s, b) for s in sessions for b in sorted(set(s.block.tolist())) if b in usual.held_out]
     by_name = split(sessions, laps)
@@ -100,7 +99,7 @@ def test_laps_can_be_held_out_by_name(tied):
 
 
 def test_a_series_of_the_recordings_is_unknown_in_another_drive(tied):
-    facts, before = tied.before.problem.base.facts, tied.before
+    facts, before = tied.rivals.before.problem.base.facts, tied.rivals.before
     shape = [np.ones(len(s)) for s in before.problem.sessions]
     watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)
     with_watched = fit(before.problem, [watched], before.at, before.noises)

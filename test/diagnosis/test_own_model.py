@@ -64,7 +64,7 @@ def test_the_blocks_of_the_page_name_the_friction(page):
 
 
 def test_the_found_model_lacks_nothing(page):
-    assert [f.graded.grade for f in page.found.effects] == ["confirmed"]
+    assert [f.grade for f in page.found.effects] == ["confirmed"]
     assert isinstance(page.found.vehicle, tr.OwnModel)
     assert "coulomb_friction" in {a.effect.name for a in page.found.vehicle.effects}
     assert tr.diagnose(page.folder / "motor.csv", page.found.vehicle, quick=True).status == "none"

@@ -8,20 +8,21 @@ import html
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from browser import BROWSER, IN_A_BROWSER, asked, opened
 
-from trackres_ros.diagnosis.report.page import GRADES, write_page
-from trackres_ros.diagnosis.report.picture import Picture
+from trackres_ros.diagnosis.report.page import GRADES, glance, write_page
+from trackres_ros.diagnosis.report.series import Picture
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftotext"), reason="no chromium or pdftotext on this machine")
 WHY = "over a thousand times less likely than drivetrain_efficiency, in words that take up their room"
 
 
 @pytest.fixture(scope="module")
-def widest(scrubbed, tmp_path_factory):
+def widest(scrubbed, diagnosed, tmp_path_factory):
     """A page with the longest of everything a report may hold, and that report."""
     out, found, _ = scrubbed
     r = copy.deepcopy(found)
@@ -33,7 +34,7 @@ def widest(scrubbed, tmp_path_factory):
          "level_score": -123456.7, "threshold": 1650.4, "d_prime": 1e-3, "why": f"{WHY} last{i}"} for i in range(12)
     ]  # fmt: skip
     page = tmp_path_factory.mktemp("widest") / "report.html"
-    write_page(page, r, shown(out), "Diagnosis of a vehicle with a long name")
+    write_page(page, r, glance(diagnosed, {}), shown(out), "Diagnosis of a vehicle with a long name")
     return page, r
 
 
@@ -73,13 +74,14 @@ def test_on_a_phone_the_page_itself_does_not_scroll_sideways(widest, tmp_path):
 
 
 @pytest.mark.parametrize("grade", GRADES)
-def test_each_effect_says_how_far_it_is_confirmed(scrubbed, tmp_path, grade):
+def test_each_effect_says_how_far_it_is_confirmed(scrubbed, diagnosed, tmp_path, grade):
     out, found, _ = scrubbed
     r = copy.deepcopy(found)
     for part in (r["verdict"], *r["effects"]):
         part["grade"] = grade
     r["written"] = {"base": grade != "refuted", "effects": ["turning_scrub"] if grade == "confirmed" else [], "why": "so it is"}
-    write_page(tmp_path / "report.html", r, shown(out), "Diagnosis")
+    found = diagnosed if grade == "confirmed" else replace(diagnosed, kept=replace(diagnosed.kept, effects=()))
+    write_page(tmp_path / "report.html", r, glance(found, {}), shown(out), "Diagnosis")
     page = (tmp_path / "report.html").read_text()
     assert [text for text in GRADES.values() if text in page] == [GRADES[grade]]
     written = re.search(r'<p id="written">(.*?)</p>', page)[1]
@@ -88,7 +90,7 @@ def test_each_effect_says_how_far_it_is_confirmed(scrubbed, tmp_path, grade):
     assert "So it is." in written
 
 
-def test_the_page_begins_with_the_residual_and_its_terms(scrubbed, tmp_path):
+def test_the_page_begins_with_the_residual_and_its_terms(scrubbed, diagnosed, tmp_path):
     """And what is only suspected is listed under it, with its probability."""
     out, found, _ = scrubbed
     page = (out / "report.html").read_text()
@@ -99,7 +101,7 @@ def test_the_page_begins_with_the_residual_and_its_terms(scrubbed, tmp_path):
     assert 'id="may-be"' not in page
     r = copy.deepcopy(found)
     r["verdict"]["may_be"] = [{"name": "air_drag", "share": 0.4}, {"name": "none of these", "share": None}]
-    write_page(tmp_path / "report.html", r, shown(out), "Diagnosis")
+    write_page(tmp_path / "report.html", r, glance(diagnosed, {}), shown(out), "Diagnosis")
     listed = re.search(r'<ul id="may-be">(.*?)</ul>', (tmp_path / "report.html").read_text())[1]
     assert re.findall("<li>(.*?)</li>", listed) == ["air drag: 40 %", "none of these"]
 

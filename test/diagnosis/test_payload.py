@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.empirical.finders import PAYLOAD, find_terms, residuals_without
+from trackres_ros.diagnosis.empirical.finders import PAYLOAD, described, find_terms, residuals_without
 from trackres_ros.diagnosis.empirical.payload import (
     STOP_S,
     JointValues,
@@ -21,9 +21,8 @@ from trackres_ros.diagnosis.empirical.payload import (
     stretch_numbers,
     torque_of_a_kilogram,
 )
-from trackres_ros.diagnosis.empirical.statements import describe
-from trackres_ros.diagnosis.empirical.torque import torque_residuals
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.selection.locate import torque_residuals
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import catalogue
 from trackres_ros.files.resources import config_dir
@@ -74,7 +73,7 @@ def fitted(base, loaded_kg, seed=1, mean_kg=0.0, gain=1.0, later_kg=0.0):
 
 
 def looked_for(found):
-    return next((t for t in find_terms(found, None, (), {}, waves=False) if t.payload is not None), None)
+    return next((t for t in find_terms(found, None, (), None, waves=False) if t.name == PAYLOAD), None)
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +95,8 @@ def check_masses(stretches, masses):
 def test_masses_are_found_as_sure_as_is_said(car, carried):
     other, other_masses = fitted(car, 250.0, seed=2)
     for masses, term in (carried[1:], (other_masses, looked_for(other))):
-        told = describe(term, term.candidate.fit)
-        check_masses(told.stretches, masses)
+        told = described(term, term.fit)
+        check_masses(told.pattern.stretches, masses)
         assert "kg less and" in told.sentence
 
 
@@ -123,7 +122,7 @@ def test_nothing_is_looked_for_where_loads_are_recorded(carried):
 
 def test_earlier_payload_measurements_improve_unfitted_laps(carried):
     found, _, term = carried
-    with_term, problem = term.candidate.fit, found.problem
+    with_term, problem = term.fit, found.problem
     without = residuals_without(with_term, PAYLOAD)
     later = [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
     adds = with_term.contribution(PAYLOAD)
@@ -151,7 +150,7 @@ def test_the_other_half_of_a_stretch_forecasts_its_mass(carried):
 
 def test_a_vehicle_that_stands_is_not_pushed(carried):
     term = carried[2]
-    for session, shape in zip(term.candidate.fit.problem.sessions, term.payload.shape, strict=True):
+    for session, shape in zip(term.fit.problem.sessions, term.pattern.shape, strict=True):
         assert not shape[np.abs(session.speed) < STANDSTILL_MPS].any()
 
 
@@ -192,23 +191,23 @@ def test_loads_with_a_mean_offset_are_payload_not_torque_scale(track, chosen):
     found, masses = fitted(track, 900.0, mean_kg=1800.0)
     of = chosen(found)
     assert of.explanation.key == {PAYLOAD}
-    told = describe(of.term(PAYLOAD), of.final)
+    told = described(of.explanation.terms[PAYLOAD], of.final)
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
-    mass = np.array([s.mass for s in told.stretches])
+    mass = np.array([s.mass for s in told.pattern.stretches])
     assert mass.mean() == pytest.approx(true.mean(), rel=0.25)
     assert np.corrcoef(mass, true)[0, 1] > 0.8
 
 
 def test_a_torque_of_another_scale_is_named_and_no_payload(track, chosen):
-    (step,) = chosen(fitted(track, 0.0, gain=1.06)[0]).steps.values()
-    assert "torque_gain" in step.members
-    assert PAYLOAD not in step.members
+    (term,) = chosen(fitted(track, 0.0, gain=1.06)[0]).explanation.terms.values()
+    assert "torque_gain" in term.members
+    assert PAYLOAD not in term.members
 
 
 def test_a_term_that_laps_refute_yields_to_a_confirmed_payload(track, chosen):
     of = chosen(fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)[0])
     assert of.explanation.key == {PAYLOAD}
-    assert of.graded[PAYLOAD].confirmed
+    assert of.explanation.terms[PAYLOAD].confirmed
 
 
 def test_a_stop_ends_its_stretch_and_a_short_stop_begins_none(car):

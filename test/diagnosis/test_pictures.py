@@ -10,18 +10,32 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
-from trackres_ros.diagnosis.findings.found import UnnamedTerm
-from trackres_ros.diagnosis.findings.locate import Location, locate, regime_of, rms_over_time
-from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
+from trackres_ros.diagnosis.empirical.term import Term
 from trackres_ros.diagnosis.findings.verdict import Verdict
-from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_times
-from trackres_ros.diagnosis.report.series import MOST_RECORDINGS, shown_lap
-from trackres_ros.diagnosis.report.term_pictures import draw_term
-from trackres_ros.diagnosis.report.timeline import begins, draw_timeline, held_out_times, marked_times, minutes, panels
-from trackres_ros.results.diagnosis import PICTURES
-from trackres_ros.text.numbers import figures
+from trackres_ros.diagnosis.report.pictures import draw_all, draw_regimes, draw_term, draw_times
+from trackres_ros.diagnosis.report.series import (
+    MOST_RECORDINGS,
+    begins,
+    draw_timeline,
+    held_out_times,
+    marked_times,
+    minutes,
+    panels,
+    shown_lap,
+)
+from trackres_ros.diagnosis.selection.locate import (
+    Bin,
+    Location,
+    RegimeMap,
+    against_travel,
+    locate,
+    regime_of,
+    rms_over_time,
+    torque_residuals,
+)
+from trackres_ros.effects.learned import DRIVES, SidedGain
+from trackres_ros.tasks.diagnose import PICTURES
+from trackres_ros.text import figures
 
 pytest.importorskip("matplotlib")
 NAMED = Verdict("named", "confirmed", "")
@@ -31,7 +45,7 @@ LONG = "2026-02-03T11-12-13_vehicle_17_test_ground_north_loop_second_driver_with
 @pytest.fixture
 def nothing_named(diagnosed):
     """The same recordings, had nothing been found."""
-    return replace(diagnosed, found=(), final=diagnosed.refitted, at_end=diagnosed.at_base)
+    return replace(diagnosed, terms=(), final=diagnosed.refitted, at_end=diagnosed.at_base)
 
 
 def with_sessions(d, sessions, of):
@@ -103,11 +117,11 @@ def test_the_terms_and_what_is_left_add_up_to_the_residual(drawn, diagnosed, tmp
     (one,) = diagnosed.found
     other = replace(
         one,
-        name="another_with_a_long_name_that_takes_its_room",
+        effect=SimpleNamespace(name="another_with_a_long_name_that_takes_its_room"),
         adds=[np.where(s.used, 5.0 * np.sin(s.time / 40.0), 0.0) for s in diagnosed.sessions],
     )
-    unsure = replace(other, graded=replace(one.graded, improvement=replace(one.graded.improvement, low=-9.0, likelier=-1.0)))
-    for d in (diagnosed, replace(diagnosed, found=(one, unsure))):
+    unsure = replace(other, improvement=replace(one.improvement, low=-9.0, likelier=-1.0))
+    for d in (diagnosed, replace(diagnosed, terms=(one, unsure))):
         draw_timeline(d, tmp_path / "b.png")
         assert not drawn.faults(drawn.figures[-1])
         above, below = panels(d)
@@ -165,7 +179,7 @@ def test_the_regime_of_an_effect_has_the_mean_over_marked_times(diagnosed):
     belts = np.concatenate([p.belt for p in warmer.predicted])
     where = Location("belt temperature", "degC", float(np.median(belts)), belts.max(), belts.min(), belts.max(), 0.0, 1.0, 1.0)
     (here, *_) = regime_of(d.refitted, warmer, d.at_base, where)
-    d = replace(d, final=warmer, found=(replace(d.found[0], location=where),), verdict=NAMED)
+    d = replace(d, final=warmer, terms=(replace(d.found[0], location=where),), verdict=NAMED)
     text, marked = marked_times(d)
     assert text == where.text
     middle = np.concatenate([minutes(d, i) + s.step / 120.0 for i, s in enumerate(d.sessions)])
@@ -187,12 +201,10 @@ def test_the_size_of_an_effect_is_its_mean_where_it_acts(diagnosed):
 
 
 def test_a_sided_gain_is_drawn_of_steps_where_it_acts(drawn, diagnosed, tmp_path):
-    described = Described("sided_gain", "while_fast", "While fast, it needs 100 Nm more", (), 100.0, "grade", "", "while fast")
     adds = [np.where(s.time % 40.0 < 10.0, 100.0 * np.sign(s.speed), 0.0) for s in diagnosed.sessions]
-    course = [s.time for s in diagnosed.sessions]
-    term = UnnamedTerm(described, adds, course, {}, diagnosed.found[0].graded)
+    term = Term(SidedGain(DRIVES, 1000.0), None, adds=adds, sentences=("It needs 100 Nm more",), gate="while it drives")
     picture = draw_term(diagnosed, term, tmp_path / "t.png")
-    y = lines(drawn.figures[0].axes[0])["while_fast as fitted"].get_ydata()
+    y = lines(drawn.figures[0].axes[0])[f"{term.name} as fitted"].get_ydata()
     np.testing.assert_allclose(y, 100.0)
     assert "from 100 to 100 Nm" in picture.alternative
 

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from worlds import driven, form, machine, named, scored
 
-from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposal, Proposals, Proposer, _begin, _stronger
-from trackres_ros.diagnosis.selection.candidate import same_variable
-from trackres_ros.diagnosis.selection.visibility import EffectSensitivity
+from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposals, Proposer, _begin, _stronger, same_variable
+from trackres_ros.diagnosis.selection.visibility import Proposal
 from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch, sized
 
@@ -123,11 +122,16 @@ def test_names_that_drives_hardly_separate_come_together():
     assert "delay" not in proposed
 
 
+def proposal(effect, start=None, columns=None, **gains):
+    """An effect that is somewhat visible."""
+    return Proposal(effect, start or {}, columns, 0.8, 5.0, 0.0, np.empty(0), **gains)
+
+
 @pytest.mark.parametrize(("moved", "size"), [(0.02, 5.25), (-0.02, 4.75), (0.3, 6.5), (-0.8, 1.0), (90.0, 100.0), (-90.0, -95.0)])
 def test_a_fit_never_starts_at_zero_where_shape_has_no_effect(moved, size):
     """Nor beyond twenty typical sizes."""
     effect = type("Any", (), {"parameters": (Parameter("size", "Nm", -100.0, 100.0, 10.0, "of it", off=5.0),)})()
-    seen = EffectSensitivity(effect, {"size": 10.0}, np.empty(0), 0.8, 5.0, 0.0, np.empty(0))
+    seen = proposal(effect, {"size": 10.0})
     assert _begin(seen, np.array([moved])) == {"size": pytest.approx(size)}
 
 
@@ -142,14 +146,14 @@ def test_a_start_is_on_the_side_that_bounds_allow(low, high, moved, sizes):
     """Of two sizes one may be near zero: the other one shows the shape."""
     names = [f"size_{i}" for i in range(len(moved))]
     effect = SimpleNamespace(parameters=tuple(Parameter(n, "Nm", low, high, 10.0, "of it", off=0.0) for n in names))
-    seen = EffectSensitivity(effect, {}, np.empty(0), 0.8, 5.0, 0.0, np.empty(0))
+    seen = proposal(effect)
     assert _begin(seen, np.array(moved)) == pytest.approx(dict(zip(names, sizes, strict=True)))
 
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_of_two_starts_the_one_that_gains_more_is_fitted(turned):
     """In either list it has the gain of the better one."""
-    slow, fast = Proposal(None, {"at": 1.0}, None, 5.0, 1.0), Proposal(None, {"at": 2.0}, None, 2.0, 9.0)
+    slow, fast = proposal(None, {"at": 1.0}, level=5.0, fast=1.0), proposal(None, {"at": 2.0}, level=2.0, fast=9.0)
     found = _stronger(fast, slow) if turned else _stronger(slow, fast)
     assert (found.start["at"], found.level, found.fast) == (2.0, 5.0, 9.0)
 
@@ -159,15 +163,14 @@ def test_derivatives_are_those_of_sizes_and_not_of_a_shape():
         Parameter(n, "Nm", 0.0, 9.0, 1.0, "of it", off=off) for n, off in (("one", 0.0), ("shape", None), ("other", 0.0))
     ]
     effect = SimpleNamespace(name="any", parameters=tuple(parameters))
-    seen = EffectSensitivity(effect, {}, np.array([[1.0, 2.0], [3.0, 4.0]]), 0.8, 5.0, 0.0, np.empty(0))
-    found = Proposal(effect, {}, seen, 1.0, 1.0).derivatives
+    found = proposal(effect, columns=np.array([[1.0, 2.0], [3.0, 4.0]])).derivatives
     assert {key: column.tolist() for key, column in found.items()} == {("any", "one"): [1.0, 3.0], ("any", "other"): [2.0, 4.0]}
 
 
 def test_where_nothing_is_visible_nothing_is_proposed():
     """A single effect that gains something has no rivals that do so by chance."""
     assert Proposals(None, {}, None).best(()) == ()
-    one = Proposal(SimpleNamespace(name="one"), {}, None, 0.1, -2.0)
+    one = proposal(SimpleNamespace(name="one"), level=0.1, fast=-2.0)
     assert Proposals(None, {"one": one}, None).best(()) == (one,)
     assert Proposals(None, {"one": replace(one, level=0.0)}, None).best(()) == ()
 
@@ -182,7 +185,7 @@ def test_nothing_hidden_proposes_next_to_nothing():
 
 def test_what_is_left_out_is_not_proposed_again():
     names = [f"effect_{i}" for i in range(BEST + 2)]
-    every = {n: Proposal(SimpleNamespace(name=n), {}, None, 50.0 - i, 0.0) for i, n in enumerate(names)}
+    every = {n: proposal(SimpleNamespace(name=n), level=50.0 - i, fast=0.0) for i, n in enumerate(names)}
     proposals = Proposals(None, every, None)
     assert [p.effect.name for p in proposals.best(())][:BEST] == names[:BEST]
     assert [p.effect.name for p in proposals.best({names[0]})][:BEST] == names[1 : BEST + 1]

@@ -13,7 +13,7 @@ from proofs.field.emps import COULOMB, DIRECTION, force_error, only, try_slide
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.resample import step_for
-from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, STEP_S, pace
+from trackres_ros.diagnosis.prepare.session import LEAST_SAMPLES, STEP_S, pace
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
@@ -86,7 +86,7 @@ def tried(tmp_path_factory):
 def test_a_slide_lacks_dry_friction(tried):
     found = tried.lacking
     assert found.sessions[0].step < 0.1
-    assert {f.name: f.graded.grade for f in found.found}[COULOMB] == "confirmed"
+    assert {f.name: f.grade for f in found.found}[COULOMB] == "confirmed"
     errors = [force_error(found, fit) for fit in (found.refitted, only(found, (COULOMB,)), only(found, (COULOMB, DIRECTION)))]
     published = (0.173, 0.034, 0.020)
     assert errors == pytest.approx(published, rel=0.25)
@@ -95,7 +95,7 @@ def test_a_slide_lacks_dry_friction(tried):
 
 def test_with_it_friction_differs_by_direction(tried):
     found = tried.with_friction
-    assert {f.name: f.graded.grade for f in found.found} == {DIRECTION: "confirmed"}
+    assert {f.name: f.grade for f in found.found} == {DIRECTION: "confirmed"}
     assert found.found[0].values["forward"] == pytest.approx(0.5 * (168.0 - 242.0), rel=0.25)
     assert force_error(found, found.final) < 0.03
 

@@ -14,11 +14,10 @@ import trackres_ros as tr
 from proofs.field.data import car, robot
 from proofs.field.run import BUT_WHEELS, SHOWS_TURNING
 from trackres_ros.diagnosis.base.loading import load_base
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
+from trackres_ros.diagnosis.preparation import prepared
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.split import split
-from trackres_ros.diagnosis.stages.prepare import prepared
+from trackres_ros.diagnosis.prepare.session import split
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
 

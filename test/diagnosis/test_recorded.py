@@ -10,7 +10,7 @@ from csv_tables import written
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.session import GateSettings
 from trackres_ros.units import GRAVITY
 
 EMPTY_KG, SECONDS, RATE_HZ = 19000.0, 600, 5

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from trackres_ros.diagnosis.findings.residual_bins import (
-    BINS,
+from trackres_ros.diagnosis.prepare.session import DriveSession
+from trackres_ros.diagnosis.selection.locate import (
     FEWEST_IN_BIN,
+    REGIME_BINS,
     REPLICATES,
     Bin,
     RegimeMap,
     cumulative_periodogram,
     regime_map,
 )
-from trackres_ros.diagnosis.prepare.session import DriveSession
 
 N = 3000
 
@@ -62,7 +62,7 @@ def test_a_residual_of_one_regime_is_found_there_with_its_size():
     assert clearest.variable == "speed"
     assert (clearest.low, clearest.high) == pytest.approx((10.0, 12.0), abs=0.01)
     assert clearest.mean_residual == pytest.approx(0.8, abs=0.15)
-    assert (clearest.unit, clearest.samples) == ("m/s", N // BINS)
+    assert (clearest.unit, clearest.samples) == ("m/s", N // REGIME_BINS)
     assert found.p == clearest.p == pytest.approx(1.0 / (REPLICATES + 1.0))
     assert found.samples == N
 
@@ -101,11 +101,11 @@ def test_what_does_not_vary_or_is_not_known_is_not_looked_at():
 
 def test_bins_are_evenly_filled_and_need_enough_samples():
     found = mapped(noise(), speed=speeds())
-    assert [b.samples for b in found.bins] == [N // BINS] * BINS
+    assert [b.samples for b in found.bins] == [N // REGIME_BINS] * REGIME_BINS
     assert [b.low for b in found.bins[1:]] == [b.high for b in found.bins[:-1]]
-    few = (FEWEST_IN_BIN - 1) * BINS
+    few = (FEWEST_IN_BIN - 1) * REGIME_BINS
     assert mapped(noise(n=few), speed=speeds(few)).bins == ()
-    assert len(mapped(noise(n=few + 2 * BINS), speed=speeds(few + 2 * BINS)).bins) == BINS
+    assert len(mapped(noise(n=few + 2 * REGIME_BINS), speed=speeds(few + 2 * REGIME_BINS)).bins) == REGIME_BINS
 
 
 def test_two_values_are_two_ends_of_one_bin():

@@ -14,8 +14,8 @@ from csv_tables import written
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.road_load import FITTED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.preparation import prepared
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir

@@ -16,10 +16,9 @@ from trackres_ros.diagnosis.base.base import Acting
 from trackres_ros.diagnosis.base.patterns import SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.empirical.routes import find_route, roads_of
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.on_route import on_route
+from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.prepare.gate import gate, on_route
 from trackres_ros.diagnosis.prepare.session import DriveSession
-from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.effects import Active
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.estimator import columns as at
@@ -27,8 +26,8 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.results.diagnosis import PICTURES
 from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
+from trackres_ros.tasks.diagnose import PICTURES
 from trackres_ros.vehicle import load_any, with_surroundings
 from trackres_ros.vehicle.surroundings import load_route
 
@@ -76,10 +75,10 @@ def test_a_two_way_street_slope_is_found_and_holds_on_new_laps(base):
     assert route.is_slope
     assert isinstance(route.effect, SlopeByPlace)
     held = session.used & (session.block == 4)
-    before, after = (np.abs(session.torque - f.predicted[0].torque)[held].mean() for f in (current, route.candidate.fit))
+    before, after = (np.abs(session.torque - f.predicted[0].torque)[held].mean() for f in (current, route.fit))
     assert after < 0.4 * before
-    assert route.metres == pytest.approx(LAP_M, rel=0.4)
-    learned = route.learned(route.candidate.fit)
+    assert route.pattern.metres == pytest.approx(LAP_M, rel=0.4)
+    learned = route.learned(route.fit)
     assert np.array_equal(learned.value[:, 0], -learned.value[:, 1], equal_nan=True)
 
 
@@ -89,7 +88,7 @@ def test_different_loads_identify_a_slope_on_one_way_streets(base):
     assert route is not None
     assert route.is_slope
     assert "one way" not in route.effect.text
-    learned, final = route.effect.route, route.candidate.fit
+    learned, final = route.effect.route, route.fit
     assert abs(np.nanmean(learned.value[:, 0])) < 0.002  # a closed loop has no rise
     assert abs(final.base_values["rolling_coefficient"] - base.nominal["rolling_coefficient"]) < 0.002
 
@@ -115,9 +114,9 @@ def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):
     _, route = found_in(base, session, 4)
     assert route is not None
     assert not route.is_slope
-    assert route.slope_gain < 0.0
+    assert route.pattern.slope_gain < 0.0
     assert isinstance(route.effect, TorqueByPlace)
-    adds = route.candidate.fit.contribution("place")[0]
+    adds = route.fit.contribution("place")[0]
     soft = (one.way > 650.0) & (one.way < 950.0) & session.used
     level = (one.way > 1150.0) & session.used
     assert adds[soft].mean() - adds[level].mean() == pytest.approx(2500.0, rel=0.25)

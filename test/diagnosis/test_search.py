@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from worlds import driven, fit_with, judging, named
 
-from trackres_ros.diagnosis.findings import locate
-from trackres_ros.diagnosis.search.explanations import MOST_TERMS
-from trackres_ros.diagnosis.search.linear_sets import LinearSets
+from trackres_ros.diagnosis.search.explanations import MOST_TERMS, LinearSets
+from trackres_ros.diagnosis.selection import locate
 
 GAIN, LEVEL_NM = 1.1, 200.0
 
@@ -36,7 +35,7 @@ def test_each_explanation_is_a_unique_set_of_its_fits_terms(both):
         assert key == explanation.key == set(names)
         assert len(names) == len(key)
         assert explanation.terms.keys() <= key
-        assert all(c.name == name for name, c in explanation.candidates.items())
+        assert all(c.name == name for name, c in explanation.terms.items())
 
 
 def test_sums_run_over_names_in_order_not_as_hashes_fall(both, monkeypatch):
@@ -72,7 +71,7 @@ def test_what_was_hidden_is_worth_most(both):
 def test_a_set_that_two_ways_reach_is_one_the_better(both):
     search = both.search
     key, known = next((k, e) for k, e in search.known.items() if len(k) == 1 and not e.settled)
-    (candidate,) = known.candidates.values()
+    (candidate,) = known.terms.values()
     count = len(search.known)
     for nm, kept in ((1e4, True), (0.0, False)):
         search.known[key] = replace(known, worth=known.worth + nm)
@@ -98,7 +97,7 @@ def test_without_a_term_the_others_are_fitted_anew(both):
     single = search.known.pop(pair.key - {name})
     try:
         fitted = search.polished(search.without(pair, name))
-        assert fitted.terms.keys() <= fitted.candidates.keys() == single.key
+        assert fitted.terms.keys() == single.key
         again = fit_with(both.refitted, *(a.effect for a in fitted.fit.effects))
         assert fitted.fit.log_likelihood == pytest.approx(again.log_likelihood, abs=3.0)
         gained = both.validation.gain(search.nothing.score, fitted.score)

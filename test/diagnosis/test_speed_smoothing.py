@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, read_recordings
-from trackres_ros.diagnosis.findings.locate import residual_sources
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare import resample as resample_module
 from trackres_ros.diagnosis.prepare.gate import gate
@@ -27,6 +26,7 @@ from trackres_ros.diagnosis.prepare.speed_smoothing import (
     without_repeats,
 )
 from trackres_ros.diagnosis.report.content import report
+from trackres_ros.diagnosis.selection.locate import residual_sources
 from trackres_ros.diagnosis.synthetic import STEP_S, TORQUE_NOISE_NM
 
 GAP_S = 2.0

@@ -12,21 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.findings import change_points as level_changes
-from trackres_ros.diagnosis.findings.change_points import SHORTEST_PIECES, changes, segments
 from trackres_ros.diagnosis.findings.next_drives import menu
 from trackres_ros.diagnosis.inference.fitting import BELT_EVERY, Problem, fit
 from trackres_ros.diagnosis.inference.noise import Noise, autoregression, estimate_noise, whitened
+from trackres_ros.diagnosis.prepare.checks import SHORTEST_S
 from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, gate
-from trackres_ros.diagnosis.prepare.refuse import SHORTEST_S
 from trackres_ros.diagnosis.prepare.sampling import TEMPERATURE_HOLD_S, held, held_while_sent, middles
-from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, Cumulative
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
-from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.prepare.session import FEWEST_FITTED, MOST_LAGS, SLOWEST_MPS, STEP_S, Cumulative, split
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock
-from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
-from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
-from trackres_ros.diagnosis.selection.visibility import separability
+from trackres_ros.diagnosis.selection import locate
+from trackres_ros.diagnosis.selection.as_used import NORMAL_95, intervals
+from trackres_ros.diagnosis.selection.locate import SHORTEST_PIECES, changes, segments
+from trackres_ros.diagnosis.selection.visibility import FORM_ERROR, separability
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
@@ -279,7 +276,7 @@ def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):
 
 @pytest.mark.parametrize(("step_nm", "most"), [(0.0, 400), (150.0, 400), (150.0, 12)])
 def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm, most, monkeypatch):
-    monkeypatch.setattr(level_changes, "MOST_PIECES", most)
+    monkeypatch.setattr(locate, "MOST_PIECES", most)
     gated = gate(read_recordings(recorded(count=1), None), loaded.known)
     (session,) = gated.sessions
     changed = replace(session, torque=session.torque + np.where(session.time > 0.5 * session.time[-1], step_nm, 0.0))

@@ -12,7 +12,7 @@ from csv_tables import written
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.session import GateSettings
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError

@@ -10,10 +10,10 @@ import pytest
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import FADE
-from trackres_ros.diagnosis.empirical.candidates import candidates
-from trackres_ros.diagnosis.empirical.thresholds import (
+from trackres_ros.diagnosis.empirical.forms import (
     CLOCKS,
     LONG_STOP_S,
+    candidates,
     found_by_clock,
     found_by_scan,
     latched_states,
@@ -21,9 +21,9 @@ from trackres_ros.diagnosis.empirical.thresholds import (
     time_since_long_stop,
 )
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.preparation import prepared
 from trackres_ros.diagnosis.selection.level_errors import Levels
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.diagnosis.stages.prepare import prepared
 from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Latch, latched
 
 LEVEL_NM = 400.0

@@ -9,8 +9,8 @@ from csv_tables import written
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.settings import GateSettings
-from trackres_ros.diagnosis.prepare.turning import turning
+from trackres_ros.diagnosis.prepare.resample import turning
+from trackres_ros.diagnosis.prepare.session import GateSettings
 from trackres_ros.recording.samples import Series
 from trackres_ros.units import EARTH_M
 

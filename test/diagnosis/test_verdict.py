@@ -17,23 +17,21 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
-from trackres_ros.diagnosis.empirical.terms import FOLLOWED, FROM, Described, Form, of_learned, turning_points
-from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
-from trackres_ros.diagnosis.findings.locate import Location, SlowResidual, only_later
-from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
-from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Findings, Verdict, judge
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.empirical.sentences import of_learned, turning_points
+from trackres_ros.diagnosis.empirical.term import FOLLOWED, FROM, Form, Round, Term, by_improvement
+from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Changed, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
-from trackres_ros.diagnosis.prepare.notes import SensorFinding
-from trackres_ros.diagnosis.prepare.unit_checks import pooled, speed_off
-from trackres_ros.diagnosis.report.content import _why
-from trackres_ros.diagnosis.selection.candidate import Candidate
-from trackres_ros.diagnosis.selection.grade import Graded, moved_parameters
+from trackres_ros.diagnosis.pipeline import believed_in
+from trackres_ros.diagnosis.prepare.checks import pooled, speed_off
+from trackres_ros.diagnosis.prepare.session import SensorFinding
+from trackres_ros.diagnosis.report.content import why
+from trackres_ros.diagnosis.selection.as_used import moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
-from trackres_ros.diagnosis.selection.steps import Step
-from trackres_ros.diagnosis.stages.conclude import believed_in
+from trackres_ros.diagnosis.selection.locate import Bin, Location, RegimeMap, SlowResidual, only_later
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active, Parameter
-from trackres_ros.effects.learned import DRIVING_TORQUE, SPEED, STEP, Corner, Curve
+from trackres_ros.effects.learned import CURVATURE, DRIVING_TORQUE, LOAD, SPEED, STEP, Corner, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
 LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelier=-30.0, gained=-2.0)  # confirmed but for its level score
@@ -46,34 +44,22 @@ QUIET, NOISY = SlowResidual(1.0, LARGE_SLOW_SHARE / 2, math.nan), SlowResidual(4
 
 
 def candidate(name, worth=20.0, effect=None):
-    fit = SimpleNamespace(effects=[SimpleNamespace(effect=effect or SimpleNamespace(name=name))])
-    return Candidate(name, fit, gain=worth + 2.0, evidence=worth, share=0.1, level=worth)
+    effect = effect or SimpleNamespace(name=name)
+    return Term(effect, None, gain=worth + 2.0, evidence=worth, share=0.1, level=worth)
+
+
+def graded(name, improvement, faults=(), **more):
+    return replace(candidate(name), improvement=improvement, faults=faults, **more)
 
 
 def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100.0, rivals=(), worse=()):
     members = members or (name,)
-    chosen = candidate(name)
-    weights = dict.fromkeys(members, 1.0 / len(members))
-    step = Step(None, None, (chosen, *rivals), 5.0, chosen, members, weights, 1.0, worse)
-    graded = Graded(name, improvement, on_bounds=on_bounds)
-    series = [np.full(100, adds)]
-    return NamedEffect(
-        name,
-        f"{name} is missing",
-        "torque",
-        (SIZE,),
-        step,
-        {"size": 120.0},
-        {},
-        series,
-        series,
-        (),
-        EVERYWHERE,
-        "",
-        (),
-        SEEN,
-        graded,
-    )
+    effect = SimpleNamespace(name=name, text=f"{name} is missing", acts_on="torque", parameters=(SIZE,))
+    return replace(
+        candidate(name, effect=effect), rivals=Round(None, None, tuple(rivals), 5.0), members=members, worse=worse,
+        weights=dict.fromkeys(members, 1.0 / len(members)), improvement=improvement, on_bounds=on_bounds, values={"size": 120.0},
+        adds=[np.full(100, adds)], location=EVERYWHERE, seen=SEEN,
+    )  # fmt: skip
 
 
 def regimes(*means, p=0.001):
@@ -96,7 +82,7 @@ def refitted(*moved, std=0.1):
 def said(found=(), terms=(), base=None, at_end=None, slow=QUIET, hint="", held=None, drift=None, changed=(), **more):
     verdict = judge(
         Findings(
-            found=found, terms=terms, unconfirmed=more.pop("unconfirmed", ()), refitted=base or refitted(),
+            terms=[*found, *terms], unconfirmed=more.pop("unconfirmed", ()), refitted=base or refitted(),
             at_end=at_end or regimes(), left_over=slow, hint=hint, held_out=held or worth(), drift=drift, changed=changed, **more,
         )
     )  # fmt: skip
@@ -266,7 +252,7 @@ def test_a_slow_residual_is_unexplained_where_nothing_was_named():
 
 @pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"slow": NOISY}], ids=["bins", "slow"])
 def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
-    refuted = [Graded("payne", WORSE)]
+    refuted = [graded("payne", WORSE)]
     verdict = said(unconfirmed=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
     assert "Laps left out in turn reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
@@ -277,44 +263,42 @@ def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
 
 
 def test_a_dropped_term_is_reported_with_the_value_it_displaces():
-    sentence = said(unconfirmed=[Graded("torque_offset", BETTER, displaces=("rolling_coefficient",))]).sentence
+    sentence = said(unconfirmed=[graded("torque_offset", BETTER, displaces=("rolling_coefficient",))]).sentence
     assert "drops torque_offset: it pushes rolling_coefficient to the end of its range." in sentence
     assert "reject" not in sentence
 
 
 def test_terms_that_hardly_change_the_error_share_a_sentence():
-    little = [Graded(name, Improvement(100.0, after, -5.0, 5.0)) for name, after in (("payne", 99.5), ("mullins", 100.3))]
+    little = [graded(name, Improvement(100.0, after, -5.0, 5.0)) for name, after in (("payne", 99.5), ("mullins", 100.3))]
     together = "Laps left out in turn do not confirm payne or mullins: their mean error changes by 0.5 Nm at most."
     assert together in said(unconfirmed=little).sentence
     assert "do not confirm payne: their mean error goes from 100 to 99.5 Nm" in said(unconfirmed=little[:1]).sentence
 
 
 @pytest.mark.parametrize(
-    ("graded", "why"),
+    ("dropped", "reason"),
     [
-        (Graded("payne", UNSURE), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
+        (graded("payne", UNSURE), "do not confirm payne: their mean error goes from 100 to 95 Nm"),
         (
-            Graded("payne", LESS_LIKELY),
+            graded("payne", LESS_LIKELY),
             "payne: their mean error falls from 326 to 310 Nm, but their likelihood falls too.",
         ),
-        (Graded("payne", BETTER, on_bounds=("height",)), "payne is at the limit of its plausible range (height)"),
-        (Graded("payne", BETTER, ("hardly reduces the error",)), "payne hardly reduces the error."),
+        (graded("payne", BETTER, on_bounds=("height",)), "payne is at the limit of its plausible range (height)"),
+        (graded("payne", BETTER, ("hardly reduces the error",)), "payne hardly reduces the error."),
     ],
 )
-def test_an_unconfirmed_term_is_dropped_for_its_own_reason(graded, why):
-    by_laps = graded.improvement.grade != CONFIRMED
-    sentence = said(unconfirmed=[graded]).sentence
-    assert why in sentence
+def test_an_unconfirmed_term_is_dropped_for_its_own_reason(dropped, reason):
+    by_laps = dropped.improvement.grade != CONFIRMED
+    sentence = said(unconfirmed=[dropped]).sentence
+    assert reason in sentence
     assert ("do not confirm" in sentence) == by_laps
-    for others in ([], [Graded("mullins", WORSE)]):
-        assert said(unconfirmed=[graded, *others], at_end=regimes(30.0)).grade == SUSPECTED
-    rival = candidate("payne", worth=19.5)
-    f = found(rivals=(rival,))
-    f = replace(f, step=replace(f.step, graded={"payne": graded}))
-    alone = replace(f.step, chosen=None)
-    for text in (said([f]).sentence, _why(rival, f.step), _why(rival, alone)):
+    for others in ([], [graded("mullins", WORSE)]):
+        assert said(unconfirmed=[dropped, *others], at_end=regimes(30.0)).grade == SUSPECTED
+    rival = candidate("payne", worth=19.5).graded_as(dropped)
+    chosen = found(rivals=(rival,))
+    for text in (said([chosen]).sentence, why(rival, 5.0, chosen), why(rival, 5.0)):
         assert ("do not confirm it" in text) == by_laps
-        assert graded.fault in text
+        assert dropped.fault in text
 
 
 # Something found
@@ -349,7 +333,10 @@ def test_a_place_that_two_variables_give_names_both():
     turning = replace(turning, place="above 4 m/s of speed", location=replace(EVERYWHERE, alike=("yaw rate",)))
     assert "These recordings cannot separate speed and yaw rate." in said([turning]).sentence
     assert "cannot separate" not in said([found()]).sentence
-    assert "cannot separate speed, load and curvature." in said(terms=[replace(term(), alike=("load", "curvature"))]).sentence
+    forms = [Corner(code, STEP) for code in (SPEED, LOAD, CURVATURE)]
+    own, *others = (replace(term(), effect=form) for form in forms)
+    own = replace(own, rivals=Round(None, None, tuple(others)), members=tuple(form.name for form in forms))
+    assert "cannot separate speed, load and curvature." in said(terms=[own]).sentence
 
 
 def test_an_edge_that_is_nothing_on_its_scale_is_zero():
@@ -379,7 +366,7 @@ def test_a_second_sensor_speaks_on_a_class_with_its_error():
 @pytest.mark.parametrize("finding", [OFF_SPEED, AT_REST], ids=["speed", "offset"])
 def test_no_verdict_contradicts_a_warning_on_a_sensor(finding):
     """Each verdict says what the warning says; none that nothing is wrong before it."""
-    spells = UnnamedTerm(Described("drift", "", "The residual drifts", ("a zero",), 40.0), [], [], {}, Graded("drift", BETTER))
+    spells = unnamed("drift", "drift", "The residual drifts", "a zero", 40.0, BETTER)
     verdicts = [
         {}, {"held": worth(UNSURE)}, {"changed": (BEARING,)}, {"base": refitted(2.0, 1.0), "held": worth(WORSE)},
         {"found": [found()]}, {"found": [found("torque_offset")]}, {"terms": [term()]}, {"at_end": regimes(-70.0)},
@@ -493,10 +480,10 @@ def test_what_several_explain_counts_together_where_they_act():
 
 
 def test_a_slow_residual_that_can_be_followed_is_a_drift():
-    of = Described("drift", "", "The residual drifts by 40 Nm", ("a zero that drifts",), 40.0, memory=300.0)
+    form = "drift"
 
     def drift(improvement):
-        return UnnamedTerm(of, [], [], {}, Graded("drift", improvement))
+        return unnamed("drift", form, "The residual drifts by 40 Nm", "a zero that drifts", 40.0, improvement)
 
     verdict = said(slow=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
@@ -512,7 +499,7 @@ def test_a_slow_residual_that_can_be_followed_is_a_drift():
     assert said(slow=NOISY, drift=drift(BETTER), at_end=at_distance).status == "described"
     assert said(slow=NOISY, drift=drift(UNSURE), at_end=at_distance).status == "unexplained"
     # A level of each recording shows as whatever differs between them, and may show on hold-out laps alone.
-    of = replace(of, form="recordings")
+    form = "recordings"
     for more in ({"slow": NOISY, "at_end": regimes(30.0)}, {"later": (20.0, 200.0)}):
         assert said(drift=drift(BETTER), **more).status == "described"
         assert said(drift=drift(UNSURE), **more).status == "unexplained"
@@ -566,18 +553,18 @@ NAMED = Verdict("named", CONFIRMED, "")
 
 
 def test_what_is_believed_is_confirmed_and_of_one_kind():
-    assert believed_in([found()], [], NAMED, KINDS, False) == ["scrub"]
-    assert believed_in([found(members=("scrub", "payne"))], [], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["scrub"]
+    assert believed_in([found()], NAMED, KINDS, False) == ["scrub"]
+    assert believed_in([found(members=("scrub", "payne"))], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["scrub"]
     mixed = found(members=("scrub", "grade"))
-    assert believed_in([mixed, found("payne")], [], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["payne"]
-    assert believed_in([found(improvement=UNSURE)], [], NAMED, KINDS, False) == []
-    assert believed_in([found(on_bounds=("size",))], [], NAMED, KINDS, False) == []
-    assert believed_in([found()], [], Verdict("unexplained", SUSPECTED, ""), KINDS, False) == []
+    assert believed_in([mixed, found("payne")], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["payne"]
+    assert believed_in([found(improvement=UNSURE)], NAMED, KINDS, False) == []
+    assert believed_in([found(on_bounds=("size",))], NAMED, KINDS, False) == []
+    assert believed_in([found()], Verdict("unexplained", SUSPECTED, ""), KINDS, False) == []
 
 
 def test_who_asks_for_it_keeps_what_is_suspected_too():
     several = [found(improvement=UNSURE), found("grade", members=("grade", "torque_gain"))]
-    assert believed_in(several, [], Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
+    assert believed_in(several, Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
 
 
 # Terms without a name
@@ -586,7 +573,7 @@ def test_who_asks_for_it_keeps_what_is_suspected_too():
 def test_no_effect_explains_it_only_where_no_name_would():
     for instead in ("", "air_drag"):
         sentences = [
-            said(terms=[replace(term(), instead=instead)]).sentence,
+            said(terms=[replace(term(), rivals=Round(None, None, tuple(map(candidate, filter(None, [instead])))))]).sentence,
             said(at_end=regimes(-70.0), hint=instead).sentence,
         ]
         for sentence in sentences:
@@ -596,8 +583,16 @@ def test_no_effect_explains_it_only_where_no_name_would():
 
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
     text = f"The vehicle needs {abs(adds):.0f} Nm more"
-    described = Described("curve", name, text, ("a fan",), abs(adds), "speed", predictable=predictable)
-    return UnnamedTerm(described, [np.full(100, adds)], [], {}, Graded(name, improvement))
+    return replace(
+        unnamed(name, "curve", text, "a fan", abs(adds), improvement), adds=[np.full(100, adds)], variable="speed",
+        predictable=predictable,
+    )  # fmt: skip
+
+
+def unnamed(name, form, sentence, mechanism, size_nm, improvement):
+    effect = ResidualPattern(name, "of a test", (), 1e4)
+    text = {"form": form, "sentences": (sentence,), "mechanisms": (mechanism,), "size_nm": size_nm}
+    return Term(effect, None, improvement=improvement, **text)
 
 
 def test_what_has_no_name_is_described_with_what_to_look_for():
@@ -615,7 +610,7 @@ def test_an_error_with_an_unpredictable_term_says_its_source(form):
     for predictable in (True, False):
         for by in (BETTER, Improvement(80.0, 79.0, 0.5, 1.5)):
             of = term("a_term", by, predictable=predictable)
-            of = replace(of, described=replace(of.described, form=form))
+            of = replace(of, form=form)
             sentence = said(terms=[of]).sentence
             assert ("60 Nm. The feed-forward leaves out" in sentence) == (not predictable and form in FROM)
             assert ("taken from a live estimate" in sentence) == (not predictable and form in (*FOLLOWED, "spells"))
@@ -631,8 +626,8 @@ def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():
 def test_only_terms_predictable_ahead_are_written():
     described = Verdict("described", CONFIRMED, "")
     terms = [term(), term("spells", predictable=False), term("step_of_load", UNSURE)]
-    assert believed_in([], terms, described, KINDS, False) == ["curve_of_speed"]
-    assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "step_of_load"]
+    assert believed_in(terms, described, KINDS, False) == ["curve_of_speed"]
+    assert believed_in(terms, described, KINDS, True) == ["curve_of_speed", "step_of_load"]
 
 
 FAST, RISING = Corner(SPEED, STEP, 1.0, 5.0, 10.0), Curve(DRIVING_TORQUE, [100.0, 5000.0])
@@ -654,9 +649,10 @@ PEAK, WAVY = Curve(SPEED, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, [1.0, 2.0, 3.0, 4.
     ids=["step", "curve", "peak", "wavy"],
 )  # fmt: skip
 def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
-    described = of_learned(effect, {**{q.name: q.start for q in effect.parameters}, **values}, "vehicle")
+    values = {**{q.name: q.start for q in effect.parameters}, **values}
+    described = of_learned(Term(effect, None, improvement=BETTER, values=values, adds=term().adds), "vehicle")
     assert described.sentence == sentence
-    verdict = said(terms=[replace(term(), described=described)])
+    verdict = said(terms=[described])
     assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue explains this. Look for ")
 
 
@@ -673,7 +669,7 @@ def test_turning_points_hold_all_large_swings_of_a_curve(heights):
 
 @pytest.mark.parametrize("effect", catalogue().values(), ids=lambda e: e.name)
 def test_each_catalogue_effect_is_explained_in_short_sentences(effect):
-    said([replace(found(effect.name), text=effect.text)])
+    said([replace(found(), effect=effect, members=(effect.name,), values={})])
 
 
 def test_a_wrong_value_of_the_file_is_named_with_its_interval(recorded, tmp_path, repository):

@@ -12,8 +12,9 @@ import yaml
 
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_drifting_level
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
-from trackres_ros.diagnosis.stages.conclude import may_be_kept
+from trackres_ros.diagnosis.empirical.term import Term
+from trackres_ros.diagnosis.pipeline import may_be_kept
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch
 from trackres_ros.vehicle import Drift, Spells, load, load_any
 from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance
@@ -75,6 +76,13 @@ def test_a_vehicle_without_belts_is_watched_too(tmp_path):
         assert astuple(found) == pytest.approx(astuple(learned.disturbance), rel=1e-5)
 
 
+IMPROVEMENTS = {
+    CONFIRMED: Improvement(100.0, 80.0, 15.0, 25.0),
+    SUSPECTED: Improvement(100.0, 95.0, -5.0, 15.0),
+    REFUTED: Improvement(100.0, 120.0, -30.0, -10.0),
+}
+
+
 @pytest.mark.parametrize(
     ("grade", "names", "keep_suspected", "expected"),
     [
@@ -87,8 +95,9 @@ def test_a_vehicle_without_belts_is_watched_too(tmp_path):
     ],
 )
 def test_a_suspected_disturbance_is_kept_only_on_request(grade, names, keep_suspected, expected):
-    told, verdict = SimpleNamespace(graded=SimpleNamespace(grade=grade)), SimpleNamespace(names=names)
-    assert may_be_kept(told, verdict, keep_suspected) is expected
+    term, verdict = Term(None, None, improvement=IMPROVEMENTS[grade]), SimpleNamespace(names=names)
+    assert term.grade == grade
+    assert may_be_kept(term, verdict, keep_suspected) is expected
 
 
 def drifting(seed, n=720, size=150.0, seconds=300.0, noise=40.0):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.diagnosis.empirical.waves import MOST_PARTS, SAME_LENGTH, find_wave, part_of
+from trackres_ros.diagnosis.empirical.places import MOST_PARTS, SAME_LENGTH, find_wave, part_of
 from trackres_ros.diagnosis.inference.noise import Noise
 
 STEP_S = 0.2

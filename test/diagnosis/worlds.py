@@ -15,14 +15,13 @@ from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.empirical.term import compared
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, with_levels
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.search.choice import Choice
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation
 from trackres_ros.diagnosis.search.explanations import Explanation, Search
 from trackres_ros.diagnosis.selection.as_used import AsUsed
-from trackres_ros.diagnosis.selection.candidate import compared
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import catalogue
@@ -159,7 +158,7 @@ def explained(of: SimpleNamespace, *effects: Effect) -> Explanation:
     search, last = of.search, of.search.nothing
     for i, effect in enumerate(effects, start=1):
         found = fit_with(of.refitted, *effects[:i])
-        search._add(last, compared(last.fit, found, effect.name), None)
+        search._add(last, compared(last.fit, found, effect))
         last = search.polished(search.known[last.key | {effect.name}])
     return last
 
@@ -167,7 +166,7 @@ def explained(of: SimpleNamespace, *effects: Effect) -> Explanation:
 def graded(of: SimpleNamespace, *effects: Effect) -> tuple:
     """The grade of each of these terms together, and whether all of it is confirmed."""
     found = explained(of, *effects)
-    return {name: of.choice.graded(found, name) for name in found.candidates}, of.choice._is_confirmed(found)
+    return {name: of.choice.graded(found, name) for name in found.terms}, of.choice._is_confirmed(found)
 
 
 def moving_means(found: Fit, rows: np.ndarray, seconds: float, used: Sequence) -> dict:

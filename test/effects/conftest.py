@@ -5,7 +5,7 @@
 
 import pytest
 
-from trackres_ros.building.kernel_source import built
+from trackres_ros.building import built
 from trackres_ros.effects.stepping import (
     ALL_WELL,
     EXTRAPOLATED,

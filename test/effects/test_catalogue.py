@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from trackres_ros.cli.main import cli
 from trackres_ros.effects import Active, Effect, Terms, catalogue, check_effects, own_code, together
 from trackres_ros.effects.calls import is_compiled, reads_drag_area
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM
@@ -23,7 +22,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.kernels.compiler import compiled
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.vehicle_check import check_vehicle
+from trackres_ros.tasks.main import cli
+from trackres_ros.tasks.vehicle import check_vehicle
 from trackres_ros.vehicle import load
 
 NAMES = [
@@ -382,7 +382,7 @@ def test_an_own_effect_that_never_acts_is_refused_at_the_start(own, was, becomes
     squeak = own / "squeak.py"
     squeak.write_text("from trackres_ros.effects import Lag\n" + squeak.read_text().replace(was, becomes))
     effect = catalogue(own)["squeak"]
-    for start in (Estimator, lambda vehicle: check_vehicle(vehicle, 1)):
+    for start in (Estimator, check_vehicle):
         with pytest.raises(InputError, match=rf"squeak\.py: effect squeak.*{said}"):
             start(replace(load("xgd24d"), effects=(Active(effect, effect.values()),)))
 

@@ -18,7 +18,7 @@ import pytest
 
 import trackres_ros
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.building.kernel_source import all_entries, built
+from trackres_ros.building import all_entries, built
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.stepping import TERMS, fit_table, new_memory, new_work
 from trackres_ros.estimator import columns as at

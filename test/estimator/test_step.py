@@ -15,11 +15,11 @@ from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
+from trackres_ros.estimator.drives import assembly_values
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.resources import config_dir
-from trackres_ros.offline.simulate import assembly_values
 from trackres_ros.vehicle import load, load_any
 
 SPEED = 30 / 3.6

@@ -24,7 +24,7 @@ def trees(draw, first=0, count=None):
     if count == 1:
         return first
     front = draw(st.integers(1, count - 1))
-    return Beam(draw(split), draw(split), draw(trees(first, front)), draw(trees(first + front, count - front)))
+    return Beam(draw(split), draw(trees(first, front)), draw(trees(first + front, count - front)), own_weight_split=draw(split))
 
 
 @st.composite
@@ -74,7 +74,7 @@ def two_stages(first_stage, beta_1, beta_2, g0, g1):
 @given(a1=split, a2=split, b1=split, b2=split, g0=loads_n, g1=loads_n)
 def test_equation_1_corrected_is_what_the_beams_do(triangular, a1, a2, b1, b2, g0, g1):
     corrected = np.array([[1 - a1, 1 - a2], [a1, a2]])
-    tree = Beam(a1, a2, Beam(b1, b1, 0, 1), Beam(b2, b2, 2, 3))
+    tree = Beam(a1, Beam(b1, 0, 1), Beam(b2, 2, 3), own_weight_split=a2)
     track = replace(triangular, beams=tree, own_weight=g1)
     assert wheel_loads(track, g0 + g1) == pytest.approx(two_stages(corrected, b1, b2, g0, g1), rel=1e-9, abs=1e-6)
 
@@ -99,7 +99,7 @@ def test_shipped_vehicles_load_their_road_wheels_evenly(vehicle):
 
 
 def test_a_load_below_the_own_weight_is_all_own_weight(triangular):
-    track = replace(triangular, beams=Beam(0.5, 0.2, Beam(0.5, 0.5, 0, 1), Beam(0.5, 0.5, 2, 3)))
+    track = replace(triangular, beams=Beam(0.5, Beam(0.5, 0, 1), Beam(0.5, 2, 3), own_weight_split=0.2))
     assert wheel_loads(track, 6000.0) == pytest.approx(6000.0 * beam_shares(track, own_weight=True))
 
 

@@ -26,7 +26,7 @@ def tracks(draw, base, fewest=1):
     """The base track with up to four wheels wrapped by random angles, over random lengths of curvature."""
     count = draw(st.integers(fewest, 4))
     wheels = tuple(
-        WrappedWheel(f"w{i}", "sprocket" if i == 0 else "guide", draw(st.floats(0.05, 0.4)), draw(st.floats(0.2, 1.2)))
+        WrappedWheel(f"w{i}", "sprocket" if i == 0 else "guide", draw(st.floats(0.2, 1.2)), radius=draw(st.floats(0.05, 0.4)))
         for i in range(count)
     )
     belt = replace(base.belt, curvature_length=draw(st.floats(0.005, 0.3)))

@@ -11,8 +11,8 @@ import pytest
 
 from trackres_ros.files.resources import config_dir
 from trackres_ros.node.application import Application
-from trackres_ros.node.endpoints import input_name
 from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.transport import input_name
 from trackres_ros.output.topics import ESTIMATE_TOPIC
 
 START_NS = 1_700_000_000_000_000_000
@@ -62,7 +62,7 @@ class Desk:
         self.published.append((self.app.outputs[output].name, stamp_ns, list(values)))
         if self.app.outputs[output] is ESTIMATE_TOPIC:
             self.reasons.append(dict(reasons))
-            self.left.append(self.app._publisher.left(self.app.clock.steady_ns()))
+            self.left.append(self.app.filter.share(self.app.clock.steady_ns()))
 
     def publish_status(self, output, stamp_ns, statuses):
         self.statuses.append((self.app.outputs[output].name, list(statuses)))

@@ -15,9 +15,9 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import SPEED, Count
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.node import message_handler
+from trackres_ros.node import inputs
 from trackres_ros.node.application import Application
-from trackres_ros.node.message_handler import Sent
+from trackres_ros.node.inputs import Sent
 from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
@@ -410,7 +410,7 @@ def test_all_unstamped_messages_between_sim_clock_ticks_count(desk):
 
 def test_what_cannot_be_decoded_is_counted_as_no_number(desk):
     d = desk()
-    d.app.messages.receive_undecodable(d.index("load"))
+    d.app.messages.receive_values(d.index("load"), None, None)
     assert [(name, count) for name, count, _ in d.app.session.counts()] == [("load", Count.NON_FINITE)]
 
 
@@ -429,7 +429,7 @@ def test_what_comes_before_the_simulated_clock_waits_for_it(desk):
 
 
 def test_before_the_clock_the_newest_messages_of_an_input_wait(desk, monkeypatch):
-    monkeypatch.setattr(message_handler, "MOST_BEFORE_CLOCK", 5)
+    monkeypatch.setattr(inputs, "MOST_BEFORE_CLOCK", 5)
     d = desk(use_sim_time=True)
     now_ns, d.now_ns = d.now_ns, lambda: 0
     d.send("load", 250e3)

@@ -13,7 +13,7 @@ import fcntl, os, sys
 read_end, write_end = os.pipe()
 fcntl.fcntl(write_end, fcntl.F_SETPIPE_SZ, 4096)
 os.dup2(write_end, 2)
-from trackres_ros.node.background import ErrorLines
+from trackres_ros.node.process import ErrorLines
 lines = ErrorLines()
 for _ in range(100):
     lines.put(200 * "x")
@@ -29,7 +29,7 @@ def test_a_process_ends_though_nobody_takes_its_log(unbuffered, monkeypatch):
 
 def test_all_lines_that_are_taken_arrive_whole():
     text = """
-from trackres_ros.node.background import ErrorLines
+from trackres_ros.node.process import ErrorLines
 lines = ErrorLines()
 for i in range(50):
     lines.put(f"{i} " + 9000 * "é")

@@ -10,8 +10,7 @@ import pytest
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import LONGEST_MEANS
-from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.mismatch import MismatchSettings
+from trackres_ros.node.measured_torque import Comparison, MismatchSettings
 from trackres_ros.node.transport import Level
 from trackres_ros.vehicle import Drift, Spells
 

@@ -16,20 +16,21 @@ import pytest
 import trackres_ros
 from trackres_ros.files.resources import shipped_topics
 from trackres_ros.node import record
-from trackres_ros.node.record import Recorder
-from trackres_ros.node.record_files import MB, RecordLimits
+from trackres_ros.node.record import MB, Recorder, RecordLimits
 from trackres_ros.node.transport import Level
 from trackres_ros.output import mcap
+from trackres_ros.tasks.live import recording_picture
 
 pytest.importorskip("rosbags")
 
 PACKAGE = Path(trackres_ros.__file__).parent
 STEP = {  # what makes an estimate and brings it out: without one of them there is none; and the values of checked parameters
     "Session.feed", "InputReader.read", "InputReader.samples",
-    "SpeedSources.takes", "OutputPublisher.take", "OutputPublisher.publish", "OutputPublisher.age_s",
-    "OutputPublisher.max_age_s", "nearest_usable", "fed_now",
+    "SpeedSources.takes", "FeedforwardFilter.take", "FeedforwardFilter.course", "FeedforwardFilter.moved",
+    "FeedforwardFilter.age_s", "FeedforwardFilter.max_age_s", "FeedforwardFilter.share",
+    "OutputPublisher.take", "OutputPublisher.publish",
 }  # fmt: skip
-LOOP = "application.py", "message_handler.py", "clock.py", "guard.py"
+LOOP = "Application", "MessageHandler", "NodeClock", "Guard"
 SILENT = {"OutputPublisher.publish_statuses", "bare_status", "Notice.level"}  # without which no status can say what fails
 SHAFT = "torque: {topic: shaft, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}\n"
 
@@ -65,6 +66,10 @@ def driven(d, seconds=2.0):
     return [(name, values) for name, _, values in d.published if name.startswith("feedforward")]
 
 
+def is_of_loop(code):
+    return Path(code.co_filename).parent == PACKAGE / "node" and code.co_qualname.partition(".")[0] in LOOP
+
+
 def called_by_the_application(d):
     """The functions of this package that a drive calls right out of the node's loop, by module and name; without the step."""
     found = set()
@@ -72,9 +77,9 @@ def called_by_the_application(d):
     def profile(frame, event, _):
         code, caller = frame.f_code, frame.f_back
         path = Path(code.co_filename)
-        if event != "call" or caller is None or Path(caller.f_code.co_filename).name not in LOOP:
+        if event != "call" or caller is None or not is_of_loop(caller.f_code):
             return
-        if path.is_relative_to(PACKAGE) and path.name not in LOOP and "<" not in code.co_qualname:
+        if path.is_relative_to(PACKAGE) and not is_of_loop(code) and "<" not in code.co_qualname:
             module = ".".join(["trackres_ros", *path.relative_to(PACKAGE).with_suffix("").parts])
             found.add((module, code.co_qualname))
 
@@ -153,7 +158,6 @@ def test_outputs_stay_finite_when_the_learner_gives_nan(node, monkeypatch):
     assert "INTERNAL_ERROR" not in d.names()
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_blocked_disk_stops_no_estimate_and_losses_are_bounded(node, monkeypatch, tmp_path):
     d, answers = node(), threading.Event()
     monkeypatch.setattr(record, "WRITE_EVERY_S", 0.05)
@@ -182,11 +186,11 @@ def test_a_picture_that_fails_is_a_line_of_text(node, monkeypatch, tmp_path):
     d, recorder = node(), Recorder(tmp_path / "live.mcap")
     recorder.begin(d.app)
     driven(d, 1.0)
-    monkeypatch.setattr(record, "estimate_figure", lambda *_, **_path: 1 / 0)
-    assert recorder.end()[-1].startswith(f"no picture {tmp_path / 'live.png'}: division by zero")
+    recorder.end()
+    monkeypatch.setattr("trackres_ros.output.plots.estimate_figure", lambda *_, **_path: 1 / 0)
+    assert recording_picture(recorder) == [f"no picture {tmp_path / 'live.png'}: division by zero"]
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_split_files_keep_the_limit_by_deleting_only_the_oldest(node, monkeypatch, tmp_path):
     monkeypatch.setattr(record, "WRITE_EVERY_S", 0.02)
     others = [tmp_path / "live_0000.csv", tmp_path / "other_0000.mcap", tmp_path / "live_0003.mcap"]

@@ -9,11 +9,10 @@ from types import SimpleNamespace
 import pytest
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.endpoints import full_name, input_name, input_topics
-from trackres_ros.node.input_reader import InputReader
-from trackres_ros.node.transport import Level
-from trackres_ros.offline.replay import channel_indices
+from trackres_ros.node.inputs import InputReader
+from trackres_ros.node.transport import Level, full_name, input_name, input_topics
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tasks.replay_run import channel_indices
 
 CHANNELS = ("speed", "load", "torque", "ambient", "load/front")
 JOINTS = {"topic": "/drive", "type": "sensor_msgs/msg/JointState"}
@@ -40,7 +39,7 @@ def joint_state(ns, **joints):
 def test_the_speed_topic_is_last_and_speed_is_its_last_field():
     line = {"topic": "/a", "type": "std_msgs/Float64", "field": "data"}
     inputs = input_topics(Topics.parse({"speed": line, "load": {**line, "topic": "/b"}, "torque": line}))
-    assert [given.roles for given in inputs] == [("load",), ("torque", "speed")]
+    assert [given.valued for given in inputs] == [("load",), ("torque", "speed")]
 
 
 def test_elements_scale_offset_and_header_stamp():

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from trackres_ros.node.mismatch import KNOWN_AFTER, MismatchDetector, MismatchSettings
+from trackres_ros.files.dataclass_reader import limits_of
+from trackres_ros.node.measured_torque import KNOWN_AFTER, MismatchDetector, MismatchSettings
 
 START_NS = 10**18
 DRIVE_NM, STD_NM, NOISE_NM = 3000.0, 300.0, 300.0  # tolerated are 300 Nm
@@ -192,7 +193,7 @@ def test_a_memory_shorter_than_a_bin_is_none_to_fall_over():
     assert watch(residual, dt=60.0, settings=settings)[0].verdict.mean_nm == pytest.approx(900.0, rel=0.1)
 
 
-LIMITS = [[item.metadata["low"], item.default, item.metadata["high"]] for item in dataclasses.fields(MismatchSettings)]
+LIMITS = [[limits.low, getattr(MismatchSettings, name), limits.high] for name, limits in limits_of(MismatchSettings).items()]
 SIZES = [0.0, 300.0, 1e9, 1e300, math.inf]
 
 

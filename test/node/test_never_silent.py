@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.node.message_handler import Sent
+from trackres_ros.node.inputs import Sent
 from trackres_ros.node.transport import FIRST_NS, LAST_NS, UNUSABLE, Level, is_usable, nearest_usable, stamp_ns
 from trackres_ros.output.topics import TOTALS, output_topics
 
@@ -143,7 +143,7 @@ class Pace:
         self.passed_on(output, stamp, values, reasons)
         if self.d.app.outputs[output].name == "feedforward_torque_nm":
             steady = self.d.app.clock.steady_ns()
-            target = 0.0 if self.d.app._withdrawn else self.d.app._fed(steady, self.d.app.clock.pace_ns(steady))[1]
+            target = 0.0 if self.d.app.filter.ends else self.d.app.filter.course(steady).target_nm
             self.outputs.append((self.d.steady_s, values[0], target, self.settings))
             self.settings = self.settings[-1:]
 

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.node.parameter_file import ParameterFile
-from trackres_ros.node.parameters import PARAMETERS, make_parameters, read_parameters
+from trackres_ros.node.parameters import PARAMETERS, ParameterFile, make_parameters, read_parameters
 
 RUNS = {name: p for name, p in PARAMETERS.items() if not p.fixed_because}
 NUMBERS = {name: p for name, p in RUNS.items() if p.is_number and not name.startswith("output")}

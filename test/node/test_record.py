@@ -21,14 +21,12 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 import trackres_ros as tr  # noqa: E402
 from trackres_ros.estimator.columns import LOAD  # noqa: E402
-from trackres_ros.node import message_handler  # noqa: E402
+from trackres_ros.node import inputs  # noqa: E402
 from trackres_ros.node import record as record_room  # noqa: E402
-from trackres_ros.node.inbox import Inbox  # noqa: E402
-from trackres_ros.node.message_handler import Sent  # noqa: E402
+from trackres_ros.node.inputs import Inbox, Sent  # noqa: E402
 from trackres_ros.node.record import Recorder  # noqa: E402
 from trackres_ros.node.transport import Peer  # noqa: E402
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 AT_ONCE = 1e9  # Nm/s: how the feed-forward moves from output to output hangs on when they come
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 TWIST, WRENCH, TEMPERATURE, NUMBER = (
@@ -253,7 +251,6 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
 def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
     state, bag, now = tmp_path / "state.json", tmp_path / "live drive.mcap", [1e9]
     monkeypatch.setattr("time.time", lambda: now[0])
-    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
     warm = desk(TOPICS, state_file=str(state))
     warm.drive(60.0, speed=15.0, dt=0.2)
     warm.app.close()
@@ -299,7 +296,6 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
 
 
 def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path, monkeypatch):
-    monkeypatch.setattr(record_room, "estimate_figure", lambda *_, **__: None)
     recorder, last = Recorder(tmp_path / "live.mcap"), []
     for vehicle in ("xgd24d", "agri3t"):
         d = desk(TOPICS, vehicle=vehicle, learning="off")
@@ -335,7 +331,7 @@ def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
 
 @pytest.mark.parametrize("most", [0, 1, 10])
 def test_no_message_is_lost_where_no_clock_ever_comes(desk, tmp_path, monkeypatch, most):
-    monkeypatch.setattr(message_handler, "MOST_BEFORE_CLOCK", most)
+    monkeypatch.setattr(inputs, "MOST_BEFORE_CLOCK", most)
     d = desk(TOPICS, use_sim_time=True)
     wire = Wire(d, tmp_path / "live.mcap")
     d.now_ns = lambda: 0
@@ -354,7 +350,7 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     earlier = d.app.clock.arrival()
     d.forward(2.0)
     wire.send("brake", NUMBER, 1.0)
-    d.app.messages.receive_undecodable(wire.index["speed"], arrived=earlier, raw=b"no message!!")
+    d.app.messages.receive_values(wire.index["speed"], None, None, arrived=earlier, raw=b"no message!!")
     d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent=Sent(1), raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()
@@ -392,7 +388,7 @@ def values_in(raw):
 
 def test_the_estimate_is_the_same_live_recorded_and_replayed(desk, tmp_path, good):
     pytest.importorskip("cyclonedds")
-    from trackres_ros.node.dds.messages import DdsEstimate
+    from trackres_ros.node.dds.wire import DdsEstimate
 
     topics = tmp_path / "topics.yaml"
     topics.write_text("".join(line + "\n" for line in TOPICS.splitlines() if not line.startswith("torque")))

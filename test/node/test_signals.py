@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from trackres_ros.node.signals import SAVE, WHAT, SignalRequests
+from trackres_ros.node.process import SAVE, WHAT, SignalRequests
 
 
 def test_a_signal_during_start_is_kept_with_the_log_pipe_closed(monkeypatch):

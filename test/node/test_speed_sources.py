@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.node.speed_sources import SpeedSources
+from trackres_ros.node.inputs import SpeedSources
 
 SECOND_NS = 1_000_000_000
 ACCEL, MAX_AGE_S = 9.81, 0.5

@@ -11,11 +11,11 @@ import time
 import pytest
 from waiting import exit_code, wait_for
 
-from trackres_ros.api.recordings import read
-from trackres_ros.node.record_files import MB
+from trackres_ros.node.record import MB
+from trackres_ros.tasks.recordings import read
 
 RATE = 4000.0  # Nm/s: so slow that the fade is seen
-RUN = "from trackres_ros.cli.main import main; import sys; main(sys.argv[1:])"
+RUN = "from trackres_ros.tasks.main import main; import sys; main(sys.argv[1:])"
 WAIT_FAILS = f"""
 from pathlib import Path
 def failing(wait):
@@ -25,7 +25,7 @@ def failing(wait):
         return wait(*given, **named)
     return waits
 if "{{transport}}" == "dds":
-    from trackres_ros.node.dds.participant import Participant
+    from trackres_ros.node.dds.wire import Participant
     waiter = Participant.waiter
     Participant.waiter = lambda self: failing(waiter(self))
 else:

@@ -51,7 +51,7 @@ def test_a_service_reports_ready_alive_and_stopping_unless_hung(tmp_path, wire, 
 
 @pytest.mark.skipif(bool(why_not("ros")), reason="rclpy does not import here")
 def test_an_unconfigured_node_is_ready_and_alive(tmp_path, monkeypatch):
-    from trackres_ros.node.ros.main import _spin
+    from trackres_ros.node.ros.estimator import _spin
 
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(tmp_path / "notify"))

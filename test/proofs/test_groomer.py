@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import trackres_ros as tr
+from proofs import commands
 from proofs.sealed import second
 from proofs.sealed.blind import opened
 from proofs.sealed.drives import SealedDrive
@@ -18,7 +19,6 @@ from proofs.sealed.groomer_cases import AT_DEGC, DRIVES, GEARBOX, GEARS, KINDS, 
 from proofs.sealed.groomer_cases import label as label_of
 from proofs.sealed.groomer_cases import main as generate
 from proofs.sealed.second import CLEAR, SIZE_SHARE, THRESHOLD_K, threshold_and_size
-from trackres_ros.cli import prove
 
 GROOMER = Groomer("none", 350.0, -5.0, 0.93, (9.4, 10.2), 100)
 
@@ -184,7 +184,7 @@ def test_a_gearbox_may_be_named_and_counts_for_nothing():
 
 def test_the_command_draws_kinds_and_refuses_others(good, refused, tmp_path, monkeypatch):
     started = []
-    monkeypatch.setattr(prove, "_process", lambda _as_json, step: started.append(tuple(map(str, step))))
+    monkeypatch.setattr(commands, "_process", lambda _as_json, step: started.append(tuple(map(str, step))))
     good("proofs", "groomer", "--hide", "cold=3", "--hide", "none", "--cases", "2", "--seed", "5", "-o", tmp_path / "out")
     assert started[0] == ("sealed.groomer_cases.main", str(tmp_path / "out"), "5", "cold=3", "none=2")
     assert [step[0] for step in started[1:]] == ["sealed.blind.main", "sealed.second.main"]

@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from proofs import commands
 from proofs.learned import delay
 from proofs.learned.cases import (
     KINDS,
@@ -25,7 +26,6 @@ from proofs.learned.score import age
 from proofs.processes import call
 from proofs.sealed.drives import SealedDrive, drive
 from proofs.sealed.generate import START_S
-from trackres_ros.cli import prove
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 
@@ -103,7 +103,7 @@ def test_delays_are_drawn_of_a_seed():
 
 def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch):
     # Its processes in this one.
-    monkeypatch.setattr(prove, "_process", lambda _as_json, step: call(*map(str, step)))
+    monkeypatch.setattr(commands, "_process", lambda _as_json, step: call(*map(str, step)))
     monkeypatch.setattr(delay, "each", lambda work, tasks, _word: [work(task) for task in tasks])
     asked = ("proofs", "delay", "--seed", 21, "--vehicles", 1, "--hostile", 1, "--minutes", 6, "-o", tmp_path)
     good(*asked)

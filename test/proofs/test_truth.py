@@ -16,10 +16,10 @@ from proofs.sealed.material import fit_material
 from proofs.sealed.sensors import Sensors, record
 from proofs.sealed.truth import Build, simulate_truth
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.findings.locate import slow_residual
+from trackres_ros.diagnosis.empirical.term import MODEL_ERROR
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.selection.candidate import MODEL_ERROR
+from trackres_ros.diagnosis.selection.locate import slow_residual
 from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")

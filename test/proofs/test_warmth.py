@@ -10,8 +10,7 @@ import pytest
 
 from proofs.field.warmth import Starts, pool, start_states
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import Active
 from trackres_ros.effects.vehicle.warmup import WarmUp

@@ -150,8 +150,8 @@ def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) ->
     from rosbags.typesys import Stores, get_typestore
 
     from trackres_ros.estimator.columns import CHANNELS
-    from trackres_ros.node.endpoints import input_topics
-    from trackres_ros.node.input_reader import InputReader
+    from trackres_ros.node.inputs import InputReader
+    from trackres_ros.node.transport import input_topics
 
     store = get_typestore(Stores.ROS2_JAZZY)
     speed = {"topic": "/speed", "type": "std_msgs/msg/Float64", "field": "data"}
@@ -174,8 +174,8 @@ def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) ->
 
 
 def test_a_vehicle_without_a_route_listens_to_no_position() -> None:
-    from trackres_ros.node.endpoints import input_topics
+    from trackres_ros.node.transport import input_topics
 
     topics = Topics.parse({"position": {"topic": "/gps"}, "speed": {"topic": "/s", "type": "std_msgs/Float64", "field": "data"}})
     assert [given.name for given in input_topics(topics)] == ["/s"]
-    assert [given.roles for given in input_topics(topics, on_route=True)] == [("latitude", "longitude"), ("speed",)]
+    assert [given.valued for given in input_topics(topics, on_route=True)] == [("latitude", "longitude"), ("speed",)]

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.node.endpoints import input_topics
-from trackres_ros.node.input_reader import InputReader
+from trackres_ros.node.inputs import InputReader
+from trackres_ros.node.transport import input_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.combining import Sum
 from trackres_ros.recording.roles import UNITS, Conversion
@@ -191,8 +191,8 @@ PART = {"column": "a"}
         ({"sum": PART}, "a list of 2 to 16 parts"),
         ({"sum": [PART, 3]}, "part 2: given 3"),
         ({"sum": [PART, PART]}, "the same part twice"),
-        ({"sum": [PART, {"column": "b", "delay_s": 0.1}]}, "part 2: key: given 'delay_s'"),
-        ({"sum": [PART, {"sum": [PART, PART]}]}, "part 2: key: given 'sum'"),
+        ({"sum": [PART, {"column": "b", "delay_s": 0.1}]}, "part 2: delay_s: given 'delay_s'"),
+        ({"sum": [PART, {"sum": [PART, PART]}]}, "part 2: sum: given 'sum'"),
         ({"sum": [PART, LEFT]}, "columns and topics"),
         ({"sum": [PART, {"column": "b", "scale": 0}]}, "part 2: scale"),
         ({"sum": [PART, {"column": "b"}], "column": "c"}, "column in a part of the sum"),

@@ -58,7 +58,7 @@ torque: {column: "Torque [kNm]", scale: 1000}
         ("sped: {column: a}", ["sped", "did you mean speed?"]),
         ("speed/left: {column: a}", ["speed/left", "load, torque, belt, wheel_speed"]),
         ("load/: {column: a}", ["load/", "load/NAME"]),
-        ("speed: {colum: a}", ["speed: key", "colum", "did you mean column?"]),
+        ("speed: {colum: a}", ["speed: colum", "did you mean column?"]),
         ("speed: {column: a, scale: 0}", ["speed: scale", "not 0"]),
         ("speed: {column: a, scale: .nan}", ["speed: scale", "nan", "finite"]),
         ("speed: {column: a, offset: .inf}", ["speed: offset", "inf"]),

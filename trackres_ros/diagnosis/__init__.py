@@ -5,6 +5,6 @@
 
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.pipeline import Diagnosis, diagnose, read_recordings
-from trackres_ros.diagnosis.stages.options import DiagnosisOptions
+from trackres_ros.diagnosis.preparation import DiagnosisOptions
 
 __all__ = ["Diagnosis", "DiagnosisOptions", "diagnose", "load_base", "read_recordings"]

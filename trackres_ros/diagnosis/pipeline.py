@@ -7,36 +7,292 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.empirical.routes import Route
-from trackres_ros.diagnosis.findings.change_points import Change, changes
-from trackres_ros.diagnosis.findings.locate import ThermalCheck, thermal_check
-from trackres_ros.diagnosis.findings.next_drives import Advice
-from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram
-from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
-from trackres_ros.diagnosis.inference.failures import failures
-from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.inference.levels import for_tests
+from trackres_ros.diagnosis.empirical.finders import (
+    closest_to_slow,
+    described,
+    drift_on_held_out,
+    drift_to_watch,
+    slow_term,
+    spells_to_watch,
+)
+from trackres_ros.diagnosis.empirical.routes import roads_of
+from trackres_ros.diagnosis.empirical.spells import Chain
+from trackres_ros.diagnosis.empirical.term import ONLY_BETWEEN, Round, Term, active_of, by_improvement
+from trackres_ros.diagnosis.findings.next_drives import Advice, advise
+from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, Findings, Verdict, changed_values
+from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
+from trackres_ros.diagnosis.findings.wording import assumed_sensor
+from trackres_ros.diagnosis.inference.failures import attempt, failures, one_blas_thread
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, for_tests, with_levels
 from trackres_ros.diagnosis.inference.noise import Noise
+from trackres_ros.diagnosis.preparation import BY_DEFAULT, DiagnosisOptions, PreparedSessions, prepare
 from trackres_ros.diagnosis.prepare.gate import Gated, in_order
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Split
-from trackres_ros.diagnosis.selection.grade import Graded
-from trackres_ros.diagnosis.selection.steps import Step
-from trackres_ros.diagnosis.stages.conclude import conclude
-from trackres_ros.diagnosis.stages.judge import Judgement, bounds_of, judge
-from trackres_ros.diagnosis.stages.options import BY_DEFAULT, DiagnosisOptions
-from trackres_ros.diagnosis.stages.prepare import prepare
-from trackres_ros.diagnosis.stages.refit import refit, search
+from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
+from trackres_ros.diagnosis.search.choice import Choice, Chosen
+from trackres_ros.diagnosis.search.cross_validation import CrossValidation
+from trackres_ros.diagnosis.search.explanations import Search
+from trackres_ros.diagnosis.selection.as_used import AsUsed, Bounds, choose_written, inside_ranges, intervals
+from trackres_ros.diagnosis.selection.held_out import MUCH_LARGER, REFUTED, HeldOut, HeldOutLaps, held_out
+from trackres_ros.diagnosis.selection.locate import (
+    Change,
+    RegimeMap,
+    ThermalCheck,
+    against_travel,
+    changes,
+    cumulative_periodogram,
+    is_like_slope,
+    locate,
+    only_later,
+    regime_map,
+    regime_of,
+    slow_residual,
+    spans,
+    thermal_check,
+)
+from trackres_ros.effects import learned
+from trackres_ros.effects.effect import BELONGS_TO
+from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.vehicle.writing.changes import FileChanges, Interval
+from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
+from trackres_ros.vehicle.writing.changes import FileChanges, Interval, LearnedDisturbance
+
+
+@dataclass(frozen=True, eq=False)
+class Refitted:
+    """The base re-fitted."""
+
+    refitted: Fit  # with values by `fitting.with_levels`
+    compared: Fit  # what terms are added to: the same, or one with values further outside the file's ranges, if surely better
+    laps: HeldOutLaps
+    validation: CrossValidation  # over laps
+    use: AsUsed  # evaluation of a file in use
+    at_base: RegimeMap  # residual by regime
+
+
+def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
+    """Fit the base from the values of the vehicle file, and bin its residual by regime."""
+    options.on_stage("re-fit of the base")
+    sessions, split = prepared.sessions, prepared.split
+    tested = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)))
+    held_out = [split.held_out_mask(s) for s in sessions]
+    laps = HeldOutLaps(sessions, held_out, rng)
+    use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
+    anywhere = with_levels(tested)
+    refitted = inside_ranges(anywhere, use)
+    validation = CrossValidation(refitted, held_out, rng)
+    # A file that cannot describe the vehicle within its ranges would leave its error to the terms.
+    better = validation.least_gain(validation.score(refitted), validation.score(anywhere)) > 0.0
+    options.on_stage("residual by regime")
+    at_base = regime_map(for_tests(refitted), rng)
+    return Refitted(refitted, anywhere if better else refitted, laps, validation, use, at_base)
+
+
+def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions) -> Chosen:
+    """Search explanations, and choose one."""
+    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
+    roads = roads_of(prepared.sessions) if kinds else None
+    found = Search(base.compared, prepared.effects, roads, kinds, base.validation, options.on_stage)
+    found.run()
+    options.on_stage("cross-validation over laps")
+    chosen = Choice(found, base.refitted, base.laps, base.use).best(options.keep_suspected)
+    if chosen.explanation.key:
+        return chosen
+    return replace(chosen, explanation=replace(chosen.explanation, fit=base.refitted))
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Final terms, errors, intervals and residuals."""
+
+    terms: tuple[Term, ...]  # of the final fit, named or not: confirmed ones first, then the largest
+    drift: Term | None  # the slow residual, where it is larger than expected, with the hold-out result of following it live
+    held_out: HeldOut  # errors on hold-out laps
+    tested_end: Fit  # the final fit with the noise that best whitens its residual
+    at_end: RegimeMap  # its residual by regime
+    bounds: Bounds  # intervals of the values of the final fit
+    verdict: Verdict
+
+    @property
+    def found(self) -> tuple[Term, ...]:
+        """Named effects, in the order of the terms."""
+        return tuple(t for t in self.terms if t.is_named)
+
+    @property
+    def described(self) -> tuple[Term, ...]:
+        """Terms without a name, in the order of the terms."""
+        return tuple(t for t in self.terms if not t.is_named)
+
+
+def judge(
+    prepared: PreparedSessions, base: Refitted, chosen: Chosen, options: DiagnosisOptions, rng: np.random.Generator
+) -> Judgement:
+    """Judge an explanation."""
+    final = chosen.final
+    as_file, unusable = _as_file(base, final)
+    worth = _worth(prepared, base, chosen, as_file)
+    options.on_stage("residual")
+    tested_end = for_tests(final)
+    at_end = regime_map(tested_end, rng)
+    options.on_stage("confidence intervals")
+    bounds = intervals(final)
+    terms = by_improvement([_in_final_fit(term, base, final, bounds) for term in chosen.explanation.terms.values()])
+    unnamed = any(not t.is_named for t in terms)
+    left_over = slow_residual(final)
+    if left_over.share > LARGE_SLOW_SHARE:
+        left_over = replace(left_over, closest=closest_to_slow(final, left_over.seconds))
+    later = only_later(base.refitted, worth.mae["refitted"])
+    drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not unnamed else None
+    if drift is not None:
+        drift = replace(drift, improvement=drift_on_held_out(final, base.laps))
+    changed = () if final.effects else changed_values(base.refitted, bounds)
+    verdict = verdict_of(
+        Findings(
+            terms=terms,
+            unconfirmed=chosen.unconfirmed,
+            refitted=base.refitted,
+            at_end=at_end,
+            left_over=left_over,
+            hint=chosen.last.hint,
+            held_out=worth,
+            drift=drift,
+            changed=changed,
+            shares=chosen.shares,
+            sensors=prepared.gated.sensors,
+            by_load=_by_load(chosen.unconfirmed),
+            later=later,
+            sensor=assumed_sensor(final.instrument, worth, "with the effects" if final.effects else "of the re-fit"),
+            unusable=unusable,
+        )
+    )
+    return Judgement(tuple(terms), drift, worth, tested_end, at_end, bounds, verdict)
+
+
+def _by_load(unconfirmed: Sequence[Term]) -> str:
+    """A suspected form over the load that differs only between the recordings; empty without one."""
+    of_load = [t for t in unconfirmed if t.name.endswith(learned.VARIABLES[learned.LOAD].name)]
+    return next((t.name for t in of_load if any(fault.startswith(ONLY_BETWEEN) for fault in t.faults)), "")
+
+
+def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
+    """Torque of each session from the re-fitted base as a file, thus without assumed errors of the sensor [Nm]; and why no
+    command would accept that file, else empty. With effects in the final fit, another file is written.
+    """
+    values, unusable = base.refitted.base_values, ""
+    if not final.effects:
+        try:
+            return base.use.expected(values, (), alone=False), ""
+        except InputError as error:  # the fit may be infeasible elsewhere: a belt that burns at its greatest speed
+            unusable = str(error.given)
+    return [p.torque for p in base.refitted.problem.predict(values, ())], unusable
+
+
+def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: Sequence[Array]) -> HeldOut:
+    """Errors on hold-out laps; raises where they allow no conclusion."""
+    predicted = {"refitted": base.refitted.predicted, "with_effects": chosen.final.predicted}
+    expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
+    worth = held_out(base.laps, {"nominal": prepared.nominal, **expected}, as_file)
+    names = ", ".join(s.name for s in prepared.sessions)
+    odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal, prepared.vehicle.known.is_vehicle)
+    # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
+    has_name = any(term.is_name for term in chosen.explanation.terms.values())
+    stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]
+    r2, mae = ({stage: of[stage] for stage in stages} for of in (worth.r2, worth.mae))
+    refused = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), odd)
+    if refused and not is_like_slope(base.refitted):
+        raise refused
+    final = chosen.final
+    if final.effects:  # a vehicle file holds no assumed errors of the sensor
+        as_file = [p.torque for p in final.problem.predict(final.base_values, final.effects)]
+    error = float(np.abs(base.laps.measured - base.laps.of(as_file)).mean())
+    return replace(worth, without_sensor=error) if error > MUCH_LARGER * worth.mae["with_effects"] else worth
+
+
+def _in_final_fit(term: Term, base: Refitted, final: Fit, bounds: Bounds) -> Term:
+    """A term with its values in the final fit, and its place or its sentences."""
+    values, adds = active_of(final, term.name).values, final.contribution(term.name)
+    term = replace(term, values=values, intervals=bounds_of(term.name, bounds), adds=adds)
+    if not term.is_named:
+        return described(term, final)
+    sessions = final.problem.sessions
+    where = locate(final, against_travel(sessions, adds))
+    if term.is_by_place:
+        where = replace(where, low=where.least, high=where.most)  # limits by place only
+    place, seen = term.effect.acts(values)
+    return replace(
+        term,
+        spans=spans(sessions, adds),
+        location=where,
+        place=place or where.text,
+        seen=seen or where.size(final.problem.base.noun),
+        regime=regime_of(base.refitted, final, base.at_base, where),
+    )
+
+
+def bounds_of(name: str, bounds: Bounds) -> dict[str, Interval]:
+    """Intervals of the parameters of one effect."""
+    return {parameter: interval for (effect, parameter), interval in bounds.items() if effect == name}
+
+
+def conclude(
+    prepared: PreparedSessions, base: Refitted, chosen: Chosen, judged: Judgement, options: DiagnosisOptions
+) -> tuple[tuple[Advice, ...], FileChanges]:
+    """Next drives, and the changes that may be written."""
+    options.on_stage("next drives")
+    terms = chosen.explanation.terms.values()
+    # The manoeuvres are for drivers.
+    of_vehicle = prepared.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in prepared.sessions)
+    asked = [partial(advise, term, prepared.vehicle.known.max_speed) for term in terms if of_vehicle]
+    advice = [a for ask in asked for a in attempt("the best next drive", ask) or ()]
+    keep_suspected, final = options.keep_suspected, chosen.final
+    kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
+    believed = believed_in(judged.terms, judged.verdict, kinds, keep_suspected)
+    confirmed = [t.name for t in terms if t.confirmed]
+    passing = [t.name for t in terms if t.confirmed and isinstance(t.pattern, Chain)]
+    kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, passing)
+    names = {name for kind in BELONGS_TO for name in kept.names_of(kind)}
+    # Those by place too, and those that have faded since: a disturbance is what the file lacks.
+    written = [a for a in final.effects if a.effect.name in names or not base.use.written([a])]
+    expected = base.use.recorded(kept.values, written)
+    old = prepared.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
+    shown = (kept.values or {}).get("torque_scale", old) / old
+    watched = [t for t in judged.terms if isinstance(t.pattern, Chain) and may_be_kept(t, judged.verdict, keep_suspected)]
+    drift, spells = judged.drift, next(iter(watched), None)
+    drifts = drift is not None and (drift.confirmed or (keep_suspected and drift.grade != REFUTED))
+    disturbance: LearnedDisturbance | None = None
+    if spells is not None:
+        disturbance = spells_to_watch(spells, final, expected, shown)
+    elif drifts:
+        disturbance = drift_to_watch(final, expected, shown)
+    return tuple(advice), kept.with_disturbance(disturbance)
+
+
+def believed_in(terms: Sequence[Term], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool) -> list[str]:
+    """Names of the effects that may be written: accepted by the verdict, confirmed on hold-out laps, and with
+    all alternatives of the same kind, by the `kinds` of the catalogue. An unnamed term must depend on inputs known at the time.
+    With `keep_suspected`, all found effects except refuted ones.
+    """
+
+    def settled(t: Term) -> bool:
+        own = kinds.get(t.name)
+        return keep_suspected or {kinds.get(m, own) for m in t.members} <= {own}
+
+    kept = [t for t in terms if may_be_kept(t, verdict, keep_suspected)]
+    return [t.name for t in kept if (settled(t) if t.is_named else t.predictable)]
+
+
+def may_be_kept(t: Term, verdict: Verdict, keep_suspected: bool) -> bool:
+    """Whether the verdict accepts the term and hold-out laps confirm it, or suspected ones are kept."""
+    return t.grade != REFUTED if keep_suspected else verdict.names and t.confirmed
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +306,12 @@ class Diagnosis(Judgement):
     nominal
         Torque of each session with the values of the vehicle file [Nm].
     refitted, at_base
-        The re-fitted base, with values from `levels.with_levels`, and its residual by regime.
+        The re-fitted base, with values from `fitting.with_levels`, and its residual by regime.
     final, shares
         The same with the effects found; and the probability of each name, and of no name.
-    alone, steps, unconfirmed
-        The search round from the base alone; one round per term from the other terms, and a last one from all of them; and the
-        best-fitting terms that cross-validation does not confirm.
-    routes
-        Terms by place, named or unnamed: a slope, a torque, or a torque in addition to a slope.
+    alone, last, unconfirmed
+        The search rounds from the base alone and from all terms; and the best-fitting terms that cross-validation does not
+        confirm.
     advice, kept
         Next drives, and changes that may be written.
     """
@@ -70,10 +324,9 @@ class Diagnosis(Judgement):
     at_base: RegimeMap
     final: Fit
     shares: Mapping[str, float]
-    alone: Step
-    steps: tuple[Step, ...]
-    unconfirmed: tuple[Graded, ...]
-    routes: tuple[Route, ...]
+    alone: Round
+    last: Round
+    unconfirmed: tuple[Term, ...]
     advice: tuple[Advice, ...]
     kept: FileChanges
 
@@ -101,6 +354,11 @@ class Diagnosis(Judgement):
     def noise(self) -> Noise:
         """Noise model that best whitens the residual of the last fit."""
         return self.tested_end.noise
+
+    @property
+    def in_order(self) -> list[Term]:
+        """The terms in the order of the final fit."""
+        return [next(t for t in self.terms if t.name == name) for name in self.modelled]
 
     @property
     def modelled(self) -> tuple[str, ...]:
@@ -151,9 +409,8 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
         final=chosen.final,
         shares=chosen.shares,
         alone=chosen.alone,
-        steps=(*chosen.steps.values(), chosen.last),
+        last=chosen.last,
         unconfirmed=chosen.unconfirmed,
-        routes=chosen.routes,
         advice=advice,
         kept=kept,
     )

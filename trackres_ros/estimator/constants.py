@@ -28,7 +28,7 @@ from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_
 from trackres_ros.route.lookup import CELL_COLUMNS, PLACE_COLUMNS
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
-from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.description import FITTED
 
 # Limits outside of which a measurement is refused, unless the vehicle file gives others: [low, high] in SI, degC.
 PLAUSIBLE = {

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.estimator import columns as at
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text import decimals
 
 
 class Estimate:

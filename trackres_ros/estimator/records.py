@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text import decimals
 
 NOT_NUMBERS = "MmcbSUV"  # kinds of dtypes that numpy would convert: dates, durations, complex, true and false, texts, records
 DATES = "Mm"

@@ -5,25 +5,24 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
-from trackres_ros import checks
+from trackres_ros.files.dataclass_reader import Limits, check_values
 from trackres_ros.recording.roles import PASSENGER_KG
 
-PARTS = ("hysteresis", "bearing", "wind", "grade", "inertia")
-BELT_SENSORS = ("auto", "mean", "surface")
+FeedforwardPart = Literal["hysteresis", "bearing", "wind", "grade", "inertia"]
+PARTS = get_args(FeedforwardPart)
 
 
 def setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
-    """A field with unit, limits and meaning in its metadata."""
-    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "meaning": meaning})
+    """A field with limits and meaning in its metadata."""
+    return field(default=default, metadata={"limits": Limits(unit, low, high, meaning), "meaning": meaning})
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the estimator; the field metadata holds unit, limits and meaning of each."""
+    """Settings of the estimator; the field metadata holds limits and meaning of each."""
 
     initial_belt_std_k: float = setting(15.0, "K", 0.0, 100.0, "standard deviation of the belt temperature at a cold start")
     process_noise_k: float = setting(0.02, "K/sqrt(s)", 0.0, 10.0, "random walk of the belt temperature, for unmodelled effects")
@@ -77,14 +76,14 @@ class Settings:
     )
     feedforward_fade_s: float = setting(1.0, "s", 0.01, 60.0, "time in which the feed-forward then goes to zero")
     belt_std_warn_k: float = setting(25.0, "K", 0.1, 1000.0, "a belt temperature with a larger standard deviation is reported")
-    feedforward_parts: tuple[str, ...] = field(
+    feedforward_parts: tuple[FeedforwardPart, ...] = field(
         default=("hysteresis", "bearing", "wind"),
         metadata={
             "meaning": f"parts summed in the feed-forward, of {', '.join(PARTS)}; "
             "inertia is included only while an acceleration is given"
         },
     )
-    belt_sensor: str = field(
+    belt_sensor: Literal["auto", "mean", "surface"] = field(
         default="auto",
         metadata={
             "meaning": "what a measured belt temperature shows: mean, or surface (infrared); auto: surface for a belt of a "
@@ -93,10 +92,4 @@ class Settings:
     )
 
     def __post_init__(self) -> None:
-        for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
-            if "unit" in item.metadata:
-                of, check = item.metadata, checks.whole if item.type == "int" else checks.number
-                check(value, f"setting {item.name}", of["low"], of["high"], of["unit"])
-        checks.each_of(self.feedforward_parts, "feedforward_parts", PARTS)
-        checks.one_of(self.belt_sensor, "belt_sensor", BELT_SENSORS)
+        check_values(self, "setting")

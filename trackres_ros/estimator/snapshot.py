@@ -30,7 +30,7 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.plausible_state import check_effects, check_learned, check_memory, check_state
 from trackres_ros.estimator.records import LONGEST_STEP_S
 from trackres_ros.files import own_files
-from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.documents import parse_json
 
 FORMAT = "trackres-state"
 VERSION = 15

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.files.cached_arrays import cached_arrays
+from trackres_ros.files.cache import cached_arrays
 from trackres_ros.model.hysteresis import METHODS, Spectral
 from trackres_ros.model.loss_table import fingerprint
 from trackres_ros.model.rubber import RubberModel
@@ -23,7 +23,7 @@ from trackres_ros.model.thermal import film_coefficient, thermal_network
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import Vehicle, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity
-from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.description import FITTED
 
 VERSION = 2  # of the cached form
 STEP = 0.1  # of a standard deviation, for the differences

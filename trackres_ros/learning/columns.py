@@ -13,7 +13,7 @@ from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
 from trackres_ros.model.resistance import direction
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 LEARNING, LEARNED, FROZEN, HELD = range(4)
 STATES_OF = ("learning", "learned", "frozen", "at its bound")

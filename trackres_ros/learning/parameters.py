@@ -14,10 +14,10 @@ from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.dataclass_reader import Limits
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
-from trackres_ros.vehicle.description import QuantityLimits
-from trackres_ros.vehicle.road import SECTION
-from trackres_ros.vehicle.schema import BELT, CHASSIS, ROAD_LOAD, RUBBER
+from trackres_ros.vehicle.description import BELT, CHASSIS, RUBBER
+from trackres_ros.vehicle.road import ROAD_LOAD, SECTION
 from trackres_ros.vehicle.writing.vehicle_file import rubber_share
 
 # The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
@@ -110,7 +110,7 @@ def _of_wheels(vehicle: RoadVehicle) -> tuple[Learnable, ...]:
     )
 
 
-def limits_of(path: str) -> QuantityLimits:
+def limits_of(path: str) -> Limits:
     """What a file may hold for a value of `Learnable.paths`."""
     section, _, name = path.rpartition(".")
     return {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]

@@ -13,7 +13,7 @@ from trackres_ros.learning.correction import accepted
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import REACH_STD, Learnable, limits_of
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle
-from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.description import FITTED
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import write_road_vehicle, write_track_vehicle
 from trackres_ros.vehicle.writing.yaml_edit import Document

@@ -25,7 +25,7 @@ from trackres_ros.model.loss_table import LossTable, log_speeds
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient
 from trackres_ros.model.track import belt_network, load_range
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 

@@ -16,7 +16,7 @@ from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import ThermalNetwork, parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Track, Vehicle
-from trackres_ros.vehicle.schema import MODEL_CHOICES
+from trackres_ros.vehicle.description import MODEL_CHOICES
 
 SURE_SPEED = 5.0  # m/s at which the belt tension is stated; it hardly depends on it
 

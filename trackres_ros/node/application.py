@@ -3,42 +3,47 @@
 
 """The running application: receives messages, keeps the estimate, publishes at its rate, and reports when not to trust it.
 
-It depends on neither ROS nor DDS. A transport passes it messages and calls `tick` every `period_s`; it publishes through the
-transport. All calls come from one thread.
+A message passes five things in a row: `inputs` decodes it, the guards of the session judge its samples, a step makes an estimate,
+the filter of `output` makes the feed-forward of now, and the publisher sends. It depends on neither ROS nor DDS: a transport
+passes it messages, calls `tick` every `period_s`, and publishes. All calls come from one thread.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.between_steps import fed_now
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import LONGEST_OFF, content
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.node.clock import NodeClock, steady_ns
-from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics, without_effect
-from trackres_ros.node.guard import Guard
-from trackres_ros.node.input_reader import InputReader
-from trackres_ros.node.live_learning import LiveLearning
-from trackres_ros.node.message_handler import MessageHandler
-from trackres_ros.node.notices import Notice, level_of
-from trackres_ros.node.parameters import Parameters
-from trackres_ros.node.publisher import OutputPublisher
-from trackres_ros.node.report import Overview, bare_status, overview, statuses
-from trackres_ros.node.service_manager import ServiceManager
-from trackres_ros.node.setup import changed_parameters, read_setup
-from trackres_ros.node.speed_sources import SpeedSources
+from trackres_ros.node.inputs import Arrival, Inbox, InputReader, MessageHandler, NodeClock, SpeedSources
+from trackres_ros.node.measured_torque import Comparison, LiveLearning
+from trackres_ros.node.notices import Guard, Notice, level_of
+from trackres_ros.node.output import FeedforwardFilter, OutputPublisher
+from trackres_ros.node.parameters import Parameters, changed_parameters, read_setup
+from trackres_ros.node.process import RESET, RESET_LEARNING, SAVE, ServiceManager, SignalRequests, steady_ns
 from trackres_ros.node.state_keeper import StateKeeper, state_path
-from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
-from trackres_ros.node.watch import COMPANIONS, STARTING_NS, Watch, contested, two_speeds
+from trackres_ros.node.status import STARTING_NS, Overview, Watch, bare_status, contested, statuses, two_speeds
+from trackres_ros.node.transport import (
+    InputTopic,
+    KeepMessage,
+    Level,
+    Peer,
+    Reasons,
+    Transport,
+    input_topics,
+    live_topics,
+    other_topics,
+    without_effect,
+)
 from trackres_ros.units import NANOSECOND, SECOND_NS
 
 ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
@@ -69,12 +74,12 @@ class Application:
         self.estimator = Estimator(self.vehicle, setup.settings)
         self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
         self.outputs = live_topics(self.vehicle, self.topics)
-        measured = any("torque" in given.roles for given in self.inputs)
+        measured = any("torque" in given.valued for given in self.inputs)
         self._diagnose = parameters.diagnose_command()
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
         file = state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
         self.keeper = StateKeeper(*file, steady_ns=steady_ns)
-        self.active = self._withdrawn = False
+        self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self.on_published: Callable[[int, list[float], Reasons, int], None] | None = None  # stamp, numbers, reasons, time
         self.on_restored: Callable[[bytes, int], None] | None = None  # file of the state that the first speed found, arrival
@@ -87,11 +92,12 @@ class Application:
             self.estimator.constants.number.max_acceleration, lambda: self.estimator.settings.speed_max_age_s
         )
         self.messages = MessageHandler(self.inputs, reader, self.sources, self.clock, self.guard, self._step)
+        self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
+        self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
+        self.filter = FeedforwardFilter(self.session, self.clock)
         self._publisher = OutputPublisher(self.outputs, self.estimator, transport)
         self._publisher.on_estimate = self._keep_published
         self._service = ServiceManager()
-        self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
-        self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
         if idle := without_effect(self.topics, self.estimator.channels, bool(self.estimator.assemblies)):
             self.began_with += f"; the vehicle has no belt or wheel for {', '.join(idle)} of the topics file: without effect"
         self._state_at = self.keeper.holds_at
@@ -102,7 +108,6 @@ class Application:
         self._peers: list[Sequence[Peer]] = [()] * len(self.inputs)
         self._latched: set[int] = set()  # inputs that also receive what their publishers keep
         self._rivals: Sequence[str] = ()
-        self._withheld = False
         now = steady_ns()
         self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
         self._next_look_ns, self._started_ns = now, now
@@ -127,6 +132,11 @@ class Application:
         """Longest time between two outputs."""
         return LONGEST_PERIOD_S if self._on_speed else 1.0 / self.parameters.number("output_rate_hz")
 
+    def inbox(self, take: Callable[[int], Iterable[Any]], deliver: Callable[[int, Any, Arrival], None]) -> Inbox:
+        """The queue of a transport: `take` fetches what waits at an input, `deliver` passes a message on with its arrival."""
+        fetches = [self.guard.taking(f"reading {name}", partial(take, index)) for index, name in enumerate(self._topic_names)]
+        return Inbox(fetches, deliver, self.clock.arrival, self.messages.dropped, self.parameters.count("input_depth"))
+
     def record(self, keep: KeepMessage) -> list[tuple[InputTopic, str]]:
         """Record every message on all topics of the topics file; return these topics and the texts that define their types.
 
@@ -144,7 +154,10 @@ class Application:
         self.messages.keep_raw = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
         return known
 
+    # The way of a sample: guards and step, filter, publisher
+
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
+        """Have the guards judge a sample; an accepted speed makes a step."""
         restored = None
         if channel == at.SPEED and self._publisher.stamp_ns is None:
             self.guard("cooling the restored belts", self._rest_unused_belts)
@@ -161,32 +174,16 @@ class Application:
                 self.guard("recording", self.on_restored, restored, arrival)
             self._take(estimate, steady, now, arrival)
 
-    def _waited_ns(self, channel: int, arrival: int) -> int:
-        """How long the last accepted message waited in a queue before it came, as while this process was stopped.
-
-        The steady clock does not know how long a simulated time is.
-        """
-        return 0 if self.clock.simulated else arrival - int(self.session.memory.times[channel, at.Times.last_arrival])
-
-    def _restored(self) -> bytes | None:
-        """State file from which a replay of all messages gives the live estimates; None for a start without a past."""
-        if not self.session.has_past:
-            return None
-        session = self.estimator.session()  # without the messages until now, which are in the replay
-        session.begin(self.session.state)
-        session.motion[:] = self.session.motion
-        return content(session, self._state_at, self.learning.stored())
-
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
+        """Hand an estimate to the filter and the publisher, then to all that only look at it."""
         values = estimate.row.tolist()
         if odd := [self.estimator.columns[column] for column in MUST_BE_FINITE if not math.isfinite(values[column])]:
             raise ArithmeticError(f"not finite: {', '.join(odd)}")  # without values: a new text each time floods the log
         stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
         set_ns = 0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival)
-        published = stamp + set_ns
-        self._publisher.slow_max_age_s = float(self.session.motion[at.Motion.longest_age])
-        self._publisher.take(values, published, steady, waited)
-        offset = now - waited - published
+        self.filter.take(steady, waited)
+        self._publisher.take(values, stamp + set_ns)
+        offset = now - waited - stamp - set_ns
         new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), offset)
         if new_reasons:
             self._reasons_seen = None
@@ -205,6 +202,35 @@ class Application:
             record = self.on_estimate
             self.guard("recording", lambda: record([*values, *self.learning.columns(values, self.session)], stamp, arrival))
 
+    def _publish(self, steady: int) -> None:
+        """Publish the last estimate, with the feed-forward and the reasons of now; before the first one only a reason."""
+        course = self.filter.course(steady)
+        self._show(course.stopped)
+        if self._publisher.stamp_ns is not None:
+            self._publisher.publish(self.filter.moved(course), lambda: self._reasons_or_fault(steady))
+
+    def _waited_ns(self, channel: int, arrival: int) -> int:
+        """How long the last accepted message waited in a queue before it came, as while this process was stopped.
+
+        The steady clock does not know how long a simulated time is.
+        """
+        return 0 if self.clock.simulated else arrival - int(self.session.memory.times[channel, at.Times.last_arrival])
+
+    def _keep_published(self, stamp: int, numbers: list[float], reasons: Reasons) -> None:
+        if self.on_published:
+            self.guard("recording", self.on_published, stamp, numbers, reasons, self.clock.present_ns(self.clock.steady_ns()))
+
+    def _restored(self) -> bytes | None:
+        """State file from which a replay of all messages gives the live estimates; None for a start without a past."""
+        if not self.session.has_past:
+            return None
+        session = self.estimator.session()  # without the messages until now, which are in the replay
+        session.begin(self.session.state)
+        session.motion[:] = self.session.motion
+        return content(session, self._state_at, self.learning.stored())
+
+    # Reasons
+
     def _report_fault(self, text: str) -> None:
         self._reasons_seen = None
         self._log(Level.ERROR, text)
@@ -217,38 +243,23 @@ class Application:
         except BaseException:  # the failure to report cannot be reported
             pass
 
-    def _publish(self, steady: int) -> None:
-        pace = self.clock.pace_ns(steady)
-        goal, target, unfed = self._fed(steady, pace)
-        self._show(unfed)
-        self._publisher.publish(steady, pace, self._reasons_or_fault, goal, target)
+    def _show(self, reasons: int) -> None:
+        """Publish reasons between two estimates, at once where they are new."""
+        if self.guard("watching the reasons", self._watch.note, reasons):
+            self._show_change()
 
-    def _keep_published(self, stamp: int, numbers: list[float], reasons: Reasons) -> None:
-        if self.on_published:
-            steady = self.clock.steady_ns()
-            at_ns = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
-            self.guard("recording", self.on_published, stamp, numbers, reasons, at_ns)
-
-    def _fed(self, steady: int, pace: int) -> tuple[float, float, int]:
-        """The session's feed-forward now and its target [Nm], and the reason why that is zero; see `between_steps.fed_now`."""
-        arrival = self.clock.recorded_ns(steady, pace)
-        goal, target, unfed = fed_now(self.estimator.constants, self.session.memory, self.session.motion, arrival)
-        return float(goal), float(target), unfed
+    def _show_change(self) -> None:
+        self._reasons_seen = None
+        if self.active:
+            self._publish_status(self.clock.steady_ns())
 
     def _reasons_or_fault(self, steady: int) -> Reasons:
         hold = self.guard("the reasons", self._reasons, steady)
         return (("PART_FAILED", Level.WARN),) if hold is None else hold
 
-    def _show(self, reasons: int) -> None:
-        """Publish reasons between two estimates, at once where they are new."""
-        if self.guard("watching the reasons", self._watch.note, reasons):
-            self._reasons_seen = None
-            if self.active:
-                self._publish_status(self.clock.steady_ns())
-
     def _reasons(self, steady: int) -> Reasons:
         """All present notices, each name once."""
-        old = self._publisher.age_s(steady) > self._publisher.max_age_s
+        old = self.filter.age_s(steady) > self.filter.max_age_s
         seen = self._reasons_seen
         if seen is None or old is not seen[1] or not 0 <= steady - seen[0] < REASONS_KEPT_NS:
             hold = tuple({notice.name: notice.level for notice in self.notices(steady)}.items())
@@ -259,8 +270,8 @@ class Application:
 
     def activate(self) -> None:
         """Begin to publish, once nobody else publishes the feed-forward. The estimate runs whether it is published or not."""
-        self._publisher.begin()
-        self.active, self._withdrawn, self._withheld, self._reasons_seen = True, False, False, None
+        self.filter.begin()
+        self.active, self._reasons_seen = True, None
         self.guard("looking for other publishers", self._look_around, self.clock.steady_ns())
 
     def deactivate(self, error: BaseException | None = None, meanwhile: Callable[[], None] = lambda: None) -> None:
@@ -273,13 +284,13 @@ class Application:
             self.guard.failed("the main loop", error, essential=True)
         if not self.active:
             return
-        self._withdrawn, self._reasons_seen = True, None
-        self._publisher.withdraw(self.clock.steady_ns())
+        self._reasons_seen = None
+        self.filter.end(self.clock.steady_ns())
         self._publish_status(self.clock.steady_ns(), diagnostics=True)
         with suppress(Exception):
             while self._publisher.opened and self._publisher.stamp_ns is not None:
                 self._publish(self.clock.steady_ns())
-                if self._publisher.feedforward == 0.0:
+                if self.filter.torque_nm == 0.0:
                     break
                 self._sleep(self.period_s)
                 meanwhile()
@@ -292,7 +303,7 @@ class Application:
         It never raises: a part that fails is named on the status, and the others run.
         """
         steady = self.clock.steady_ns()
-        age_s, max_age_s = self._publisher.age_s(steady), self._publisher.max_age_s
+        age_s, max_age_s = self.filter.age_s(steady), self.filter.max_age_s
         turned_old = self.guard("watching the age of the speed", self._watch.look_at_age, age_s, max_age_s)
         self.guard.essential("taking late messages", self.messages.handle_late, steady)
         if steady >= self._next_look_ns:
@@ -329,18 +340,9 @@ class Application:
 
     def _withhold(self, steady: int) -> None:
         """Let the feed-forward go to zero while another gives the torque or the speed too, or there is no time."""
-        now = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
-        withheld = bool(self._rivals or self.sources.disagreeing(now) or self._clock_is_bad(steady))
-        if withheld is self._withheld:
-            return
-        self._withheld, self._reasons_seen = withheld, None
-        if not self._withdrawn:
-            self._publisher.withdraw(steady if withheld else None)
-        if self.active:
-            self._publish_status(self.clock.steady_ns())
-
-    def _clock_is_bad(self, steady: int) -> bool:
-        return self.clock.simulated and self.clock.now_ns(steady) == 0
+        disagree = self.sources.disagreeing(self.clock.present_ns(steady))
+        if self.filter.withhold(bool(self._rivals or disagree or self.clock.lack(steady)), steady):
+            self._show_change()
 
     def _publish_due(self, steady: int) -> None:
         early_ns = 0 if self._on_speed else int(0.5 * self.period_s * SECOND_NS)
@@ -348,15 +350,8 @@ class Application:
             between_ns = int(self._between_outputs_s * SECOND_NS)
             self._next_output_ns = max(self._next_output_ns + between_ns, steady)
             self._publish(steady)
-        elif self.publishes and self._between_outputs_s > LONGEST_PERIOD_S and self._has_to_fall(steady):
+        elif self.publishes and self._between_outputs_s > LONGEST_PERIOD_S and self.filter.has_to_fall(steady):
             self._publish(steady)
-
-    def _has_to_fall(self, steady: int) -> bool:
-        """Whether the last published torque is on its way to zero or through it: that waits for no slow rate of outputs."""
-        here = self._publisher.feedforward
-        if here == 0.0:
-            return False
-        return self._publisher.left(steady) < 1.0 or here * self._fed(steady, self.clock.pace_ns(steady))[1] <= 0.0
 
     def _save_due(self, steady: int) -> None:
         if steady >= self._next_save_ns:
@@ -376,23 +371,24 @@ class Application:
             self._peers = [self._transport.peers(i) for i in range(len(self.inputs))]
             self._look_at_peers()
         finally:  # rates and refusals are of interest without peers too
-            arrival = self.clock.recorded_ns(steady, self.clock.pace_ns(steady))
+            arrival = self.clock.present_ns(steady)
             self._watch.every_second(self.session, self.messages.reader, self._peers, steady, arrival)
             self._reasons_seen = None
 
     def _look_at_peers(self) -> None:
         """Treat each input as its present publishers require."""
         self.messages.misread = [i for i, found in enumerate(self._peers) if any(peer.misread for peer in found)]
-        several = {}
+        mixed = []
         for index, (given, found) in enumerate(zip(self.inputs, self._peers, strict=True)):
             sending = [peer for peer in found if peer.compatible and peer.type == given.type]
-            several[index] = len(sending) > 1
+            if len(sending) > 1:
+                mixed.append(index)
             if not given.stands:
                 continue
             if index not in self._latched:
                 self._latch(index, found)
             self.messages.repeat(index, {peer.source for peer in sending if peer.latched})
-        self.messages.mixed = [index for index, more in several.items() if more]
+        self.messages.mixed = mixed
 
     def _log_notices(self, steady: int) -> None:
         notices = self.notices(steady)
@@ -424,29 +420,49 @@ class Application:
             *(self.guard("recording", self.recording_notices) or []),
             *self.guard.notices(steady),
         ]
-        if self._withdrawn and all(notice.name != "INTERNAL_ERROR" for notice in found):  # which says why it ends
+        if self.filter.ends and all(notice.name != "INTERNAL_ERROR" for notice in found):  # which says why it ends
             found.append(Notice("INACTIVE", "the node is deactivated or ends, and the feed-forward goes to zero"))
         return sorted(found, key=lambda notice: -notice.level)
 
     def _watched(self, steady: int) -> list[Notice]:
         found = self._watch.notices(
-            age_s=self._publisher.age_s(steady),
-            max_age_s=self._publisher.max_age_s,
+            age_s=self.filter.age_s(steady),
+            max_age_s=self.filter.max_age_s,
             period_s=int(self.session.memory.times[at.SPEED, at.Times.period]) * NANOSECOND,
-            no_clock=self.clock.lack if self._clock_is_bad(steady) else "",
+            no_clock=self.clock.lack(steady),
         )
         if self._rivals:
             found.append(contested(self._rivals, self._publisher.opened))
-        both = self.sources.disagreeing(self.clock.recorded_ns(steady, self.clock.pace_ns(steady)))
+        both = self.sources.disagreeing(self.clock.present_ns(steady))
         if both:
-            index = next(index for index, given in enumerate(self.inputs) if "speed" in given.roles)
+            index = next(index for index, given in enumerate(self.inputs) if "speed" in given.valued)
             found.append(two_speeds(self._topic_names[index], both, self._peers[index]))
         return found
 
     def overview(self, steady: int | None = None) -> Overview:
         """Snapshot for statuses and the terminal."""
         steady = self.clock.steady_ns() if steady is None else steady
-        return overview(self.notices(steady), self._publisher, self._watch, self.comparison, self.keeper, self.learning, steady)
+        notices, keeper, row = self.notices(steady), self.keeper, self._publisher.row
+        return Overview(
+            level=level_of(notices),
+            notices=tuple(notices),
+            stamp_ns=self._publisher.stamp_ns,
+            age_s=self.filter.age_s(steady),
+            steps_hz=self._watch.steps_hz,
+            published=self._publisher.published,
+            left=self.filter.share(steady),
+            feedforward_nm=self.filter.torque_nm,
+            values=dict(zip(self.estimator.columns, row, strict=True)) if row else {},
+            assemblies=self.estimator.assemblies,
+            inputs=self._watch.inputs(steady),
+            mismatch=self.comparison.verdict,
+            disturbance=self.comparison.belief,
+            learning=self.learning.text,
+            state_file=str(keeper.path or ""),
+            saved_s_ago=math.nan if keeper.saved_ns is None else (steady - keeper.saved_ns) * NANOSECOND,
+            state_error=keeper.error,
+            state_unused=keeper.unused,
+        )
 
     # Requests of a transport or a signal
 
@@ -471,10 +487,18 @@ class Application:
         """The parameters after a change, which is not made; see `changed_parameters`."""
         return changed_parameters(self.parameters, given, self.topics)
 
+    def carry_out(self, requests: SignalRequests) -> None:
+        """Carry out pending requests by signals, and log what became of each."""
+        do: dict[int, Callable[[], str]] = {SAVE: self.save_state, RESET: self.reset, RESET_LEARNING: self.reset_learning}
+        for request in requests.pending():
+            try:
+                self._log(Level.OK, do[request]())
+            except InputError as error:
+                self._log(Level.WARN, str(error))
+
     def reset(self) -> str:
         """Start cold, with belts at the ambient temperature; inputs stay. Return a text for the log."""
-        age_s = self._publisher.age_s(self.clock.steady_ns())
-        self.session.start_cold(driving=age_s <= self._publisher.max_age_s)
+        self.session.start_cold(driving=self.filter.age_s(self.clock.steady_ns()) <= self.filter.max_age_s)
         self._forget()
         text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
@@ -521,21 +545,16 @@ class Application:
             self.guard("saving the state", self.keeper.close)
 
     def _log_counts(self) -> None:
-        reader, channels = self.messages.reader, self.estimator.channels
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
-        others = {"bad_stamp": reader.bad_stamp, "without_other_part": reader.alone(), "absent": reader.absent}
-        others |= dict(zip(COMPANIONS, map(list, zip(*reader.dropped_by_companions(), strict=True)), strict=True))
-        others["unused"] = reader.unused
-        for kind, counts in others.items():
-            counted += [f"{name} {kind} {n}" for name, n in zip(channels, counts, strict=True) if n]
-        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, reader.dropped, strict=True) if n]
+        for kind, numbers in self.messages.reader.counts().items():
+            names = self._topic_names if kind == "dropped" else self.estimator.channels
+            counted += [f"{name} {kind} {n}" for name, n in zip(names, numbers, strict=True) if n]
         self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
 
     def _go_on_with(self, estimator: Estimator) -> None:
         session = estimator.session()
         session.adopt(self.session)
-        self.estimator, self.session = estimator, session
-        self._publisher.estimator = estimator
+        self.estimator, self.session, self.filter.session = estimator, session, session
 
     def _rest_unused_belts(self) -> None:
         """Belts from a state file cool and learned values wear until the first speed: a clock set before that tells how long."""

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Every parameter of the live node: one table of default, unit, limits and meaning, from which the YAML file and the docs are
-made.
+made; and what the node reads by them: vehicle, topics, settings, quality of service.
 
-The settings of the estimator are part of it, so the same file serves `trackres replay --params`.
+The settings of the estimator are part of the table, so the same file serves `trackres replay --params`. A node without parameter
+services watches its file for changes.
 """
 
 from __future__ import annotations
@@ -14,27 +15,40 @@ import difflib
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, get_type_hints
+from typing import Any, NamedTuple
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
-from trackres_ros.files.yamls import read_yaml
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.topic_settings import FIELDS, given_by, settings_for
+from trackres_ros.files.dataclass_reader import Limits, fields_of, limits_of, words_of
+from trackres_ros.files.documents import read_yaml
+from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.learner import MODES
-from trackres_ros.node.mismatch import MismatchSettings
+from trackres_ros.node.measured_torque import MismatchSettings
+from trackres_ros.node.transport import Quality
+from trackres_ros.output.topics import OutputTopic
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.roles import POSITION
+from trackres_ros.vehicle import AnyVehicle, load_any, with_surroundings
 
 Value = int | float | bool | str | tuple[str, ...]
+Stamp = tuple[int, int, int]
+"""Inode, size and time of change: a file of another stamp is another one."""
 
 AT_START = "the node reads it once, when it is configured"
 CONNECTED = "the node connects with it when it is configured"
 RELIABILITIES = ("best_effort", "reliable")
 ROS_KEY = "ros__parameters"
 QOS_OVERRIDES = "qos_overrides"  # rclpy's section of a parameter file
+WIRE_DEPTH = 5000  # enough for a few seconds' delay of this process at 1 kHz: a middleware drops messages silently
+LOOK_EVERY_S = 1.0  # between two looks at a parameter file
+TOPIC_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 SWITCH = MappingProxyType({True: "on", False: "off"})
 """YAML's values for the words on and off, and the words themselves."""
 
@@ -89,18 +103,15 @@ class NodeParameter:
 
 
 def _of(settings: type[Settings | MismatchSettings]) -> tuple[NodeParameter, ...]:
-    """Parameters out of a dataclass of settings, by its metadata."""
-    choices = {"feedforward_parts": PARTS, "belt_sensor": BELT_SENSORS}
-    kinds = get_type_hints(settings)
+    """Parameters out of an annotated dataclass of settings."""
+    limits, choices = limits_of(settings), {field.name: words_of(field.kind) for field in fields_of(settings)}
     return tuple(
         NodeParameter(
             item.name,
-            kinds[item.name](item.default) if kinds[item.name] in (int, float) else item.default,  # type: ignore[arg-type]
+            item.default,  # type: ignore[arg-type]
             item.metadata["meaning"],
-            item.metadata.get("unit", ""),
-            item.metadata.get("low", math.nan),
-            item.metadata.get("high", math.nan),
-            choices.get(item.name, ()),
+            *limits.get(item.name, Limits("", math.nan, math.nan, ""))[:3],
+            choices[item.name],
         )
         for item in dataclasses.fields(settings)
     )
@@ -222,6 +233,21 @@ class Parameters:
         """The share of the comparison with a measured torque."""
         return MismatchSettings(**{item.name: self.number(item.name) for item in dataclasses.fields(MismatchSettings)})
 
+    def input_quality(self) -> Quality:
+        """Quality of service of every input; `input_depth` limits the queue in this process, which counts dropped messages."""
+        depth = max(self.count("input_depth"), WIRE_DEPTH)
+        return Quality(self.text("input_reliability") == "reliable", depth, self.number("input_deadline_s"))
+
+    def latched_quality(self) -> Quality:
+        """Quality of service of the second endpoint of an input, for what its publishers keep: these are reliable."""
+        return Quality(True, self.input_quality().depth, 0.0, latched=True)
+
+    def output_quality(self, topic: OutputTopic) -> Quality:
+        """Quality of service of an output; a deadline only on those that come at a steady rate."""
+        steady = topic.kind != "status" and topic.name != "torque_residual"
+        deadline_s = self.number("output_deadline_s") if steady else 0.0
+        return Quality(self.text("output_reliability") == "reliable", self.count("output_depth"), deadline_s)
+
     def changed(self, given: Mapping[str, object]) -> Parameters:
         """These with some changed while the node runs.
 
@@ -336,3 +362,145 @@ def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tupl
             found.append((name, parameters or {}))
         found += _sections(rest, name, origin)
     return found
+
+
+class Setup(NamedTuple):
+    """Vehicle, topics and settings of a node."""
+
+    vehicle: AnyVehicle  # with its surroundings
+    topics: Topics  # every role has a topic, and speed is among them
+    settings: Settings  # of the estimator, with the values of the topics file
+
+
+def read_setup(parameters: Parameters) -> Setup:
+    """Read the files that the parameters of a node name.
+
+    Raises InputError if no vehicle is named, or vehicle, surroundings or topics file cannot be used.
+    """
+    if not parameters.text("vehicle"):
+        raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
+    topics = Topics.load(parameters.text("topics") or "default")
+    _check_live(topics)
+    vehicle = with_surroundings(load_any(find_vehicle(parameters.text("vehicle"))), parameters.text("surroundings"))
+    return Setup(vehicle, topics, settings_for(parameters.settings(), topics))
+
+
+def changed_parameters(before: Parameters, given: Mapping[str, object], topics: Topics) -> Parameters:
+    """The parameters after a change while running.
+
+    Raises InputError for an unknown or bad value, one that cannot be changed while running, or one that the topics file
+    decides.
+    """
+    parameters = before.changed(given)
+    fixed = given_by(topics)
+    for name in given:
+        if name in fixed and fixed[name] != parameters.values[name]:
+            raise InputError(
+                f"parameter {name}",
+                given[name],
+                f"{fixed[name]}, set by the topics file",
+                f"change {FIELDS.get(name, 'max_age_s')} in {topics.origin} and reconfigure the node",
+            )
+    return parameters
+
+
+def _check_live(topics: Topics) -> None:
+    """Refuse topics that a live node cannot use: a column of a table, a name that ROS does not allow, or no speed among them."""
+    for where, given, _ in topics.unused(of_topics=True):
+        raise InputError(where, given, "a topic with type and field", "use a topics file for each kind of source")
+    for role in topics:
+        for source in topics[role].sources:
+            if not TOPIC_NAME.fullmatch(source.topic):
+                allowed = "a path such as /left/speed: letters, digits and underscores, no part beginning with a digit"
+                raise InputError(f"{topics.origin}: {role}: topic", source.topic, allowed)
+        if role in POSITION and not topics[role].unit:
+            remedy = "a live node has no values yet to infer the unit from"
+            raise InputError(f"{topics.origin}: {role}: unit", "none", "deg or rad", remedy)
+    if "speed" not in topics:
+        raise InputError(topics.origin, f"roles {', '.join(topics)}", "roles including speed")
+
+
+class ParameterFile:
+    """A parameter file that is checked every `LOOK_EVERY_S`.
+
+    It is read once it is unchanged between two checks, so that a file that an editor is still writing is not read. So it is after
+    the start too: someone may have changed it since the node read it. A refused line leaves its parameter unchanged, and the
+    other lines apply. Values of the command line keep priority. A deleted file changes nothing. `parameters` are those at the
+    start of the node, and `overruled` the names set on the command line.
+    """
+
+    def __init__(self, path: Path, node: str, namespace: str, parameters: Parameters, overruled: Collection[str]) -> None:
+        self.path, self._node, self._namespace = path, node, namespace
+        self._overruled = frozenset(overruled)
+        self._applied: dict[str, Value] = dict(parameters.values)
+        self._read: Stamp | None = None
+        self._seen: Stamp | None = None
+
+    def look(self, check: Callable[[Mapping[str, Value]], object]) -> tuple[Mapping[str, Value], list[InputError]]:
+        """Names and values that differ from those applied last, and an error for each refused line; mostly neither.
+
+        `check` raises InputError for a change that the node refuses.
+        """
+        stamp = _stamp(self.path)
+        settled, self._seen = stamp == self._seen, stamp
+        if stamp is None or stamp == self._read or not settled:
+            return {}, []
+        self._read = stamp
+        try:
+            given = read_entries(self.path, self._node, self._namespace)
+        except InputError as error:
+            return {}, [error]
+        meant, refused = {name: parameter.default for name, parameter in PARAMETERS.items()}, []
+        for name, value in given.items():
+            try:
+                meant[name] = known(name).checked(value)
+            except InputError as error:
+                meant.pop(name, None)
+                refused.append(error)
+        changed = {name: value for name, value in meant.items() if name not in self._overruled and value != self._applied[name]}
+        accepted, errors = _accepted(changed, check)
+        return accepted, refused + errors
+
+    def applied(self, changed: Mapping[str, Value]) -> str:
+        """Record a change; return it as text."""
+        said = ", ".join(f"{name} {_shown(self._applied[name])} -> {_shown(value)}" for name, value in changed.items())
+        self._applied.update(changed)
+        return f"{self.path}: {said}"
+
+    def refused(self, error: InputError) -> str:
+        """Refused changes with reasons, as text."""
+        return f"{self.path}: refused, and left as it was: {error}"
+
+
+def _accepted(
+    changed: Mapping[str, Value], check: Callable[[Mapping[str, Value]], object]
+) -> tuple[dict[str, Value], list[InputError]]:
+    """All valid changes, and the errors of the others. Two that depend on each other pass in either order."""
+    accepted: dict[str, Value] = {}
+    errors: dict[str, InputError] = {}
+    waiting = dict(changed)
+    while waiting:
+        errors = {}
+        for name, value in waiting.items():
+            try:
+                check({**accepted, name: value})
+            except InputError as error:
+                errors[name] = error
+            else:
+                accepted[name] = value
+        if len(errors) == len(waiting):
+            break
+        waiting = {name: waiting[name] for name in errors}
+    return accepted, list(errors.values())
+
+
+def _stamp(path: Path) -> Stamp | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def _shown(value: Value) -> str:
+    return f"[{', '.join(value)}]" if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)

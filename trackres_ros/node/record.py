@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes every message that the running node receives, and every estimate, into a bag, and a picture of them at the end.
+"""Writes every message that the running node receives, and every estimate, into a bag, in one file or several.
 
 A separate thread writes, so that a full, slow or missing disk does not affect the estimate. Messages that cannot be written are
 counted and reported, and recording continues once the disk works again.
@@ -9,31 +9,33 @@ counted and reported, and recording continues once the disk works again.
 
 from __future__ import annotations
 
+import re
 import shlex
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.arrays import Array
+from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import is_other_kind, state_file
 from trackres_ros.files import own_files
 from trackres_ros.learning.columns import column_names
 from trackres_ros.learning.learner import Learner
-from trackres_ros.node.endpoints import InputTopic, input_name
 from trackres_ros.node.notices import Notice
-from trackres_ros.node.record_files import RecordingFiles, RecordLimits
-from trackres_ros.node.transport import LAST_NS, Reasons
-from trackres_ros.offline.summary import picture_columns
+from trackres_ros.node.transport import LAST_NS, InputTopic, Reasons, input_name
 from trackres_ros.output.bag import OutputBag
-from trackres_ros.output.plots import estimate_figure
-from trackres_ros.output.preview import ResultPreview
+from trackres_ros.output.mcap import BEGINNING
+from trackres_ros.output.preview import ResultPreview, picture_columns
+from trackres_ros.recording.mcap import SUFFIX
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -46,6 +48,9 @@ MOST_EARLY = 10000  # messages that wait for a simulated clock
 BYTES_PER_NUMBER, BYTES_BESIDES = 32, 200  # memory of the queue
 SHOWN_NS = 5_000_000_000  # since something was lost, or since the disk answered last
 END_PATIENCE_S = 10.0
+MB = 1_000_000
+FILES_IN_LIMIT = 10  # where only the total limit is given
+STILL_WRITTEN_S = 60.0  # an unfinished file with a more recent change may belong to another process
 
 
 class Recorded(NamedTuple):
@@ -70,7 +75,7 @@ ESTIMATE, RESTORED, PUBLISHED = -1, -2, -3
 
 
 class Recorder:
-    """Takes messages and estimates one by one, and writes them twice a second.
+    """Takes messages and estimates one by one, and writes them twice a second. It keeps a preview of the estimates for a picture.
 
     Messages have their names in the topics file, whatever the namespace: with it the bag is a recording like any other. A
     message from before the simulated clock gets the clock's first time. Times on a topic are unique. Where the clock goes back
@@ -85,7 +90,7 @@ class Recorder:
     """
 
     def __init__(self, path: Path, limits: RecordLimits | None = None) -> None:
-        self._path, self._limits = path, limits or RecordLimits()
+        self.path, self._limits = path, limits or RecordLimits()
         self._files = RecordingFiles(path, self._limits)
         self._bag: OutputBag | None = None
         self._waiting: deque[Item] = deque()
@@ -99,7 +104,8 @@ class Recorder:
         self._starts: list[Path] = []  # files of restored states
         self._began_ns = self._latest_ns = 0
         self._early: list[Item] = []
-        self._unseen: list[Steps] = []
+        self._preview: ResultPreview | None = None
+        self._unseen: list[Steps] = []  # of the preview
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
 
@@ -119,11 +125,11 @@ class Recorder:
         if self._thread.ident is None:
             unfinished = self._files.left_unfinished()
             self._of, self._last = self._now, [0] * len(self._now.given)
-            self._seen = ResultPreview(len(self._now.columns))
+            self._preview = ResultPreview(len(self._now.columns))
             try:
                 self._open()
             except OSError as error:
-                raise InputError("--record", f"{self._path}: {error.strerror}", "a file that can be written") from error
+                raise InputError("--record", f"{self.path}: {error.strerror}", "a file that can be written") from error
             self._answered_ns = time.monotonic_ns()
             self._thread.start()
         application.on_estimate, application.on_restored = self._take, self._start_from
@@ -135,7 +141,7 @@ class Recorder:
         ]
 
     def end(self) -> list[str]:
-        """Finish the bag and draw the picture; return texts for the log. It never raises."""
+        """Finish the bag; return texts for the log. It never raises."""
         if not self._thread.is_alive():
             return []
         self._stop.set()
@@ -152,11 +158,22 @@ class Recorder:
             lines.append(f"{self._files.deleted} of the oldest files were deleted to stay within --record-limit-mb")
         if not self._is_finished:
             lines.append(f"{self._part} is unfinished: {self._error}; it is readable, repair it with: trackres recover")
-        lines += [
+        return lines + [
             f"{path}: the state restored before it; for the same numbers: trackres replay --resume {shlex.quote(str(path))}"
             for path in self._starts
         ]
-        return [*lines, *self._picture()]
+
+    @property
+    def series(self) -> dict[str, Array]:
+        """Time [s] and columns of the estimates for a picture, once the bag is finished; empty if there were none."""
+        if self._preview is None or self._thread.is_alive() or not self._preview.steps:
+            return {}
+        return {"time_s": self._preview.kept[:, 0], **picture_columns(self._of.columns, self._preview.kept)}
+
+    @property
+    def title(self) -> str:
+        """Title of the picture."""
+        return f"Live: {self._of.estimator.vehicle.title}"
 
     def _where(self) -> str:
         first = self._done[0] if self._done else str(self._part)
@@ -255,7 +272,7 @@ class Recorder:
         """Go on with the next file, perhaps of another application; where its columns differ the picture begins anew."""
         self._see()
         if of.columns != self._of.columns:
-            self._seen = ResultPreview(len(of.columns))
+            self._preview = ResultPreview(len(of.columns))
         self._of, self._last = of, [0] * len(of.given)
 
     def _write_round(self, items: Sequence[Item]) -> None:
@@ -297,10 +314,10 @@ class Recorder:
 
     def _see(self) -> None:
         """Keep a preview for the picture; of many rows at a time, as each time it is copied."""
-        if self._unseen:
+        if self._unseen and self._preview:
             seen, self._unseen = self._unseen, []
             joined = (np.concatenate([getattr(steps, name) for steps in seen]) for name in ("stamp_ns", "arrival_ns", "rows"))
-            self._seen.take(Steps(*joined), None)
+            self._preview.take(Steps(*joined), None)
 
     def _open(self) -> None:
         self._files.make_room()
@@ -333,19 +350,6 @@ class Recorder:
         """Messages and estimates that are in no file, and will not be."""
         return [lost + dropped for lost, dropped in zip(self._not_written, self._dropped, strict=True)]
 
-    def _picture(self) -> list[str]:
-        picture = self._path.with_suffix(".png")
-        if not self._seen.steps:
-            return []
-        try:
-            columns = picture_columns(self._of.columns, self._seen.kept)
-            estimate_figure(self._seen.kept[:, 0], columns, f"Live: {self._of.estimator.vehicle.title}", path=picture)
-        except MissingExtraError as error:
-            return [f"no picture: {error}"]
-        except Exception as error:  # a picture is not worth an exit code
-            return [f"no picture {picture}: {getattr(error, 'strerror', None) or error}"]
-        return [f"{picture}: torque and temperature over time"]
-
 
 def start_of(bag: Path) -> Path:
     """File beside a bag, finished or not, with the restored state that its estimates begin with."""
@@ -369,3 +373,94 @@ def _size(item: Item) -> int:
 
 def _counted(lost: list[int]) -> str:
     return f"{lost[0]} messages and {lost[1]} estimates"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordLimits:
+    """Size at which the next file of a recording begins, and limit of all of them; 0 is no limit.
+
+    Raises InputError if the limit is too small for two files.
+    """
+
+    split_mb: float = 0.0
+    split_minutes: float = 0.0
+    limit_mb: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.limit_mb and self.split_mb > 0.5 * self.limit_mb:
+            given = f"{self.limit_mb:g} MB, with files of {self.split_mb:g} MB"
+            raise InputError("--record-limit-mb", given, "at least twice --record-split-mb", "the oldest whole files are deleted")
+
+    @property
+    def splits(self) -> bool:
+        """Whether there is more than one file."""
+        return bool(self.split_mb or self.split_minutes or self.limit_mb)
+
+    @property
+    def largest_mb(self) -> float:
+        """Size of a file at which the next one begins; 0 is none."""
+        return self.split_mb or self.limit_mb / FILES_IN_LIMIT
+
+    def due(self, size: int, span_ns: int) -> bool:
+        """Whether the next file begins, behind one of so many bytes that covers so much time."""
+        by_size = self.largest_mb and size >= self.largest_mb * MB
+        return bool(by_size or (self.split_minutes and span_ns >= self.split_minutes * 60 * SECOND_NS))
+
+
+class RecordingFiles:
+    """The files of one recording: `drive.mcap`, or `drive_0000.mcap`, `drive_0001.mcap`... if it is split. One that is not split
+    goes on with `drive_0001.mcap` where a simulated clock goes back.
+
+    Numbers continue from earlier runs, which belong to the same recording. An unfinished file ends in `.part`;
+    one from an earlier run is never overwritten.
+    """
+
+    def __init__(self, path: Path, limits: RecordLimits) -> None:
+        self._path, self._limits = path, limits
+        self._name = re.compile(rf"{re.escape(path.stem)}_(\d{{4,}}){re.escape(path.suffix)}({re.escape(SUFFIX)})?")
+        self.deleted = 0
+        self._begun = False  # the file without a number
+
+    def next(self) -> tuple[Path, Path]:
+        """The next file, and its name until it is finished."""
+        if self._limits.splits or self._begun:
+            number = 1 + max((number for number, _ in self._numbered()), default=0 if self._begun else -1)
+            path = self._path.with_name(f"{self._path.stem}_{number:04d}{self._path.suffix}")
+            return path, path.with_name(path.name + SUFFIX)
+        self._begun = True
+        part, number = self._path.with_name(self._path.name + SUFFIX), 0
+        while part.exists():
+            number += 1
+            part = self._path.with_name(f"{self._path.name}.{number}{SUFFIX}")
+        return self._path, part
+
+    def left_unfinished(self) -> list[Path]:
+        """Unfinished files of earlier runs."""
+        beginning = self._path.stem if self._limits.splits else self._path.name
+        found = self._path.parent.glob(f"*{SUFFIX}")
+        return sorted(path for path in found if path.name.startswith(beginning) and _is_ours(path))
+
+    def make_room(self) -> None:
+        """Delete the oldest files of this recording, by number, until the next one fits into the limit too."""
+        limits = self._limits
+        if not limits.limit_mb:
+            return
+        sizes = {path: path.stat().st_size for _, path in sorted(self._numbered()) if _is_ours(path)}
+        too_much = sum(sizes.values()) + (limits.largest_mb - limits.limit_mb) * MB
+        for path, size in sizes.items():
+            if too_much <= 0:
+                return
+            if path.suffix != SUFFIX or abs(time.time() - path.stat().st_mtime) > STILL_WRITTEN_S:
+                path.unlink(missing_ok=True)
+                self.deleted += 1
+                too_much -= size
+
+    def _numbered(self) -> list[tuple[int, Path]]:
+        found = [(self._name.fullmatch(path.name), path) for path in self._path.parent.iterdir()]
+        return [(int(match[1]), path) for match, path in found if match]
+
+
+def _is_ours(path: Path) -> bool:
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(len(BEGINNING)) == BEGINNING
+    return False

@@ -33,11 +33,10 @@ from trackres_ros.estimator.snapshot import (
     set_aside,
 )
 from trackres_ros.files import own_files
-from trackres_ros.files.file_lock import FileLock
-from trackres_ros.node.background import Background
-from trackres_ros.node.clock import steady_ns
-from trackres_ros.node.live_learning import LiveLearning
+from trackres_ros.files.own_files import FileLock
+from trackres_ros.node.measured_torque import LiveLearning
 from trackres_ros.node.notices import Notice
+from trackres_ros.node.process import Background, steady_ns
 
 AUTO, NONE = "auto", "none"
 LONGEST_NAME = 100

@@ -3,21 +3,28 @@
 
 """Keeps a preview of results that pass by in blocks: the last row, and a thinned series for a picture."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.units import NANOSECOND
 
 LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: data of a longer step are unknown
+HEAD = 1  # columns of a picture row before the results: the time
 PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half
 
 
 def longest_step(time_s: NDArray[np.float64]) -> float:
     """Longest time between two rows [s] that is no gap: after a gap the data before it say nothing."""
     return max(LONGEST_STEP_S, UNUSUAL * float(np.median(np.diff(time_s, prepend=time_s[:1]))))
+
+
+def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
+    """The series of a picture by column name; its first column is the time."""
+    return {name: picture[:, HEAD + i] for i, name in enumerate(columns)}
 
 
 class ResultPreview:
@@ -29,7 +36,7 @@ class ResultPreview:
     def __init__(self, columns: int) -> None:
         self.steps, self.first_ns = 0, 0
         self.last = np.empty(0)
-        self.kept = np.empty((0, 1 + columns))
+        self.kept = np.empty((0, HEAD + columns))
         self._stride = 1
 
     def take(self, steps: Steps, write: Callable[[Steps], None] | None) -> None:

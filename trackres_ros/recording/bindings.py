@@ -13,15 +13,16 @@ from operator import attrgetter
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.dataclass_reader import FILLED, DataReader, Limits
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_topics
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.roles import (
     BRAKE_ON_PA,
     POSITION,
@@ -59,28 +60,50 @@ class FieldStep:
     element: str | None = None
 
 
+def message_type(given: object, where: str) -> str:
+    """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1. Raises InputError."""
+    match = MESSAGE_TYPE.fullmatch(checks.text(given, where))
+    if not match:
+        raise InputError(where, given, "package/msg/Name")
+    return f"{match.group(1)}/msg/{match.group(2)}"
+
+
+def field_path(given: object, where: str) -> str:
+    """A path that `field_steps` takes. Raises InputError."""
+    path = checks.text(given, where)
+    if not PATH.fullmatch(path):
+        raise InputError(where, given, "a path such as twist.linear.x, effort[NAME] or data[3]")
+    return path
+
+
+Positive = Annotated[float | None, checks.positive]
+Numbers = Annotated[tuple[float, ...], FILLED]
+
+
 @dataclass(frozen=True, slots=True)
 class TopicBinding:
     """Source of one role: a field of a topic, or a column of a table."""
 
     # topic, message type as ``package/msg/Name``, and dotted field path; empty for a column
     topic: str = ""
-    type: str = ""
-    field: str = ""
+    type: Annotated[str, message_type] = ""
+    field: Annotated[str, field_path] = ""
     column: str = ""  # column of a table; empty for a topic
     # the value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad
     scale: float = 1.0
     offset: float = 0.0
     stamp: Literal["header", "log", ""] = ""  # ``header``, ``log``, or empty: the header's if the type has one, else log time
-    max_age_s: float | None = None  # live: an older sample is not used [s]
+    max_age_s: Positive = None  # live: an older sample is not used [s]
     sensor: Literal["surface", "mean", ""] = ""  # of a belt temperature: ``surface``, ``mean``, or empty if not given
-    std_k: float | None = None  # standard deviation of a belt temperature [K], if given
-    delay_s: float = 0.0  # delay of a torque [s]: its value belongs to that much earlier than its stamp
+    std_k: Positive = None  # standard deviation of a belt temperature [K], if given
+    # its value belongs to that much earlier than its stamp
+    delay_s: Annotated[float, Limits("s", 0.0, 10.0, "delay of a torque")] = 0.0
     unit: str = ""  # unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide
     converts: bool = False  # whether the line of a topics file gives a unit or a scale: then the unit of the file is not used
-    kg_each: float | None = None  # of passengers: mass of one [kg], if given
-    threshold: float | None = None  # of a brake: value from which it brakes; None if not given
-    values: tuple[float, ...] = ()  # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0
+    kg_each: Annotated[float | None, Limits("kg", 1.0, 500.0, "mass of one passenger, with luggage")] = None
+    threshold: Positive = None  # of a brake: value from which it brakes; None if not given
+    # of an enable given as a mode: the modes with feed-forward; empty if it is 1 or 0
+    values: Numbers = ()
     ways: Ways | None = None  # of a direction: what its values mean; None if neither the line nor a name says so
     valid: TopicBinding | None = None  # source of whether its values count: other than 0, or one of its `values`
     decimal: Literal[".", ",", ""] = ""  # of a column in text: its decimal mark; empty if its cells decide
@@ -186,21 +209,12 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
     )
 
 
-def message_type(name: str) -> str:
-    """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1.
-
-    Raises ValueError if it is no message type.
-    """
-    match = MESSAGE_TYPE.fullmatch(name)
-    if not match:
-        raise ValueError(f"no message type: {name!r}")
-    return f"{match.group(1)}/msg/{match.group(2)}"
-
-
-KEYS = (
-    "topic", "type", "field", "column", "channel", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
-    "unit", "kg_each", "threshold", "values", "valid", "decimal", "derivative", "sum",
+OWN_KEYS = (
+    "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s", "unit", "kg_each",
+    "threshold", "decimal", "derivative",
 )  # fmt: skip
+"""Keys of a line that are fields of a binding."""
+PARTS_OF_A_LINE = ("channel", "valid", "sum")
 ONLY_FOR = {
     "sensor": ("belt",), "std_k": ("belt",), "delay_s": ("torque",), "kg_each": ("passengers",), "threshold": ("brake",),
     "values": ("enable", "direction"), "derivative": ("speed",),
@@ -215,7 +229,7 @@ VALID_EXAMPLE = "speed: {channel: Speed, unit: km/h, valid: {channel: SpeedValid
 DIRECTION_EXAMPLE = "direction: {channel: Gear, values: {forward: [1, 2], reverse: [-1], neutral: [0]}}"
 MOST_PARTS = 16
 SUM_EXAMPLE = "torque: {sum: [{column: left_nm}, {column: right_knm, scale: 1000.0}]}"
-OF_TIME = ("column", "channel", "unit", "scale", "offset", "decimal", "order")
+OF_TIME = ("column", "unit", "scale", "offset", "decimal", "order")
 TIME = "time"
 """The line for the time column of a table; no role, as every sample has its time."""
 DBC = "dbc"
@@ -224,9 +238,6 @@ BOTH = "position"
 """The line for latitude and longitude of one message."""
 OF_BOTH = ("topic", "type", "field", "stamp", "max_age_s", "unit")
 """Its keys: the field is the parent of the two."""
-MOST_DELAY_S = 10.0
-MOST_KG_EACH = 500.0  # with luggage
-LARGEST = 1e300  # an integer may be larger than any float
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
 
@@ -328,8 +339,39 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
             where, line, "a mapping with topic, type and field, or with column, or with sum", f"for example: {EXAMPLE}"
         )
     line = _with_column(line, where)
+    is_direction = role == "direction"
+    own, special = (OWN_KEYS, ("values", *PARTS_OF_A_LINE)) if is_direction else ((*OWN_KEYS, "values"), PARTS_OF_A_LINE)
+    written: TopicBinding = _reader(where).part(TopicBinding, line, only=own, others=special)
+    _check_keys(role, line, where)
+    derivative, is_sum = written.derivative, "sum" in line
+    if not is_sum and not written.column:
+        missing = [key for key in ("topic", "type", "field") if key not in line]
+        if missing:
+            raise InputError(where, f"no {missing[0]}", "topic, type and field, or column", f"for example: {EXAMPLE}")
+    default = "deg" if role in POSITION and written.type == IN_DEGREES else ""
+    unit, by_unit = _unit(written.unit or default, inside_unit(role, derivative), where)
+    scale = by_unit.scale * written.scale
+    if scale == 0.0:
+        raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
+    return replace(
+        written,
+        scale=scale,
+        offset=by_unit.scale * written.offset + by_unit.offset,
+        unit=unit,
+        converts=_converts(line),
+        ways=_ways(line.get("values"), written, where) if is_direction else None,
+        valid=_validity(line, where) if "valid" in line else None,
+        parts=_parts(role, line["sum"], f"{where}: sum") if is_sum else (),
+    )
+
+
+def _reader(where: str) -> DataReader:
+    return DataReader(where, ": ")
+
+
+def _check_keys(role: str, line: Mapping[object, object], where: str) -> None:
+    """Refuse keys that have no meaning for a role or beside the others."""
     for key in map(str, line):
-        checks.one_of(key, f"{where}: key", KEYS)
         meant = ONLY_FOR.get(key)
         if meant and base_role(role) not in meant:
             raise InputError(f"{where}: key", key, f"{key} only for {', '.join(meant)}")
@@ -339,53 +381,6 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
             raise InputError(f"{where}: key", key, f"{key} only beside column")
         if "sum" in line and key in NOT_OF_A_SUM:
             raise InputError(f"{where}: key", key, f"{key} in a part of the sum", f"write for example: {SUM_EXAMPLE}")
-    parts = _parts(role, line["sum"], f"{where}: sum") if "sum" in line else ()
-    texts = {} if parts else _source(line, where)
-    derivative = _yes(line, "derivative", where)
-    default = "deg" if role in POSITION and texts.get("type") == IN_DEGREES else ""
-    unit, by_unit = _unit(line, inside_unit(role, derivative), default, where)
-    binding = TopicBinding(
-        **texts,
-        scale=by_unit.scale * _number(line, "scale", 1.0, where),
-        offset=by_unit.scale * _number(line, "offset", 0.0, where) + by_unit.offset,
-        stamp=_choice(line, "stamp", ("header", "log"), where),
-        max_age_s=_positive(line, "max_age_s", where),
-        sensor=_choice(line, "sensor", ("surface", "mean"), where),
-        std_k=_positive(line, "std_k", where),
-        delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
-        unit=unit,
-        converts=_converts(line),
-        kg_each=checks.number(line["kg_each"], f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg") if "kg_each" in line else None,
-        threshold=_positive(line, "threshold", where),
-        values=_values(line["values"], f"{where}: values") if "values" in line and role != "direction" else (),
-        ways=_ways(line, texts, where) if role == "direction" else None,
-        valid=_validity(line, where) if "valid" in line else None,
-        decimal=_choice(line, "decimal", (".", ","), where),
-        derivative=derivative,
-        parts=parts,
-    )
-    if binding.scale == 0.0:
-        raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
-    return binding
-
-
-def _source(line: Mapping[object, object], where: str) -> dict[str, Any]:
-    """The topic, type and field of a line, or its column; texts."""
-    texts = {key: _text(line, key, where) for key in ("topic", "type", "field", "column")}
-    if texts["column"]:
-        return texts
-    missing = [key for key in ("topic", "type", "field") if not texts[key]]
-    if missing:
-        raise InputError(where, f"no {missing[0]}", "topic, type and field, or column", f"for example: {EXAMPLE}")
-    try:
-        texts["type"] = message_type(texts["type"])
-    except ValueError:
-        raise InputError(f"{where}: type", texts["type"], "package/msg/Name") from None
-    try:
-        field_steps(texts["field"])
-    except ValueError:
-        raise InputError(f"{where}: field", texts["field"], "a path such as twist.linear.x, effort[NAME] or data[3]") from None
-    return texts
 
 
 def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
@@ -395,10 +390,7 @@ def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
     if not isinstance(given, list) or not 2 <= len(given) <= MOST_PARTS:
         raise InputError(where, given, f"a list of 2 to {MOST_PARTS} parts", f"write for example: {SUM_EXAMPLE}")
     for number, line in enumerate(given, 1):
-        if not isinstance(line, Mapping):
-            raise InputError(f"{where}: part {number}", line, "a mapping", f"write for example: {SUM_EXAMPLE}")
-        for key in line:
-            checks.one_of(key, f"{where}: part {number}: key", OF_A_PART)
+        _reader(where).keys(line, f"part {number}", (), OF_A_PART)
     parts = tuple(_binding(role, line, f"{where}: part {number}") for number, line in enumerate(given, 1))
     if len({part.of_topics for part in parts}) > 1:
         raise InputError(where, "columns and topics", "parts that are all columns, or all fields of topics")
@@ -418,7 +410,7 @@ def _position(line: object, content: Mapping[object, object], where: str) -> dic
         other = [key for key in line if key not in OF_BOTH] if isinstance(line, Mapping) else [line]
         remedy = f"write for example: {BOTH}: {{topic: /fix, type: {IN_DEGREES}}}; of a table: {' and '.join(POSITION)}"
         raise InputError(where, other[0], f"a mapping with {', '.join(OF_BOTH)}", remedy)
-    within = f"{_text(line, 'field', where)}." if "field" in line else ""
+    within = f"{checks.text(line['field'], f'{where}: field')}." if "field" in line else ""
     return {role: _binding(role, {"type": IN_DEGREES, **line, "field": within + role}, where) for role in POSITION}
 
 
@@ -427,20 +419,14 @@ def _time(line: object, where: str) -> TopicBinding:
     line = _with_column(line, where) if isinstance(line, Mapping) else line
     if not isinstance(line, Mapping) or not set(line) <= set(OF_TIME) or "column" not in line:
         raise InputError(
-            where, line, f"column, and if need be {', '.join(OF_TIME[2:])}", "write for example: time: {column: seconds}"
+            where, line, f"column, and if need be {', '.join(OF_TIME[1:])}", "write for example: time: {column: seconds}"
         )
-    by_unit = _unit(line, "s", "", where)[1].scale
-    scale = by_unit * _number(line, "scale", 1.0, where)
+    written: TopicBinding = _reader(where).part(TopicBinding, line, only=OF_TIME)
+    by_unit = _unit(written.unit, "s", where)[1].scale
+    scale, offset = by_unit * written.scale, by_unit * written.offset
     if scale <= 0.0:
         raise InputError(f"{where}: scale", scale, "a positive number: seconds in a unit of the column")
-    return TopicBinding(
-        column=_text(line, "column", where),
-        scale=scale,
-        offset=by_unit * _number(line, "offset", 0.0, where),
-        converts=_converts(line),
-        decimal=_choice(line, "decimal", (".", ","), where),
-        order=_choice(line, "order", ("dmy", "mdy"), where),
-    )
+    return replace(written, scale=scale, offset=offset, unit="", converts=_converts(line))
 
 
 def _with_column(line: Mapping[object, object], where: str) -> Mapping[object, object]:
@@ -452,9 +438,8 @@ def _with_column(line: Mapping[object, object], where: str) -> Mapping[object, o
     return {"column" if key == "channel" else key: value for key, value in line.items()}
 
 
-def _unit(line: Mapping[object, object], inside: str, default: str, where: str) -> tuple[str, Conversion]:
-    """The unit of a line as named in the table of units, and its conversion to the internal unit."""
-    given = _text(line, "unit", where) or default
+def _unit(given: str, inside: str, where: str) -> tuple[str, Conversion]:
+    """A unit as named in the table of units, and its conversion to the internal unit; empty without one."""
     found = conversion(given, inside) if given else Conversion(1.0)
     if found is None:
         remedy = f"or give scale and offset: value [{inside}] = scale x raw + offset"
@@ -481,48 +466,11 @@ def _databases(given: object, where: str, folder: Path) -> tuple[tuple[int | Non
     return tuple(found)
 
 
-def _yes(line: Mapping[object, object], key: str, where: str) -> bool:
-    given = line.get(key, False)
-    if not isinstance(given, bool):
-        raise InputError(f"{where}: {key}", given, "true or false")
-    return given
-
-
-def _text(line: Mapping[object, object], key: str, where: str) -> str:
-    text = line.get(key, "")
-    if not isinstance(text, str) or (key in line and not text.strip()):
-        raise InputError(f"{where}: {key}", text, "a text that is not empty")
-    return text
-
-
-def _number(line: Mapping[object, object], key: str, default: float, where: str) -> float:
-    number = line.get(key, default)
-    if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < LARGEST:
-        raise InputError(f"{where}: {key}", number, "a finite number")
-    return float(number)
-
-
-def _positive(line: Mapping[object, object], key: str, where: str) -> float | None:
-    if key not in line:
-        return None
-    number = _number(line, key, 0.0, where)
-    if number <= 0.0:
-        raise InputError(f"{where}: {key}", number, "a positive number")
-    return number
-
-
-def _values(given: object, where: str) -> tuple[float, ...]:
-    if not isinstance(given, list) or not given:
-        raise InputError(where, given, "a list of numbers", "for example: [1, 2]")
-    return tuple(_number({"value": number}, "value", 0.0, where) for number in given)
-
-
-def _ways(line: Mapping[object, object], texts: Mapping[str, str], where: str) -> Ways | None:
+def _ways(given: Any, binding: TopicBinding, where: str) -> Ways | None:
     """What the values of a direction mean, by the line, or by the standard that a name is of; of a column the file may say it."""
-    given = line.get("values")
     if given is None:
-        standard = standard_of(texts["column"] or texts["field"].rpartition(".")[2])
-        if not standard and texts["topic"]:
+        standard = standard_of(binding.column or binding.field.rpartition(".")[2])
+        if not standard and binding.topic:
             raise InputError(where, "no values", "values that mean forward and reverse", f"for example: {DIRECTION_EXAMPLE}")
         return STANDARDS[standard] if standard else None
     if isinstance(given, str):
@@ -531,7 +479,7 @@ def _ways(line: Mapping[object, object], texts: Mapping[str, str], where: str) -
         allowed = f"a mapping with {', '.join(WAYS)}, the last if need be, or one of {', '.join(STANDARDS)}"
         raise InputError(f"{where}: values", given, allowed, f"for example: {DIRECTION_EXAMPLE}")
     each = {way: some if isinstance(some, list) else [some] for way, some in given.items()}
-    found = Ways(**{way: _values(some, f"{where}: values: {way}") for way, some in each.items()})
+    found = Ways(**{way: _reader(where).read(Numbers, some, f"values: {way}") for way, some in each.items()})
     every = [*found.forward, *found.reverse, *found.neutral]
     if len(set(every)) < len(every):
         raise InputError(f"{where}: values", given, "each value once")
@@ -551,8 +499,3 @@ def _validity(line: Mapping[object, object], where: str) -> TopicBinding:
             f"{where}: valid", given, "a channel of a channel, or a field of a topic", f"for example: {VALID_EXAMPLE}"
         )
     return found
-
-
-def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], where: str) -> Any:
-    """One of some texts, which a type lists too; empty if it is not given."""
-    return checks.one_of(line[key], f"{where}: {key}", allowed) if key in line else ""

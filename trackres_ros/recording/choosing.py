@@ -31,8 +31,7 @@ from trackres_ros.recording.roles import (
     names_a_part,
     standard_of,
 )
-from trackres_ros.text.names import words
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of, words
 
 NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|req|requests?|requested|demands?|demanded|dmd|target|desired|set ?point|soll|reference|ref|goal|"

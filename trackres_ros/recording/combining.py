@@ -19,7 +19,7 @@ import numpy as np
 from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.roles import NEUTRAL, POSITION, ROLES, base_role
 from trackres_ros.recording.samples import Finding, SampleBlock
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of
 from trackres_ros.units import DEGREE
 
 APART_S, SLOW_APART_S = 0.5, 60.0

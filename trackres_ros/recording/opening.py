@@ -18,7 +18,7 @@ from trackres_ros.recording.channel_file import ChannelFile
 from trackres_ros.recording.channel_source import ChannelSource
 from trackres_ros.recording.reading import check_file, check_there, in_one_line
 from trackres_ros.recording.samples import BoundSource
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of
 
 GROUP = "trackres_ros.readers"
 """The entry points by which an installed package adds kinds of its own."""

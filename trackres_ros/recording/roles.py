@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.text.names import words
+from trackres_ros.text import words
 from trackres_ros.units import DEGREE, GRAVITY, KMH_PER_MPS, ZERO_DEGC_K
 
 # NIST SP 811, appendix B

@@ -15,7 +15,7 @@ from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.choosing import NOT_GUESSED, in_a_line, topics_line
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.roles import Conversion, as_said, base_role
-from trackres_ros.text.table import table
+from trackres_ros.text import table
 
 FIGURES = 6
 

@@ -10,29 +10,36 @@ with each value is narrower and is that vehicle's.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
+from math import isnan, nan
 from pathlib import Path
-from typing import Annotated, ClassVar, NamedTuple, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 
+from trackres_ros import checks
 from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import Active, VehicleKind
+from trackres_ros.files.dataclass_reader import ABSENT, FILLED, Limits, fields_of, limits_of
 from trackres_ros.route.learned import RouteMap
+from trackres_ros.units import GRAVITY
 
-
-class QuantityLimits(NamedTuple):
-    """Unit, absolute limits and meaning of a quantity."""
-
-    unit: str
-    low: float
-    high: float
-    meaning: str
-    optional: bool = False
-
-
+FITTED = "F"
+Flag = Literal["P", "L", "A", "F"]
+FLAGS = get_args(Flag)
+SPROCKET = "sprocket"
+AxleName = Annotated[  # as in a role of a topics file
+    str, partial(checks.name, pattern=r"[A-Za-z0-9_-]+", allowed="letters a to z or A to Z, digits, _ and -")
+]
+AssemblyName = Annotated[  # part of names of topics
+    str,
+    partial(checks.name, pattern=r"[A-Za-z][A-Za-z0-9_]*", allowed="a letter a to z or A to Z, then such letters, digits and _"),
+]
+WheelIndex = Annotated[int, lambda number, _: number - 1]
+"""The index of a road wheel, which a file counts from 1."""
 # Of a watched disturbance: that of blocks of `estimator.disturbance.BLOCK_S`.
-NOISE = QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the measured torque about the expected torque")
+NOISE = Limits("Nm", 1e-3, 1e6, "standard deviation of 5 s means of the measured torque about the expected torque")
 
 
 def mean_of(values: Sequence[float], weights: Sequence[float] | Array = ()) -> float:
@@ -40,12 +47,6 @@ def mean_of(values: Sequence[float], weights: Sequence[float] | Array = ()) -> f
     if len(set(values)) == 1:
         return values[0]
     return float(np.average(np.array(values), weights=np.array(weights) if len(weights) else None))
-
-
-def limits_of(part: type) -> dict[str, QuantityLimits]:
-    """The limits of the quantities of a part of a vehicle, by name."""
-    kinds = get_type_hints(part, include_extras=True)
-    return {name: one for name, kind in kinds.items() for one in get_args(kind)[1:] if isinstance(one, QuantityLimits)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,77 +67,99 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Rubber:
-    """Compound: a temperature sweep at one frequency and its shift. Moduli [Pa], temperatures [degC]."""
+class RubberValues:
+    """Quantities of a compound."""
+
+    sweep_frequency: Annotated[float, Limits("Hz", 0.001, 1e4, "frequency of the temperature sweep in the rubber file")]
+    glass_transition: Annotated[float, Limits("degC", -130.0, 40.0, "Tg of the shift function")]
+    wlf_c1: Annotated[float, Limits("1", 1.0, 30.0, "C1 of the WLF shift about Tg + 50 K")]
+    wlf_c2: Annotated[float, Limits("K", 51.0, 300.0, "C2 of the WLF shift about Tg + 50 K")]
+    density: Annotated[float, Limits("kg/m^3", 700.0, 2500.0, "rubber density")]
+    conductivity: Annotated[float, Limits("W/m/K", 0.05, 2.0, "rubber heat conductivity")]
+    heat_capacity: Annotated[float, Limits("J/kg/K", 700.0, 3000.0, "rubber specific heat capacity")]
+    layer_stiffening: Annotated[float, Limits("1", 1.0, 3.0, "stiffness of the confined layer over that of the material")]
+    loss_modulus_scale: Annotated[float, Limits("1", 0.1, 10.0, "factor on the loss modulus of the file")]
+
+
+@dataclass(frozen=True, slots=True)
+class RubberSection(RubberValues):
+    """A compound in a vehicle file: its quantities, and the file of its temperature sweep."""
+
+    file: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rubber(RubberValues):
+    """Compound: its quantities, and a temperature sweep at one frequency. Moduli [Pa], temperatures [degC]."""
 
     sweep_degc: Array
     storage_pa: Array
     loss_pa: Array
-    sweep_frequency: Annotated[float, QuantityLimits("Hz", 0.001, 1e4, "frequency of the temperature sweep in the rubber file")]
-    glass_transition: Annotated[float, QuantityLimits("degC", -130.0, 40.0, "Tg of the shift function")]
-    wlf_c1: Annotated[float, QuantityLimits("1", 1.0, 30.0, "C1 of the WLF shift about Tg + 50 K")]
-    wlf_c2: Annotated[float, QuantityLimits("K", 51.0, 300.0, "C2 of the WLF shift about Tg + 50 K")]
-    density: Annotated[float, QuantityLimits("kg/m^3", 700.0, 2500.0, "rubber density")]
-    conductivity: Annotated[float, QuantityLimits("W/m/K", 0.05, 2.0, "rubber heat conductivity")]
-    heat_capacity: Annotated[float, QuantityLimits("J/kg/K", 700.0, 3000.0, "rubber specific heat capacity")]
-    layer_stiffening: Annotated[float, QuantityLimits("1", 1.0, 3.0, "stiffness of the confined layer over that of the material")]
-    loss_modulus_scale: Annotated[float, QuantityLimits("1", 0.1, 10.0, "factor on the loss modulus of the file")]
 
 
 @dataclass(frozen=True, slots=True)
 class Belt:
     """Belt section, loop and surroundings."""
 
-    width: Annotated[float, QuantityLimits("m", 0.02, 3.0, "belt width")]
-    thickness: Annotated[float, QuantityLimits("m", 0.003, 0.3, "belt thickness without tread bars and lugs")]
-    cord_height: Annotated[float, QuantityLimits("m", 0.0005, 0.2, "height of the cords above the inner face")]
-    loop_length: Annotated[float, QuantityLimits("m", 0.3, 60.0, "length of the belt loop")]
-    lug_section: Annotated[float, QuantityLimits("m^2", 0.0, 0.5, "section of lugs and tread bars, mean round the loop")]
-    tread_depth: Annotated[float, QuantityLimits("m", 0.0, 0.2, "height of the tread bars")]
-    tread_land_ratio: Annotated[float, QuantityLimits("1", 0.0, 1.0, "share of the outer face that tread bars cover")]
-    curvature_length: Annotated[float, QuantityLimits("m", 0.001, 1.0, "length over which the belt takes up its curvature")]
-    cord_section: Annotated[float, QuantityLimits("m^2", 1e-7, 0.1, "section of all cords")]
-    cord_modulus: Annotated[float, QuantityLimits("Pa", 1e8, 3e11, "tensile modulus of the cords")]
-    cord_density: Annotated[float, QuantityLimits("kg/m^3", 900.0, 9000.0, "cord density")]
-    cord_heat_capacity: Annotated[float, QuantityLimits("J/kg/K", 300.0, 2500.0, "cord specific heat capacity")]
-    pretension: Annotated[float, QuantityLimits("N", 0.0, 1e6, "belt tension from the spring")]
-    tooth_height: Annotated[float, QuantityLimits("m", 0.001, 0.5, "height of the drive teeth; the sag may be half of it")]
-    sag_half_span: Annotated[float, QuantityLimits("m", 0.01, 10.0, "half the free span that sags")]
-    exposed_share: Annotated[float, QuantityLimits("1", 0.05, 1.0, "cooled share of 2 (width + thickness) x loop length")]
-    film_offset: Annotated[float, QuantityLimits("W/m^2/K", 0.5, 500.0, "film coefficient at rest")]
-    film_slope: Annotated[float, QuantityLimits("W/m^2/K per speed_unit", 0.0, 50.0, "film coefficient gained per unit of speed")]
-    surface_share: Annotated[float, QuantityLimits("1", 0.01, 0.9, "share of heat capacity in the surface node")]
-    film_speed_unit: str
+    width: Annotated[float, Limits("m", 0.02, 3.0, "belt width")]
+    thickness: Annotated[float, Limits("m", 0.003, 0.3, "belt thickness without tread bars and lugs")]
+    cord_height: Annotated[float, Limits("m", 0.0005, 0.2, "height of the cords above the inner face")]
+    loop_length: Annotated[float, Limits("m", 0.3, 60.0, "length of the belt loop")]
+    lug_section: Annotated[float, Limits("m^2", 0.0, 0.5, "section of lugs and tread bars, mean round the loop")]
+    tread_depth: Annotated[float, Limits("m", 0.0, 0.2, "height of the tread bars")]
+    tread_land_ratio: Annotated[float, Limits("1", 0.0, 1.0, "share of the outer face that tread bars cover")]
+    curvature_length: Annotated[float, Limits("m", 0.001, 1.0, "length over which the belt takes up its curvature")]
+    cord_section: Annotated[float, Limits("m^2", 1e-7, 0.1, "section of all cords")]
+    cord_modulus: Annotated[float, Limits("Pa", 1e8, 3e11, "tensile modulus of the cords")]
+    cord_density: Annotated[float, Limits("kg/m^3", 900.0, 9000.0, "cord density")]
+    cord_heat_capacity: Annotated[float, Limits("J/kg/K", 300.0, 2500.0, "cord specific heat capacity")]
+    pretension: Annotated[float, Limits("N", 0.0, 1e6, "belt tension from the spring")]
+    tooth_height: Annotated[float, Limits("m", 0.001, 0.5, "height of the drive teeth; the sag may be half of it")]
+    sag_half_span: Annotated[float, Limits("m", 0.01, 10.0, "half the free span that sags")]
+    exposed_share: Annotated[float, Limits("1", 0.05, 1.0, "cooled share of 2 (width + thickness) x loop length")]
+    film_offset: Annotated[float, Limits("W/m^2/K", 0.5, 500.0, "film coefficient at rest")]
+    film_slope: Annotated[float, Limits("W/m^2/K per speed_unit", 0.0, 50.0, "film coefficient gained per unit of speed")]
+    surface_share: Annotated[float, Limits("1", 0.01, 0.9, "share of heat capacity in the surface node")]
+    film_speed_unit: Literal["m/s", "km/h"]
 
 
 @dataclass(frozen=True, slots=True)
 class RoadWheels:
     """Road wheels of one assembly; positions [m] from the front end of the ground run."""
 
-    radius: Annotated[float, QuantityLimits("m", 0.01, 2.0, "road-wheel radius")]
-    contact_length: Annotated[float, QuantityLimits("m", 0.01, 3.0, "axial length of the wheel's contact")]
-    positions: Annotated[tuple[float, ...], QuantityLimits("m", 0.0, 60.0, "positions from the front end of the ground run")]
-    ground_run: Annotated[float, QuantityLimits("m", 0.05, 60.0, "length of the ground run")]
+    positions: Annotated[tuple[float, ...], Limits("m", 0.0, 60.0, "positions from the front end of the ground run")]
+    radius: Annotated[float, Limits("m", 0.01, 2.0, "road-wheel radius")]
+    contact_length: Annotated[float, Limits("m", 0.01, 3.0, "axial length of the wheel's contact")]
+    ground_run: Annotated[float, Limits("m", 0.05, 60.0, "length of the ground run")]
 
 
 @dataclass(frozen=True, slots=True)
 class WrappedWheel:
-    """A wheel the belt wraps; a negative wrap angle [rad] bends the belt backwards."""
+    """A wheel the belt wraps; a negative wrap angle [rad] bends the belt backwards. The sprocket has the radius of its track."""
 
     name: str
-    kind: str
-    radius: Annotated[float, QuantityLimits("m", 0.01, 3.0, "radius of a wheel the belt wraps")]
-    wrap_angle: Annotated[float, QuantityLimits("rad", -3.2, 6.3, "wrap angle; negative where the belt is bent backwards")]
+    kind: Literal["sprocket", "tensioner", "guide"]
+    radius: Annotated[float, Limits("m", 0.01, 3.0, "radius of a wheel the belt wraps")] = field(default=nan, kw_only=True)
+    wrap_angle: Annotated[float, Limits("rad", -3.2, 6.3, "wrap angle; negative where the belt is bent backwards")]
 
 
 @dataclass(frozen=True, slots=True)
 class Beam:
-    """Balance beam: `split` of its load goes to the rear end. An end is a beam or the index of a road wheel."""
+    """Balance beam: `split` of its load goes to the rear end. An end is a beam or the index of a road wheel.
 
-    split: Annotated[float, QuantityLimits("1", 0.0, 1.0, "share of the load on the beam's rear end")]
-    own_weight_split: Annotated[float, QuantityLimits("1", 0.0, 1.0, "the same for the assembly's own weight", optional=True)]
-    front: Beam | int
-    rear: Beam | int
+    `own_weight_split` is `split` by default.
+    """
+
+    split: Annotated[float, Limits("1", 0.0, 1.0, "share of the load on the beam's rear end")]
+    own_weight_split: Annotated[float, Limits("1", 0.0, 1.0, "the same for the assembly's own weight")] = field(
+        default=nan, kw_only=True
+    )
+    front: Beam | WheelIndex
+    rear: Beam | WheelIndex
+
+    def __post_init__(self) -> None:
+        if isnan(self.own_weight_split):
+            object.__setattr__(self, "own_weight_split", self.split)
 
     def wheels(self) -> Iterator[int]:
         """Indices (from 0) of the road wheels below this beam, front to rear."""
@@ -152,50 +175,55 @@ class Track:
     """One kind of track assembly."""
 
     name: str
-    own_weight: Annotated[float, QuantityLimits("N", 1.0, 1e6, "weight of one assembly")]
-    sprocket_radius: Annotated[float, QuantityLimits("m", 0.02, 3.0, "sprocket pitch radius")]
+    own_weight: Annotated[float, Limits("N", 1.0, 1e6, "weight of one assembly")]
+    sprocket_radius: Annotated[float, Limits("m", 0.02, 3.0, "sprocket pitch radius")]
     belt: Belt
     road_wheels: RoadWheels
-    wrapped_wheels: tuple[WrappedWheel, ...]
-    beams: Beam | int
+    wrapped_wheels: Annotated[tuple[WrappedWheel, ...], FILLED]
+    beams: Beam | WheelIndex
 
 
 @dataclass(frozen=True, slots=True)
 class Axle:
     """Axle [N]: the load it carries without the weight of its assemblies."""
 
-    name: str
-    load: Annotated[float, QuantityLimits("N", 10.0, 1e7, "load of the axle, without its assemblies")]
+    name: AxleName
+    load: Annotated[float, Limits("N", 10.0, 1e7, "load of the axle, without its assemblies")]
 
 
 @dataclass(frozen=True, slots=True)
 class Assembly:
     """A track assembly on the vehicle: which axle carries it, and which kind of track it is."""
 
-    name: str
+    name: AssemblyName
     axle: str
     track: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Chassis:
     """Quantities of the vehicle as a whole."""
 
-    bearing_friction: Annotated[float, QuantityLimits("1", 0.0, 0.2, "bearing friction coefficient")]
-    drag_coefficient: Annotated[float, QuantityLimits("1", 0.0, 3.0, "aerodynamic drag coefficient")]
-    frontal_area: Annotated[float, QuantityLimits("m^2", 0.0, 30.0, "frontal area")]
-    air_density: Annotated[float, QuantityLimits("kg/m^3", 0.3, 2.0, "air density")]
-    rotating_mass_factor: Annotated[float, QuantityLimits("1", 1.0, 3.0, "effective over true mass in acceleration")]
-    max_speed: Annotated[float, QuantityLimits("m/s", 0.5, 60.0, "maximum speed; faster measurements are rejected")]
+    bearing_friction: Annotated[float, Limits("1", 0.0, 0.2, "bearing friction coefficient")]
+    drag_coefficient: Annotated[float, Limits("1", 0.0, 3.0, "aerodynamic drag coefficient")]
+    frontal_area: Annotated[float, Limits("m^2", 0.0, 30.0, "frontal area")]
+    air_density: Annotated[float, Limits("kg/m^3", 0.3, 2.0, "air density")]
+    rotating_mass_factor: Annotated[float, Limits("1", 1.0, 3.0, "effective over true mass in acceleration")]
+    max_speed: Annotated[float, Limits("m/s", 0.5, 60.0, "maximum speed; faster measurements are rejected")]
     max_acceleration: Annotated[
         float,
-        QuantityLimits(
-            "m/s^2", 1.0, 50.0, "maximum acceleration and braking; speeds that change faster are rejected", optional=True
-        ),
-    ]
-    ambient: Annotated[float, QuantityLimits("degC", -60.0, 60.0, "ambient temperature used if none is given")]
-    motor_ratio: Annotated[float | None, QuantityLimits("1", 0.1, 500.0, "motor speed over sprocket speed", optional=True)]
-    motor_efficiency: Annotated[float | None, QuantityLimits("1", 0.3, 1.0, "efficiency from motor to sprocket", optional=True)]
+        Limits("m/s^2", 1.0, 50.0, "maximum acceleration and braking; speeds that change faster are rejected"),
+    ] = GRAVITY  # the limit of friction on the ground
+    ambient: Annotated[float, Limits("degC", -60.0, 60.0, "ambient temperature used if none is given")]
+    motor_ratio: Annotated[float | None, Limits("1", 0.1, 500.0, "motor speed over sprocket speed")] = None
+    motor_efficiency: Annotated[float | None, Limits("1", 0.3, 1.0, "efficiency from motor to sprocket")] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChassisSection(Chassis):
+    """The chassis in a vehicle file, with the axles."""
+
+    axles: Annotated[tuple[Axle, ...], FILLED]
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,15 +232,13 @@ class Spells:
 
     form: ClassVar[str] = "spells"
 
-    level: Annotated[
-        float, QuantityLimits("Nm", -1e6, 1e6, "torque against travel while it is present, above the expected torque")
-    ]
+    level: Annotated[float, Limits("Nm", -1e6, 1e6, "torque against travel while it is present, above the expected torque")]
     rest: Annotated[
         float,
-        QuantityLimits("Nm", -1e6, 1e6, "torque against travel while it is absent; not 0 if the fitted values absorb its mean"),
+        Limits("Nm", -1e6, 1e6, "torque against travel while it is absent; not 0 if the fitted values absorb its mean"),
     ]
-    mean_there: Annotated[float, QuantityLimits("s", 10.0, 1e5, "mean length of a spell")]
-    mean_away: Annotated[float, QuantityLimits("s", 10.0, 1e6, "mean time between two")]
+    mean_there: Annotated[float, Limits("s", 10.0, 1e5, "mean length of a spell")]
+    mean_away: Annotated[float, Limits("s", 10.0, 1e6, "mean time between two")]
     noise: Annotated[float, NOISE]
 
 
@@ -222,12 +248,42 @@ class Drift:
 
     form: ClassVar[str] = "drift"
 
-    size: Annotated[float, QuantityLimits("Nm", 1e-3, 1e6, "standard deviation of the drifting torque")]
-    time_constant: Annotated[float, QuantityLimits("s", 10.0, 1e6, "time constant of the drift")]
+    size: Annotated[float, Limits("Nm", 1e-3, 1e6, "standard deviation of the drifting torque")]
+    time_constant: Annotated[float, Limits("s", 10.0, 1e6, "time constant of the drift")]
     noise: Annotated[float, NOISE]
 
 
 Disturbance = Spells | Drift
+RUBBER, CHASSIS, BELT = map(limits_of, (RubberValues, Chassis, Belt))
+DISTURBANCES = {kind.form: limits_of(kind) for kind in (Spells, Drift)}
+
+
+@dataclass(frozen=True, slots=True)
+class Methods:
+    """Names of the loss method and of the thermal model."""
+
+    hysteresis: Literal["spectral", "rainflow"]
+    thermal: Literal["lumped", "core_surface"]
+
+
+MODEL_CHOICES = {method.name: get_args(method.kind) for method in fields_of(Methods)}
+
+
+@dataclass(frozen=True, slots=True)
+class TrackVehicleFile:
+    """The content of the file of a track vehicle. Its parameters have the order of these fields."""
+
+    schema: Literal[1]
+    name: str
+    title: str
+    model: Methods
+    chassis: ChassisSection
+    tracks: Annotated[Mapping[str, Track], FILLED]
+    rubber: RubberSection
+    assemblies: Annotated[tuple[Assembly, ...], FILLED]
+    effects: Mapping[str, Any] = field(default_factory=dict)
+    effect_files: tuple[str, ...] = ()
+    disturbance: Spells | Drift = ABSENT
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Assembles a `Vehicle` from a checked file, and checks the consistency of its parts."""
+"""Reads the file of a track vehicle, where every value must be stated, and checks the consistency of its parts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import logging
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -18,40 +18,122 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros import checks
+from trackres_ros.arrays import Array
 from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.effects.registry import catalogue, check_effects
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.dataclass_reader import DataReader, Limits
+from trackres_ros.files.documents import is_there, read_text, read_yaml
 from trackres_ros.files.resources import config_dir, find_vehicle
-from trackres_ros.files.small_files import is_there, read_text
-from trackres_ros.files.yamls import read_yaml
-from trackres_ros.text.numbers import figures
-from trackres_ros.units import GRAVITY
-from trackres_ros.vehicle import schema
+from trackres_ros.text import figures
 from trackres_ros.vehicle.belt_bulk import arc_length
 from trackres_ros.vehicle.description import (
-    Assembly,
-    Axle,
-    Beam,
-    Belt,
+    CHASSIS,
+    RUBBER,
+    SPROCKET,
     Chassis,
-    QuantityLimits,
-    RoadWheels,
+    Disturbance,
+    Flag,
+    Quantity,
     Rubber,
+    RubberSection,
+    Spells,
     Track,
+    TrackVehicleFile,
     Vehicle,
-    WrappedWheel,
 )
-from trackres_ros.vehicle.reading import Known, ValueReader, read_disturbance
 
-TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")
 DISTURBANCE = "disturbance"
 RUBBER_COLUMNS = ("T_degC", "E_storage_MPa", "E_loss_MPa")
 AT_10_HZ = "_10Hz"  # possible endings of the moduli's names, as in the shipped file; the frequency is in the vehicle file
 MOST_RUBBER_BYTES = 1 << 20  # a sweep has some tens of rows
-OF_AXLE = r"[A-Za-z0-9_-]+", "letters a to z or A to Z, digits, _ and -"  # as in a role of a topics file
-OF_ASSEMBLY = r"[A-Za-z][A-Za-z0-9_]*", "a letter a to z or A to Z, then such letters, digits and _"  # part of names of topics
 CLOSED_LOOP_TOLERANCE_RAD = 0.05
+
+# The temperature sweep. A rubber is glassy at some GPa at most, and at the warm end no rubber above 1 GPa; filled or not its
+# loss over storage modulus stays within tan delta (Mark, Erman, Roland: The Science and Technology of Rubber, 4th ed., ch. 3).
+SWEEP_DEGC = Limits("degC", -150.0, 300.0, "temperature of a row")
+SWEEP_STORAGE = Limits("MPa", 0.05, 2e4, "storage modulus")
+SWEEP_LOSS = Limits("MPa", 1e-4, 1e4, "loss modulus")
+SWEEP_TAN_DELTA = Limits("1", 1e-4, 5.0, "loss over storage modulus")
+WARM_STORAGE = Limits("MPa", 0.05, 1e3, "storage modulus at the warm end, where it is a rubber")
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What several vehicles of one content have in common, once it is read and checked."""
+
+    quantities: dict[str, tuple[Any, Quantity]] = field(default_factory=dict)  # by path, each with its entry in the content
+    sweeps: dict[Path, tuple[Array, Array, Array]] = field(default_factory=dict)  # of rubber files
+
+
+@dataclass(frozen=True, slots=True)
+class QuantityEntry:
+    """A quantity in a vehicle file."""
+
+    value: Any
+    unit: Any
+    flag: Flag
+    range: Any
+    reason: str
+
+
+class VehicleReader(DataReader):
+    """Reads a vehicle file: what has limits is a quantity there, and recorded by its path.
+
+    The quantities of a disturbance are not recorded, as it affects neither the estimate, nor its uncertainty, nor the validity of
+    a stored state. `known`: shared by readers of one content, so that each checks only what an override changes.
+    """
+
+    def __init__(self, path: Path, overrides: Mapping[str, float] | None = None, known: Known | None = None) -> None:
+        super().__init__(path)
+        self.path = path
+        self.known = Known() if known is None else known
+        self.parameters: dict[str, Quantity] = {}
+        self._overrides = dict(overrides or {})
+
+    def noted(self, kind: Any, note: Any, given: Any, key: str) -> Any:
+        """Read a quantity, or another value with a note."""
+        if not isinstance(note, Limits):
+            return super().noted(kind, note, given, key)
+        entry, quantity = self.known.quantities.get(key, (None, None))
+        if quantity is None or entry is not given or key in self._overrides:
+            quantity = self._quantity(given, key, note)
+            if key not in self._overrides:
+                self.known.quantities[key] = given, quantity
+        if not key.startswith(f"{DISTURBANCE}."):
+            self.parameters[key] = quantity
+        if kind == tuple[float, ...]:
+            return quantity.value if isinstance(quantity.value, tuple) else (quantity.value,)
+        if isinstance(quantity.value, tuple):
+            raise InputError(self.where(f"{key}.value"), list(quantity.value), "one number")
+        return quantity.value
+
+    def _quantity(self, given: Any, key: str, limits: Limits) -> Quantity:
+        entry: QuantityEntry = self.part(QuantityEntry, given, key)
+        where = self.where(f"{key}.value")
+        if entry.unit != limits.unit:
+            raise InputError(self.where(f"{key}.unit"), entry.unit, limits.unit, "convert the value to this unit")
+        low, high = checks.span(entry.range, self.where(f"{key}.range"), limits.low, limits.high, limits.unit)
+        value: float | tuple[float, ...]
+        if key in self._overrides and not isinstance(entry.value, list):  # a fit may leave the file's range, never the limits
+            value = checks.number(self._overrides[key], self.where(key), limits.low, limits.high, limits.unit)
+            return Quantity(value, limits.unit, entry.flag, min(low, value), max(high, value), entry.reason)
+        values = entry.value if isinstance(entry.value, list) else [entry.value]
+        if not values:
+            raise InputError(where, values, "at least one number")
+        remedy = "correct the value, or widen its range if you trust the value"
+        checked = tuple(checks.number(item, where, low, high, limits.unit, if_outside=remedy) for item in values)
+        value = checked if isinstance(entry.value, list) else checked[0]
+        return Quantity(value, limits.unit, entry.flag, low, high, entry.reason)
+
+    def check_overrides_used(self) -> None:
+        """Refuse overrides whose path is not in the file."""
+        for key in self._overrides:
+            if key not in self.parameters or isinstance(self.parameters[key].value, tuple):
+                allowed = "the path of a scalar quantity in this file"
+                raise InputError(self.where(key), key, allowed, nearest(key, self.parameters))
 
 
 def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | None = None) -> Vehicle:
@@ -89,62 +171,68 @@ def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
 def build(
     path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None, known: Known | None = None
 ) -> Vehicle:
-    """Check the content of a vehicle file and assemble its description; see `load` and `ValueReader`."""
-    reader = ValueReader(path, overrides, known)
+    """Check the content of a vehicle file and assemble its description; see `load` and `VehicleReader`."""
     if isinstance(content.get("road_load"), dict):
         raise InputError(str(path), "a vehicle of the base model road_load, which has no belts", "a track vehicle")
-    reader.keys(content, "", TOP_KEYS, (*EFFECT_KEYS, DISTURBANCE))
-    if content["schema"] != 1:
-        raise InputError(reader.where("schema"), content["schema"], "1")
-    model = reader.keys(content["model"], "model", tuple(schema.MODEL_CHOICES))
-    chassis, axles = _chassis(reader, content["chassis"])
-    if not isinstance(content["tracks"], dict) or not content["tracks"]:
-        raise InputError(reader.where("tracks"), content["tracks"], "a mapping with at least one kind of track by name")
-    tracks = {str(name): _track(reader, str(name), entry) for name, entry in content["tracks"].items()}
-    rubber, rubber_source = _rubber(reader, content["rubber"])
+    reader = VehicleReader(path, overrides, known)
+    file: TrackVehicleFile = reader.part(TrackVehicleFile, content)
+    if (file.chassis.motor_ratio is None) != (file.chassis.motor_efficiency is None):
+        raise InputError(reader.where("chassis.motor_ratio"), "one of motor_ratio and motor_efficiency", "both or neither")
+    _check_assemblies(reader, file)
+    rubber, rubber_source = _rubber(reader, file.rubber)
     vehicle = Vehicle(
-        name=reader.text(content["name"], "name"),
-        title=reader.text(content["title"], "title"),
+        name=file.name,
+        title=file.title,
         source=path,
-        hysteresis=reader.text(model["hysteresis"], "model.hysteresis", schema.MODEL_CHOICES["hysteresis"]),
-        thermal=reader.text(model["thermal"], "model.thermal", schema.MODEL_CHOICES["thermal"]),
+        hysteresis=file.model.hysteresis,
+        thermal=file.model.thermal,
         rubber=rubber,
         rubber_source=rubber_source,
-        chassis=chassis,
-        axles=axles,
-        assemblies=_assemblies(reader, content["assemblies"], axles, tracks),
-        tracks=MappingProxyType(tracks),
+        chassis=Chassis(**{name: getattr(file.chassis, name) for name in CHASSIS}),
+        axles=file.chassis.axles,
+        assemblies=file.assemblies,
+        tracks=MappingProxyType({name: _track(reader, track) for name, track in file.tracks.items()}),
         parameters=MappingProxyType(reader.parameters),
-        disturbance=read_disturbance(path, content[DISTURBANCE]) if DISTURBANCE in content else None,
+        disturbance=checked_disturbance(reader, file.disturbance),
     )
-    vehicle = replace(vehicle, effects=listed_effects(reader, content, vehicle.size, vehicle.kind, "vehicle"))
+    vehicle = replace(
+        vehicle, effects=listed_effects(reader, file.effects, file.effect_files, vehicle.size, vehicle.kind, "vehicle")
+    )
     reader.check_overrides_used()
     return vehicle
 
 
+def checked_disturbance(reader: VehicleReader, disturbance: Disturbance | None) -> Disturbance | None:
+    """A disturbance, if its levels differ."""
+    if isinstance(disturbance, Spells) and disturbance.level == disturbance.rest:
+        raise InputError(reader.where(f"{DISTURBANCE}.level"), disturbance.level, "a torque different from that of the rest")
+    return disturbance
+
+
 def listed_effects(
-    reader: ValueReader, content: Mapping[str, Any], size: float, kind: VehicleKind, belongs_to: str
+    reader: VehicleReader,
+    effects: Mapping[str, Any],
+    effect_files: Sequence[str],
+    size: float,
+    kind: VehicleKind,
+    belongs_to: str,
 ) -> tuple[Active, ...]:
     """The effects that a file switches on, including those of its `effect_files`; see `catalogue` and `check_effects`.
 
     Only Python files named there are run, relative to the file that names them.
     """
-    given = content.get("effect_files", [])
-    if not isinstance(given, list):
-        raise InputError(reader.where("effect_files"), given, "a list of Python files")
-    files = [reader.path.parent / reader.text(name, f"effect_files[{i}]") for i, name in enumerate(given)]
-    if not files and "effects" not in content:
+    if not effect_files and not effects:
         return ()
+    files = [reader.path.parent / name for name in effect_files]
     for file in files:
         if not (is_there(file) and file.is_file()):
             raise InputError(reader.where("effect_files"), str(file), "existing Python files, relative to this file")
     known = catalogue(size=size, on_tyres=not kind.has_belt, files=files)
-    return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to, size, kind)
+    return check_effects(effects, reader.where("effects"), known, belongs_to, size, kind)
 
 
-def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
-    values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
-    file = Path(reader.text(given["file"], "rubber.file"))
+def _rubber(reader: VehicleReader, section: RubberSection) -> tuple[Rubber, Path]:
+    file = Path(section.file)
     path, shipped = reader.path.parent / file, config_dir() / "rubber" / file.name
     if not is_there(path) and not file.is_absolute() and is_there(shipped):
         _say_shipped(path, shipped)
@@ -154,7 +242,8 @@ def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
     if path not in reader.known.sweeps:
         reader.known.sweeps[path] = read_rubber_sweep(path)
     sweep_degc, storage_pa, loss_pa = reader.known.sweeps[path]
-    return Rubber(sweep_degc, storage_pa, loss_pa, **values), path
+    values = {name: getattr(section, name) for name in RUBBER}
+    return Rubber(**values, sweep_degc=sweep_degc, storage_pa=storage_pa, loss_pa=loss_pa), path
 
 
 @cache
@@ -205,127 +294,65 @@ def _check_sweep(path: Path, table: np.ndarray, names: Sequence[str]) -> None:
     degc, storage, loss = table.T
     moduli = "the columns are in MPa: divide values in Pa by 1e6, multiply values in GPa by 1000"
     for what, values, limits, remedy in (
-        (names[0], degc, schema.SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
-        (names[1], storage, schema.SWEEP_STORAGE, moduli),
-        (names[2], loss, schema.SWEEP_LOSS, moduli),
+        (names[0], degc, SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
+        (names[1], storage, SWEEP_STORAGE, moduli),
+        (names[2], loss, SWEEP_LOSS, moduli),
     ):
         _within(path, what, values, limits, remedy)
     columns = "check that both columns are of one test and in one unit"
     with np.errstate(over="ignore"):
-        _within(path, "loss over storage modulus", loss / storage, schema.SWEEP_TAN_DELTA, columns)
-    _within(path, f"storage modulus at {degc[-1]:g} degC", storage[-1:], schema.WARM_STORAGE, moduli)
+        _within(path, "loss over storage modulus", loss / storage, SWEEP_TAN_DELTA, columns)
+    _within(path, f"storage modulus at {degc[-1]:g} degC", storage[-1:], WARM_STORAGE, moduli)
 
 
-def _within(path: Path, what: str, values: np.ndarray, limits: QuantityLimits, remedy: str) -> None:
+def _within(path: Path, what: str, values: np.ndarray, limits: Limits, remedy: str) -> None:
     if values.min() < limits.low or values.max() > limits.high:
         given = f"{figures(values.min(), 4)} to {figures(values.max(), 4)} {limits.unit}"
         raise InputError(f"{path}: {what}", given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
 
 
-def _chassis(reader: ValueReader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
-    values: dict[str, Any] = reader.table(given, "chassis", schema.CHASSIS, others=("axles",))
-    values.setdefault("max_acceleration", GRAVITY)  # limit of friction on the ground
-    values.setdefault("motor_ratio", None)
-    values.setdefault("motor_efficiency", None)
-    if (values["motor_ratio"] is None) != (values["motor_efficiency"] is None):
-        raise InputError(reader.where("chassis.motor_ratio"), "one of motor_ratio and motor_efficiency", "both or neither")
-    axles = []
-    for i, entry in enumerate(reader.items(given["axles"], "chassis.axles")):
-        reader.keys(entry, f"chassis.axles[{i}]", ("name", "load"))
-        name = reader.name(entry["name"], f"chassis.axles[{i}].name", OF_AXLE)
-        axles.append(Axle(name, reader.quantity(entry["load"], f"chassis.axles.{name}.load", schema.AXLE_LOAD)))
-    _refuse_repeats(reader, "chassis.axles", [axle.name for axle in axles])
-    return Chassis(**values), tuple(axles)
-
-
-def _assemblies(reader: ValueReader, given: Any, axles: tuple[Axle, ...], tracks: Mapping[str, Track]) -> tuple[Assembly, ...]:
-    assemblies = []
-    names = tuple(axle.name for axle in axles)
-    for i, entry in enumerate(reader.items(given, "assemblies")):
-        key = f"assemblies[{i}]"
-        reader.keys(entry, key, ("name", "axle", "track"))
-        assemblies.append(
-            Assembly(
-                reader.name(entry["name"], f"{key}.name", OF_ASSEMBLY),
-                reader.text(entry["axle"], f"{key}.axle", names),
-                reader.text(entry["track"], f"{key}.track", tuple(tracks)),
-            )
-        )
-    _refuse_repeats(reader, "assemblies", [a.name for a in assemblies] + list(names))
-    for name in names:
-        if all(a.axle != name for a in assemblies):
-            raise InputError(reader.where("assemblies"), f"no assembly on axle {name}", "at least one assembly an axle")
+def _check_assemblies(reader: VehicleReader, file: TrackVehicleFile) -> None:
+    """Refuse repeated names, assemblies on unknown axles or of unknown tracks, and unused axles and tracks."""
+    axles, tracks = [axle.name for axle in file.chassis.axles], list(file.tracks)
+    for key, names in (("chassis.axles", axles), ("assemblies", [*(a.name for a in file.assemblies), *axles])):
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise InputError(reader.where(key), ", ".join(repeated), "unique names of axles and assemblies")
+    for assembly in file.assemblies:
+        key = f"assemblies.{assembly.name}"
+        checks.one_of(assembly.axle, reader.where(f"{key}.axle"), axles)
+        checks.one_of(assembly.track, reader.where(f"{key}.track"), tracks)
+    where = reader.where("assemblies")
+    for name in axles:
+        if all(assembly.axle != name for assembly in file.assemblies):
+            raise InputError(where, f"no assembly on axle {name}", "at least one assembly an axle")
     for name in tracks:
-        if all(a.track != name for a in assemblies):
-            raise InputError(
-                reader.where("assemblies"), f"no assembly of the track {name}", "at least one assembly a kind of track"
-            )
-    return tuple(assemblies)
+        if all(assembly.track != name for assembly in file.assemblies):
+            raise InputError(where, f"no assembly of the track {name}", "at least one assembly a kind of track")
 
 
-def _refuse_repeats(reader: ValueReader, key: str, names: list[str]) -> None:
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise InputError(reader.where(key), ", ".join(repeated), "unique names of axles and assemblies")
-
-
-def _track(reader: ValueReader, name: str, given: Any) -> Track:
-    key = f"tracks.{name}"
-    values = reader.table(given, key, schema.TRACK, others=("belt", "road_wheels", "wrapped_wheels", "beams"))
-    belt_values = reader.table(given["belt"], f"{key}.belt", schema.BELT, others=("film_speed_unit",))
-    unit = reader.text(given["belt"]["film_speed_unit"], f"{key}.belt.film_speed_unit", schema.FILM_SPEED_UNITS)
-    wheels = reader.keys(given["road_wheels"], f"{key}.road_wheels", tuple(schema.ROAD_WHEELS))
-    road_wheels = RoadWheels(
-        positions=reader.quantities(wheels["positions"], f"{key}.road_wheels.positions", schema.ROAD_WHEELS["positions"]),
-        **{
-            part: reader.quantity(wheels[part], f"{key}.road_wheels.{part}", schema.ROAD_WHEELS[part])
-            for part in ("radius", "contact_length", "ground_run")
-        },
-    )
-    track = Track(
-        name=name,
-        belt=Belt(film_speed_unit=unit, **belt_values),
-        road_wheels=road_wheels,
-        wrapped_wheels=_wrapped_wheels(reader, key, given["wrapped_wheels"], values["sprocket_radius"]),
-        beams=_beam(reader, f"{key}.beams", given["beams"], top=True),
-        **values,
-    )
+def _track(reader: VehicleReader, track: Track) -> Track:
+    """A track with the radius of its sprocket, if its parts fit each other."""
+    key, wheels = f"tracks.{track.name}", track.wrapped_wheels
+    for wheel in wheels:
+        where = reader.where(f"{key}.wrapped_wheels.{wheel.name}.radius")
+        if wheel.kind == SPROCKET and not math.isnan(wheel.radius):
+            raise InputError(where, wheel.radius, "no radius of a sprocket: sprocket_radius of the track is its radius")
+        if wheel.kind != SPROCKET and math.isnan(wheel.radius):
+            raise InputError(where, "nothing", "this key is required")
+    if sum(wheel.kind == SPROCKET for wheel in wheels) != 1:
+        raise InputError(reader.where(f"{key}.wrapped_wheels"), [wheel.kind for wheel in wheels], "exactly one sprocket")
+    top = f"{key}.beams.own_weight_split"
+    for path in reader.parameters:
+        if path.startswith(f"{key}.beams.") and path.endswith(".own_weight_split") and path != top:
+            raise InputError(reader.where(path), "own_weight_split", "this key of the top beam alone")
+    wheels = tuple(replace(wheel, radius=track.sprocket_radius) if wheel.kind == SPROCKET else wheel for wheel in wheels)
+    track = replace(track, wrapped_wheels=wheels)
     _check_geometry(reader, key, track)
     return track
 
 
-def _wrapped_wheels(reader: ValueReader, key: str, given: Any, sprocket_radius: float) -> tuple[WrappedWheel, ...]:
-    wheels = []
-    for i, entry in enumerate(reader.items(given, f"{key}.wrapped_wheels")):
-        place = f"{key}.wrapped_wheels[{i}]"
-        sprocket = isinstance(entry, dict) and entry.get("kind") == "sprocket"
-        reader.keys(entry, place, ("name", "kind", "wrap_angle") if sprocket else ("name", "kind", "radius", "wrap_angle"))
-        name = reader.text(entry["name"], f"{place}.name")
-        kind = reader.text(entry["kind"], f"{place}.kind", schema.WHEEL_KINDS)
-        path = f"{key}.wrapped_wheels.{name}"
-        radius = sprocket_radius
-        if not sprocket:
-            radius = reader.quantity(entry["radius"], f"{path}.radius", schema.WRAPPED_WHEEL["radius"])
-        wrap = reader.quantity(entry["wrap_angle"], f"{path}.wrap_angle", schema.WRAPPED_WHEEL["wrap_angle"])
-        wheels.append(WrappedWheel(name, kind, radius, wrap))
-    if sum(wheel.kind == "sprocket" for wheel in wheels) != 1:
-        raise InputError(reader.where(f"{key}.wrapped_wheels"), [wheel.kind for wheel in wheels], "exactly one sprocket")
-    return tuple(wheels)
-
-
-def _beam(reader: ValueReader, key: str, given: Any, top: bool = False) -> Beam | int:
-    if isinstance(given, int) and not isinstance(given, bool):
-        return given - 1
-    names = ("split", "front", "rear")
-    reader.keys(given, key, names, ("own_weight_split",) if top else ())
-    split = reader.quantity(given["split"], f"{key}.split", schema.BEAM["split"])
-    own = split
-    if "own_weight_split" in given:
-        own = reader.quantity(given["own_weight_split"], f"{key}.own_weight_split", schema.BEAM["own_weight_split"])
-    return Beam(split, own, _beam(reader, f"{key}.front", given["front"]), _beam(reader, f"{key}.rear", given["rear"]))
-
-
-def _check_geometry(reader: ValueReader, key: str, track: Track) -> None:
+def _check_geometry(reader: VehicleReader, key: str, track: Track) -> None:
     """Refuse a track whose parts do not fit each other."""
     belt, wheels = track.belt, track.road_wheels
 

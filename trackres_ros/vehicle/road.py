@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -19,15 +19,14 @@ from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.viscous_friction import ViscousFriction
 from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import ABSENT, Limits, limits_of
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
-from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
-from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects
-from trackres_ros.vehicle.reading import ValueReader, read_disturbance
-from trackres_ros.vehicle.schema import ROAD_LOAD
+from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Drift, Quantity, Spells, Vehicle
+from trackres_ros.vehicle.loading import VehicleReader, build, checked_disturbance, listed_effects
 
 SECTION = "road_load"
 GEARS = DrivetrainEfficiency()
@@ -35,6 +34,50 @@ OF_SLIDES = {"coulomb_friction": (CoulombFriction(), "friction"), "viscous_frict
 """Forces of sliding vehicles: the effect of each, and its parameter, over the radius."""
 ROUNDED = 1e-5  # of the rolling coefficient: the figures of written values
 SLOW_SHARE = 1.0 / 30.0  # of the greatest speed: a slow vehicle reverses within less than `STANDSTILL_MPS`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoadLoad:
+    """The section `road_load` of a vehicle file."""
+
+    rolling_coefficient: Annotated[float, Limits("1", 0.0, 0.5, "rolling resistance over weight")]
+    rolling_rise: Annotated[float, Limits("s/m", -0.01, 0.05, "growth of the rolling coefficient with speed")]
+    drag_area: Annotated[float, Limits("m^2", 0.0, 30.0, "drag coefficient times frontal area")]
+    air_density: Annotated[float, Limits("kg/m^3", 0.3, 2.0, "air density")]
+    mass: Annotated[float, Limits("kg", 0.5, 1e6, "mass with driver and load")]
+    rotating_mass_factor: Annotated[float, Limits("1", 1.0, 3.0, "effective over true mass in acceleration")]
+    wheel_radius: Annotated[float, Limits("m", 0.01, 3.0, "rolling radius of the driven wheels")]
+    torque_scale: Annotated[
+        float, Limits("1", 0.01, 100.0, "measured over true torque at the wheels, for example from a motor constant")
+    ]
+    efficiency: Annotated[float, Limits("1", 0.75, 1.0, "of the gears between the measured torque and the wheels")]
+    torque_delay: Annotated[float, Limits("s", 0.0, 1.0, "delay of the measured torque")]
+    contact_length: Annotated[
+        float, Limits("m", 0.01, 10.0, "length of the ground contact, or the wheelbase of a skid-steered vehicle")
+    ]
+    track_width: Annotated[float | None, Limits("m", 0.02, 10.0, "effective track width for turning")] = None
+    max_speed: Annotated[float, Limits("m/s", 0.1, 100.0, "greatest speed")]
+    ambient: Annotated[float, Limits("degC", -60.0, 60.0, "ambient temperature used if none is given")]
+    coulomb_friction: Annotated[float | None, Limits("N", 0.0, 1e6, "Coulomb friction")] = None
+    viscous_friction: Annotated[float | None, Limits("N s/m", 0.0, 1e8, "viscous friction over speed")] = None
+    torque_offset: Annotated[float | None, Limits("Nm", -1e5, 1e5, "reading at zero torque, over the scale")] = None
+
+
+ROAD_LOAD = limits_of(RoadLoad)
+
+
+@dataclass(frozen=True, slots=True)
+class RoadVehicleFile:
+    """The content of the file of a vehicle without belts."""
+
+    schema: Literal[1]
+    name: str
+    title: str
+    friction_brakes: bool
+    road_load: RoadLoad
+    effects: Mapping[str, Any] = field(default_factory=dict)
+    effect_files: tuple[str, ...] = ()
+    disturbance: Spells | Drift = ABSENT
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,7 +89,7 @@ class RoadVehicle:
     name, title, source, parameters, effects, surroundings, surroundings_source, route, disturbance
         As of a `Vehicle`.
     values
-        The quantities of the section `road_load`, by name; see `schema.ROAD_LOAD` for the units.
+        The quantities of the section `road_load`, by name; see `RoadLoad` for the units.
     friction_brakes
         Whether unrecorded friction brakes may assist a braking torque.
     """
@@ -110,10 +153,8 @@ class RoadVehicle:
     def chassis(self) -> Chassis:
         """A track vehicle's quantities other than tracks; its bearing friction is the rolling resistance at a crawl."""
         v = self.values
-        return Chassis(
-            v["rolling_coefficient"], v["drag_area"], 1.0, v["air_density"], v["rotating_mass_factor"], v["max_speed"], GRAVITY,
-            v["ambient"], None, None,
-        )  # fmt: skip
+        same = {name: v[name] for name in ("air_density", "rotating_mass_factor", "max_speed", "ambient")}
+        return Chassis(bearing_friction=v["rolling_coefficient"], drag_coefficient=v["drag_area"], frontal_area=1.0, **same)
 
     @property
     def constants(self) -> VehicleConstants:
@@ -160,7 +201,7 @@ def least_rolling(values: Mapping[str, float]) -> float:
     return max(ROAD_LOAD["rolling_coefficient"].low, -values["rolling_rise"] * values["max_speed"] / (1.0 + ROUNDED))
 
 
-def _check_rolling(reader: ValueReader, values: Mapping[str, float]) -> None:
+def _check_rolling(reader: VehicleReader, values: Mapping[str, float]) -> None:
     """Refuse a rolling resistance that becomes negative below the greatest speed."""
     coefficient, rise, fastest = values["rolling_coefficient"], values["rolling_rise"], values["max_speed"]
     if coefficient < least_rolling(values):
@@ -185,16 +226,12 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     InputError
         On a missing, unknown or implausible value.
     """
-    reader = ValueReader(path)
-    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", SECTION), (*EFFECT_KEYS, DISTURBANCE))
-    if content["schema"] != 1:
-        raise InputError(reader.where("schema"), content["schema"], "1")
-    values = reader.table(content[SECTION], SECTION, ROAD_LOAD)
+    reader = VehicleReader(path)
+    file: RoadVehicleFile = reader.part(RoadVehicleFile, content)
+    values = {name: value for name, value in asdict(file.road_load).items() if value is not None}
     _check_rolling(reader, values)
-    brakes = content["friction_brakes"]
-    if not isinstance(brakes, bool):
-        raise InputError(reader.where("friction_brakes"), brakes, "true or false")
-    name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
-    watched = read_disturbance(path, content[DISTURBANCE]) if DISTURBANCE in content else None
-    vehicle = RoadVehicle(name, title, path, values, reader.parameters, brakes, disturbance=watched)
-    return replace(vehicle, effects=listed_effects(reader, content, vehicle.size, vehicle.kind, "vehicle"))
+    watched = checked_disturbance(reader, file.disturbance)
+    vehicle = RoadVehicle(file.name, file.title, path, values, reader.parameters, file.friction_brakes, disturbance=watched)
+    return replace(
+        vehicle, effects=listed_effects(reader, file.effects, file.effect_files, vehicle.size, vehicle.kind, "vehicle")
+    )

@@ -8,27 +8,36 @@ by place on a route. None of them belong to the vehicle.
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from trackres_ros import checks
 from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.errors import InputError
-from trackres_ros.files.yamls import read_yaml
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.route.learned import TORQUE, RouteMap, of_kind
 from trackres_ros.route.table import read_route
-from trackres_ros.text.numbers import figures
-from trackres_ros.vehicle.loading import listed_effects
-from trackres_ros.vehicle.reading import ValueReader
+from trackres_ros.text import figures
+from trackres_ros.vehicle.loading import VehicleReader, listed_effects
 from trackres_ros.vehicle.road import AnyVehicle
 
 Kind = TypeVar("Kind", bound=AnyVehicle)
-SCHEMA = 1
 MOST_SHARE = 0.5  # of weight times wheel radius: limit of a torque by place, as a slope of 50 %
-KEYS = ("schema", "vehicle", "effects")
+
+
+@dataclass(frozen=True, slots=True)
+class SurroundingsFile:
+    """The content of a file of the surroundings; `route` names the table of values by place."""
+
+    schema: Literal[1]
+    vehicle: str
+    effects: Mapping[str, Any]
+    effect_files: tuple[str, ...] = ()
+    route: str = ""
 
 
 def with_surroundings(vehicle: Kind, file: str | os.PathLike[str] | None) -> Kind:
@@ -54,14 +63,16 @@ def load_surroundings(path: Path, vehicle: str, size: float, kind: VehicleKind) 
     InputError
         If the file cannot be read, was made for another vehicle, or lists effects other than of the surroundings or of its kind.
     """
-    reader, content = ValueReader(path), read_yaml(path)
-    reader.keys(content, "", KEYS, ("effect_files", "route"))
-    if content["schema"] != SCHEMA:
-        raise InputError(reader.where("schema"), content["schema"], str(SCHEMA))
-    if reader.text(content["vehicle"], "vehicle") != vehicle:
+    reader, file = _read(path)
+    if file.vehicle != vehicle:
         remedy = "surroundings are fitted for one vehicle: run trackres diagnose with this vehicle"
-        raise InputError(reader.where("vehicle"), content["vehicle"], vehicle, remedy)
-    return listed_effects(reader, content, size, kind, "surroundings")
+        raise InputError(reader.where("vehicle"), file.vehicle, vehicle, remedy)
+    return listed_effects(reader, file.effects, file.effect_files, size, kind, "surroundings")
+
+
+def _read(path: Path) -> tuple[VehicleReader, SurroundingsFile]:
+    reader = VehicleReader(path)
+    return reader, reader.part(SurroundingsFile, read_yaml(path))
 
 
 def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:
@@ -73,10 +84,10 @@ def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:
     InputError
         If its table cannot be read, or has a torque too large for any ground.
     """
-    name = read_yaml(path).get("route")
-    if name is None:
+    name = _read(path)[1].route
+    if not name:
         return ()
-    file = path.parent / ValueReader(path).text(name, "route")
+    file = path.parent / name
     route, most = read_route(file), MOST_SHARE * size
     torques = of_kind(route, TORQUE)
     largest = 0.0 if torques is None else float(np.nanmax(np.abs(torques.value)))

@@ -16,12 +16,12 @@ from trackres_ros.effects.learned import NAMES, learned
 from trackres_ros.effects.registry import catalogue
 from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, followed, rate_towards
-from trackres_ros.estimator.guards import not_enabled
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, rate_towards
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off, resume, save
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
-from trackres_ros.node.publisher import OutputPublisher
+from trackres_ros.node.inputs import NodeClock
+from trackres_ros.node.output import FeedforwardFilter
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.tools.export import step
 
@@ -201,16 +201,14 @@ def enabled(tmp_path_factory):
     return built, bytes(built.state)
 
 
-GUARD, FOLLOWED = not_enabled, followed
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
     built, built.state[:] = enabled
     session, k = built.estimator.session(), built.estimator.constants
-    live = OutputPublisher((), built.estimator, None)
+    clock = NodeClock(None, False, lambda: 0, None)
+    clock.offset_ns = 0
+    live = FeedforwardFilter(session, clock)
     tick_ns = round(FEEDFORWARD_STEP_S * SECOND_NS)
-    goal = target = age_s = 0.0
     shown, guarded = [], set()
     for now, speed, enable in zip(itertools.count(tick_ns, tick_ns), *stops_and_disables(seed, 1500), strict=False):
         result, outputs = built.step({"speed_mps": speed, "enable": enable}, FEEDFORWARD_STEP_S)
@@ -220,16 +218,11 @@ def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
         assert result == (estimate is not None)
         if estimate is not None:
             assert outputs["feedforward_torque_nm"] == pytest.approx(estimate.feedforward_torque_nm, rel=EQUAL)
-            target, age_s = float(session.motion[at.Motion.feedforward_target]), 0.0
-            live.take(estimate.row.tolist(), now, now)
-        unfed = GUARD(k, session.memory, now)
-        if live.row:
-            goal = FOLLOWED(k.number, live.row[at.Results.feedforward_torque_nm], target, age_s - FEEDFORWARD_STEP_S)
-        live.publish(now, now, lambda _: (), *((0.0, 0.0) if unfed else (goal, target)))
-        assert int(outputs["reasons"]) & unfed == unfed
-        shown.append((float(outputs["feedforward_torque_nm"]), live.feedforward))
-        guarded.add(unfed)
-        age_s += FEEDFORWARD_STEP_S
+            live.take(now, 0)
+        course = live.course(now)
+        assert int(outputs["reasons"]) & course.stopped == course.stopped
+        shown.append((float(outputs["feedforward_torque_nm"]), live.moved(course) if np.isfinite(live.age_s(now)) else 0.0))
+        guarded.add(course.stopped)
     of_c, of_live = np.abs(shown).T
     a_tick_later = (k.number.feedforward_rate + rate_towards(k.number, 0.0)) * FEEDFORWARD_STEP_S
     assert (of_c <= of_live + a_tick_later + 1e-6).all()

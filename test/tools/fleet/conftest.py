@@ -5,7 +5,8 @@ import shutil
 
 import pytest
 
-from proofs.fleet.draw import draw_fleet, write_recording
+from proofs.fleet.draw import write_recording
+from trackres_ros.tools.fleet.sample import draw_fleet
 
 
 @pytest.fixture(scope="session")

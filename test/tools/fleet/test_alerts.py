@@ -22,7 +22,7 @@ from waiting import wait_for
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
-from proofs.fleet.draw import draw_fleet, write_recording
+from proofs.fleet.draw import write_recording
 from trackres_ros.diagnosis import load_base
 from trackres_ros.errors import InputError
 from trackres_ros.tools.fleet.alerts import COLUMNS, alerts, checked_url
@@ -33,6 +33,7 @@ from trackres_ros.tools.fleet.page.write import write_pages
 from trackres_ros.tools.fleet.periods import DIAGNOSES, INPUTS, REASON, verdicts
 from trackres_ros.tools.fleet.recordings import FoundRecording
 from trackres_ros.tools.fleet.run import alone, keep_limits, limits_of
+from trackres_ros.tools.fleet.sample import draw_fleet
 from trackres_ros.tools.fleet.task import Task, analyse, broken
 from trackres_ros.tools.fleet.trends import day_of, sentences, trends, without_copies
 from trackres_ros.tools.fleet.vehicles import digest_of_values, one_vehicle, read_fleet

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proofs.fleet.draw import FASTEST_MPS, VEHICLE
+from proofs.fleet.draw import FASTEST_MPS
 from proofs.sealed.data_sheet import read_data_sheet
 from proofs.sealed.drives import drive
 from proofs.sealed.sensors import Sensors, record
@@ -17,6 +17,7 @@ from trackres_ros import read
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.tools.fleet.likelihood import evidence, whatever_others
+from trackres_ros.tools.fleet.sample import VEHICLE
 
 ROUNDING = 1e-12
 

@@ -4,6 +4,7 @@
 """Every simulated fleet that can be asked for can be analysed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +14,9 @@ from hypothesis import strategies as st
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
-from proofs.fleet import draw
-from proofs.fleet.draw import DAY_S, MOVES_MPS, MOVES_S, draw_fleet, write_recording
-from proofs.sealed.drives import drive
 from trackres_ros.errors import InputError
-from trackres_ros.tools.fleet.sample import SAMPLE_CHANGES
+from trackres_ros.tools.fleet import sample
+from trackres_ros.tools.fleet.sample import DAY_S, MOVES_MPS, MOVES_S, SAMPLE_CHANGES, draw_fleet, record_drive
 from trackres_ros.tools.fleet.task import Task, analyse
 from trackres_ros.tools.fleet.vehicles import one_vehicle, read_fleet
 
@@ -77,18 +76,33 @@ def test_only_a_sample_with_the_same_options_is_completed(good, refused, tmp_pat
 
 def test_a_short_recording_holds_enough_driving(tmp_path, monkeypatch):
     """If a driver stands at first, that drive is drawn again, and the recording can be compared."""
-    drawn = []
+    drawn, drives = [], sample.drives
 
-    def standing_first(minutes, weight, air, fastest, rng):
-        one = drive(minutes, weight, air, fastest, rng)
+    def standing_first(base, max_speed, count, minutes, rng):
+        (session,) = drives(base, max_speed, count, minutes, rng)
         if not drawn:
-            one.speed[:] = 0.0
-        drawn.append(float((one.speed > MOVES_MPS).sum()) * one.step)
-        return one
+            session.speed[:] = 0.0
+        drawn.append(float((session.speed > MOVES_MPS).sum()) * session.step)
+        return [session]
 
-    monkeypatch.setattr(draw, "drive", standing_first)
+    monkeypatch.setattr(sample, "drives", standing_first)
     (vehicle,) = draw_fleet(1, 1, 1.0, 3.0, (), seed=1)
-    path = write_recording(tmp_path, vehicle, 0, 3.0)
+    record_drive((tmp_path, vehicle, 0, 3.0))
+    (path,) = tmp_path.rglob("*.csv")
     assert drawn[0] < MOVES_S <= drawn[-1]
     done = analyse(Task(str(path), "1", one_vehicle("xgd24d", None).vehicles["xgd24d"]))
     assert done["status"] == "good", done["reason"]
+
+
+def test_a_change_is_in_the_torque_from_its_first_recording_on(tmp_path):
+    """The same drives with and without it differ from there, and by the more the later."""
+    (vehicle,) = draw_fleet(1, 12, 3.0, 5.0, ((sample.BEARING, sample.RAMP, 0.4),), seed=3)
+    first = vehicle.hidden.first
+    means = {}
+    for name, hidden in (("changed", vehicle.hidden), ("as_new", None)):
+        for number in range(len(vehicle.days)):
+            record_drive((tmp_path / name, replace(vehicle, hidden=hidden), number, 5.0))
+        means[name] = [np.loadtxt(p, delimiter=",", skiprows=1)[:, 7].mean() for p in sorted((tmp_path / name).rglob("*.csv"))]
+    more = np.subtract(means["changed"], means["as_new"])
+    assert np.all(more[:first] == 0.0)
+    assert np.all(np.diff(more[first - 1 :]) > 0.0)

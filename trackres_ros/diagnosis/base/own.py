@@ -17,8 +17,7 @@ import numpy as np
 from trackres_ros import checks
 from trackres_ros.arrays import IntArray
 from trackres_ros.diagnosis.base.base import Acting, Base, BaseParameter, Values
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_unseen
-from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, GateSettings, with_unseen
 from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.stepping import (
     DISTANCE,

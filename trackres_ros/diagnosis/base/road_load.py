@@ -24,8 +24,7 @@ from trackres_ros.estimator.constants import make_constants
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import RoadVehicle
-from trackres_ros.vehicle.road import OF_SLIDES, SECTION, built_in
-from trackres_ros.vehicle.schema import ROAD_LOAD
+from trackres_ros.vehicle.road import OF_SLIDES, ROAD_LOAD, SECTION, built_in
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import write_road_vehicle
 

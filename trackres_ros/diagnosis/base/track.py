@@ -25,8 +25,7 @@ from trackres_ros.model.thermal import parting_resistance, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity
-from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
+from trackres_ros.vehicle.description import BELT, CHASSIS, FITTED, RUBBER
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_track_vehicle
 

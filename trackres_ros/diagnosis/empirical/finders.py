@@ -1,45 +1,63 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Finds terms that follow the clock or the place in the residual of a fit: spells, a place, a mass by
-stretch, a wave, a route. A term of the clock must gain more than noise and the model's own error would.
+"""Finds terms that follow the clock or the place in the residual of a fit: spells, a place, a mass by stretch, a wave, a route.
+
+A term of the clock must gain more than noise and the model's own error would. A chosen one is described with the values of the
+last fit. Spells and a drift become the live disturbance, relative to the torque of the written vehicle file.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.closest import closest_channel
+from trackres_ros.diagnosis.base.patterns import ClockTerm, ResidualPattern
+from trackres_ros.diagnosis.empirical.forms import series
 from trackres_ros.diagnosis.empirical.payload import PAYLOAD, Payload, find_payload
-from trackres_ros.diagnosis.empirical.places import Place, find_place
-from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, Route, find_route
+from trackres_ros.diagnosis.empirical.places import Place, Wave, find_place, find_wave, followed, part_of
+from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, find_route
+from trackres_ros.diagnosis.empirical.sentences import (
+    of_clock,
+    of_drift,
+    of_learned,
+    of_payload,
+    of_place,
+    of_recordings,
+    of_route,
+    of_spells,
+    of_wave,
+    possible_in,
+)
 from trackres_ros.diagnosis.empirical.spells import (
     Blocks,
     Chain,
     blocks,
+    expected_level,
     find_chain,
     find_drifting_level,
     gain_over_drift,
     is_spells,
+    levels_given,
     path_cost,
     spell_probability,
 )
-from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recordings
-from trackres_ros.diagnosis.empirical.torque import against_travel, torque_residuals
-from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
+from trackres_ros.diagnosis.empirical.term import Route, Term, active_of, compared, rms, spurious_gain
 from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.selection.candidate import Candidate, compared, rms, spurious_gain
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
+from trackres_ros.diagnosis.selection.locate import against_travel, closest_channel, torque_residuals
+from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 from trackres_ros.progress import counted
-from trackres_ros.vehicle.writing.changes import BY_PLACE
+from trackres_ros.vehicle import Drift, Spells
+from trackres_ros.vehicle.description import DISTURBANCES
+from trackres_ros.vehicle.writing.changes import BY_PLACE, LearnedDisturbance
 
 Search = Callable[[Fit, Fit], "Term | None"]
 """Searches for a term of the clock alone, in addition to a fit. The torque residual is that of a later fit, which may have it."""
@@ -55,18 +73,6 @@ LIKELY = 0.5  # probability of an active spell
 FEWEST_TURNS = 2.0  # of a session, least for a circuit
 
 
-@dataclass(frozen=True, eq=False)
-class Term:
-    """A found term: the fits with and without it, and its properties outside the fit."""
-
-    candidate: Candidate
-    chain: Chain | None = None
-    wave: Wave | None = None
-    place: Place | None = None
-    payload: Payload | None = None
-    route: Route | None = None
-
-
 def _search_twice(current: Fit, name: str, search: Search) -> Term | None:
     """Find a term of the clock alone; a second search uses the base fitted together with the first result."""
     if name in current.effect_names:
@@ -76,13 +82,13 @@ def _search_twice(current: Fit, name: str, search: Search) -> Term | None:
         term = search(current, last)
         if term is None:
             return found
-        found, last = term, term.candidate.fit
+        found, last = term, term.fit
     return found
 
 
 def _fitted(
     current: Fit, name: str, text: str, shape: Sequence[Array], level: float, cost: float, ahead: Sequence[Array] | None = None
-) -> Candidate:
+) -> Term:
     """Fit a term of the clock in addition to the current ones. It starts at its level and with its own noise, because
     otherwise the noise is a random walk, under which no level matters.
     """
@@ -90,11 +96,11 @@ def _fitted(
     effect = ResidualPattern(name, text, shape, facts.weight * facts.radius, ahead)
     start = {**current.at, (name, "level"): level}
     found = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
-    return compared(current, found, name, cost)
+    return compared(current, found, effect, cost)
 
 
-def _counts(candidate: Candidate, current: Fit) -> bool:
-    return candidate.matters and candidate.gain > spurious_gain(current) and candidate.evidence > SURE
+def _counts(term: Term, current: Fit) -> bool:
+    return term.matters and term.gain > spurious_gain(current) and term.evidence > SURE
 
 
 def torque_blocks(
@@ -125,10 +131,10 @@ def _spells(current: Fit, last: Fit) -> Term | None:
         chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
     shape, ahead, cost = _shape(current, chain, residuals)
     text = "a torque that is there for a while and gone for a while"
-    candidate = _fitted(current, SPELLS, text, shape, chain.level - chain.rest, cost, ahead)
-    if not _counts(candidate, current) or sum(beginnings(b, there)) < FEWEST_SPELLS:
+    term = _fitted(current, SPELLS, text, shape, chain.level - chain.rest, cost, ahead)
+    if not _counts(term, current) or sum(beginnings(b, there)) < FEWEST_SPELLS:
         return None
-    return Term(candidate, chain=chain)
+    return replace(term, pattern=chain)
 
 
 def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list[Array], list[Array], float]:
@@ -182,8 +188,8 @@ def _wave(current: Fit, last: Fit) -> Term | None:
     ahead = followed(wave, residuals, current.problem.sessions)
     shape = [np.where(m, x, a) for x, m, a in zip(wave.shape, current.problem.masks, ahead, strict=True)]
     cost = PHASE_COST * wave.phases
-    candidate = _fitted(current, WAVE, "a torque that comes again with distance", shape, wave.size, cost, ahead)
-    return Term(candidate, wave=wave) if candidate.evidence > SURE and candidate.matters else None
+    term = _fitted(current, WAVE, "a torque that comes again with distance", shape, wave.size, cost, ahead)
+    return replace(term, pattern=wave) if term.evidence > SURE and term.matters else None
 
 
 def _place(current: Fit, last: Fit) -> Term | None:
@@ -196,8 +202,8 @@ def _place(current: Fit, last: Fit) -> Term | None:
     if place is None:
         return None
     shape = against_travel(sessions, place.shape)
-    candidate = _fitted(current, PLACE, "a torque at the same place on each pass", shape, place.size, place.cost)
-    return Term(candidate, place=place) if _counts(candidate, current) else None
+    term = _fitted(current, PLACE, "a torque at the same place on each pass", shape, place.size, place.cost)
+    return replace(term, pattern=place) if _counts(term, current) else None
 
 
 def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
@@ -213,36 +219,35 @@ def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
     return [-d if on_laps and turn * d[-1] < 0.0 else d for d, turn in zip(driven, turns, strict=True)]
 
 
-def _payload(current: Fit, last: Fit, route: Route | None) -> Term | None:
+def _payload(current: Fit, last: Fit, by_place: Term | None) -> Term | None:
     """A mass for each stretch between stops, in addition to terms by place; on hold-out laps from earlier measurements."""
     residuals = residuals_without(last, PAYLOAD)
-    payload = find_payload(last, residuals, None if route is None else route.joint_values(last))
+    payload = find_payload(last, residuals, None if by_place is None else by_place.joint_values(last))
     if payload is None:
         return None
     text = "another mass on each stretch between stops"
-    candidate = _fitted(current, PAYLOAD, text, payload.shape, payload.level, payload.cost, payload.ahead)
-    return Term(candidate, payload=payload) if candidate.matters else None
+    term = _fitted(current, PAYLOAD, text, payload.shape, payload.level, payload.cost, payload.ahead)
+    return replace(term, pattern=payload) if term.matters else None
 
 
-def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route], waves: bool) -> list[Term]:
+def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], by_place: Term | None, waves: bool) -> list[Term]:
     """All terms of clock or place in addition to a fit, one of each name. Quick machines have none, because spells, a payload
     and a road belong to vehicles.
 
-    `kinds` are those of terms by place to learn, `routes` the fit's own terms by place. A search for `waves` takes long.
+    `kinds` are those of terms by place to learn, `by_place` the fit's own one. A search for `waves` takes long.
     """
     if any(s.pace < 1.0 for s in current.problem.sessions):
         return []
-    route = next((routes[name] for name in current.effect_names if name in routes), None)
     searches: dict[str, Search] = {
         SPELLS: _spells,
         **({PLACE: _place} if roads is None else {}),
         **({WAVE: _wave} if waves else {}),
-        PAYLOAD: partial(_payload, route=route),
+        PAYLOAD: partial(_payload, by_place=by_place),
     }
     each = counted(searches.items(), "terms that follow the clock", len(searches))
     found = [attempt(_words(name), partial(_search_twice, current, name, search)) for name, search in each]
-    by_place = attempt("a slope or a torque by place", partial(_by_place, current, roads, kinds))
-    return [*filter(None, found), *filter(None, [by_place])]
+    learned = attempt("a slope or a torque by place", partial(_by_place, current, roads, kinds))
+    return [*filter(None, found), *filter(None, [learned])]
 
 
 def _words(name: str) -> str:
@@ -254,17 +259,16 @@ def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term
     left = [kind for kind in kinds if BY_PLACE[kind] not in current.effect_names]
     if roads is None or not left or any(slope in current.effect_names for slope in SLOPES):
         return None
-    found = find_route(current, roads, left)
-    return None if found is None else Term(found.candidate, route=found)
+    return find_route(current, roads, left)
 
 
-def slow_term(final: Fit) -> Described | None:
+def slow_term(final: Fit) -> Term | None:
     """Lasting residual: a level per recording, or a drifting level; with the channel that comes closest to it."""
-    described = attempt("a drift", lambda: _recordings(final) or _drift(final))
-    if described is None:
+    term = attempt("a drift", lambda: _recordings(final) or _drift(final))
+    if term is None:
         return None
-    text = f"{described.sentence}. {closest_to_slow(final, LEAST_DRIFT_S)}"
-    return replace(described, sentence=text).of(final.problem.base.noun)
+    told = replace(term, sentences=(*term.sentences, closest_to_slow(final, LEAST_DRIFT_S)))
+    return possible_in(told, final.problem.base.noun)
 
 
 def closest_to_slow(final: Fit, seconds: float) -> str:
@@ -276,12 +280,12 @@ def closest_to_slow(final: Fit, seconds: float) -> str:
     return closest_channel(final, means)
 
 
-def _recordings(final: Fit) -> Described | None:
+def _recordings(final: Fit) -> Term | None:
     """A different level in each recording, if the residual hardly varies within them; of all laps, fitted or not."""
     sessions = final.problem.sessions
     levels, size, share = by_recording(torque_blocks(final, torque_residuals(final), [s.used for s in sessions]))
     large = size > LEAST_DRIFT * rms([s.torque for s in sessions], final)
-    return of_recordings(levels, final.problem.base.noun) if large and share > BETWEEN else None
+    return of_recordings(final, levels) if large and share > BETWEEN else None
 
 
 def by_recording(b: Blocks) -> tuple[Array, float, float]:
@@ -298,7 +302,7 @@ def by_recording(b: Blocks) -> tuple[Array, float, float]:
     return levels, math.sqrt(between), between / max(slow, between, 1e-300)
 
 
-def _drift(final: Fit) -> Described | None:
+def _drift(final: Fit) -> Term | None:
     """Slow drift of the residual, if significant; only for vehicles, as `find_terms`."""
     if any(s.pace < 1.0 for s in final.problem.sessions):
         return None
@@ -308,4 +312,158 @@ def _drift(final: Fit) -> Described | None:
     white = -0.5 * float(np.sum((b.mean - mean) ** 2 * b.count / variance + np.log(2.0 * math.pi * variance / b.count)))
     slow = drifting.seconds >= LEAST_DRIFT_S and likelihood > white + SURE
     large = drifting.size > LEAST_DRIFT * rms([s.torque for s in final.problem.sessions], final)
-    return of_drift(drifting) if slow and large else None
+    return of_drift(final, drifting) if slow and large else None
+
+
+MOVING_MPS = 0.3
+BEGINNINGS_S = 15.0  # largest time from a stop to a spell that begins with it
+MOST_BEGIN = 0.7  # of the spells
+MOST_OF_IT = (0.025, 0.975)  # quantiles
+
+
+def described(term: Term, final: Fit) -> Term:
+    """A term without a name with its sentences and the values of the final fit."""
+    noun = final.problem.base.noun
+    term = possible_in(_described(term, final, noun), noun)
+    if term.predictable or isinstance(term.pattern, Payload):
+        return term
+    adds = against_travel(final.problem.sessions, term.adds)
+    return replace(term, sentences=(*term.sentences, closest_channel(final, adds)))
+
+
+def _described(term: Term, final: Fit, noun: str) -> Term:
+    effect, pattern, numbers = term.effect, term.pattern, active_of(final, term.name).numbers
+    if isinstance(effect, EmpiricalEffect):
+        return of_learned(term, noun)
+    level = numbers[0]
+    if isinstance(effect, ClockTerm):
+        return of_clock(term, effect, level, noun)
+    if isinstance(pattern, Wave):
+        return of_wave(term, pattern, level, part_of(pattern.length_m, final.problem.base.parts))
+    if isinstance(pattern, Place):
+        return of_place(term, level, pattern, noun)
+    if isinstance(pattern, Payload):
+        return of_payload(term, level, pattern, noun)
+    if isinstance(pattern, Route):
+        adds = against_travel(final.problem.sessions, term.adds)
+        used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
+        least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
+        return of_route(term, float(np.sqrt(np.mean(used**2))), least, most, pattern, noun)
+    assert isinstance(pattern, Chain)
+    spells = _spells_of(pattern, term.name, final)
+    lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
+    return of_spells(term, pattern, level, lengths, _begins_with(spells, final), noun)
+
+
+def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
+    """Spells on all laps: session, first sample and end. A spell continues over a stop, where no torque shows it."""
+    b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
+    there = spell_probability(b, chain)
+    begins = np.flatnonzero(beginnings(b, there))
+    ends = np.flatnonzero(beginnings(b, there, backwards=True))
+    return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begins, ends, strict=True)]
+
+
+def variable_of(term: Term, final: Fit) -> list[Array]:
+    """Variable of a term in each session; empty for the clock alone."""
+    if isinstance(term.effect, EmpiricalEffect):
+        return series(term.effect.variable, final)
+    return list(term.pattern.course) if isinstance(term.pattern, Place | Route) else []
+
+
+def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
+    """The common event at the beginning of most spells, in words; empty without one."""
+    after_stop = []
+    for i, begin, _ in spells:
+        session = final.problem.sessions[i]
+        near = slice(max(0, begin - round(BEGINNINGS_S / session.step)), begin + round(BLOCK_S / session.step))
+        after_stop.append(bool((np.abs(session.speed[near]) < MOVING_MPS).any()))
+    return ", mostly after a stop" if after_stop and np.mean(after_stop) > MOST_BEGIN else ""
+
+
+Range = tuple[float, float]
+
+
+def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
+    """Spells of the final fit, with both levels relative to the written file's torque [Nm], of each session.
+
+    The file may include the mean of the spells: then the rest level is negative. Live, the torque is that of the sessions
+    over `shown`.
+    """
+    assert isinstance(term.pattern, Chain)
+    chain = term.pattern
+    with_spells = torque_blocks(final, residuals_without(final, term.name))
+    there = spell_probability(with_spells, chain)
+    b = _over(final, expected, shown)
+    level, rest, noise = levels_given(b, there)
+    found = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _of_blocks(noise, final))
+    count = int(beginnings(b, there).sum())
+    return _learned(
+        found,
+        {
+            "level": _about(level, found.noise / math.sqrt(there.sum())),
+            "rest": _about(rest, found.noise / math.sqrt((1.0 - there).sum())),
+            "mean_there": _times(found.mean_there, count),
+            "mean_away": _times(found.mean_away, count),
+            "noise": _times(found.noise, 2 * len(b.mean)),
+        },
+    )
+
+
+def drift_to_watch(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
+    """Drift relative to the written file's torque [Nm], for each session; see `spells_to_watch` for `shown`."""
+    b = _over(final, expected, shown)
+    drifting, _ = find_drifting_level(b)
+    found = Drift(drifting.size, drifting.seconds, _of_blocks(drifting.noise, final))
+    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
+    return _learned(
+        found,
+        {
+            "size": _times(found.size, 2.0 * apart),
+            "time_constant": _times(found.time_constant, apart),
+            "noise": _times(found.noise, 2 * len(b.mean)),
+        },
+    )
+
+
+def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
+    """Hold-out improvement by following a drift live, with the forecast from earlier blocks."""
+    sessions, without = final.problem.sessions, [p.torque for p in final.predicted]
+    drifting, _ = find_drifting_level(_over(final, without))
+    b = torque_blocks(final, torque_residuals(final), [s.used for s in sessions])
+    shape = [np.zeros(len(s)) for s in sessions]
+    fill(shape, b, expected_level(b, drifting)[0])
+    return laps.improvement(without, [e + x for e, x in zip(without, against_travel(sessions, shape), strict=True)])
+
+
+def _over(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> Blocks:
+    return torque_blocks(final, [(s.torque - e) / shown for s, e in zip(final.problem.sessions, expected, strict=True)])
+
+
+def _of_blocks(noise: float, final: Fit) -> float:
+    """Noise of a block's mean, from that of one sample [Nm]."""
+    return noise / math.sqrt(BLOCK_S / final.problem.sessions[0].step)
+
+
+def _about(value: float, std: float) -> Range:
+    return value - 2.0 * std, value + 2.0 * std
+
+
+def _times(value: float, count: float) -> Range:
+    """Range of +-2 standard deviations of the logarithm, each 1 / sqrt(count): for the mean of `count` exponential times,
+    or for a standard deviation with twice that count.
+    """
+    factor = math.exp(2.0 / math.sqrt(count))
+    return value / factor, value * factor
+
+
+def _learned(found: Spells | Drift, ranges: Mapping[str, Range]) -> LearnedDisturbance:
+    """Disturbance with values and ranges within the limits of a vehicle file."""
+    limits = DISTURBANCES[found.form]
+
+    def within(name: str, value: float) -> float:
+        return min(max(value, limits[name].low), limits[name].high)
+
+    values = {item.name: within(item.name, getattr(found, item.name)) for item in fields(found)}
+    clipped = {name: (within(name, low), within(name, high)) for name, (low, high) in ranges.items()}
+    return LearnedDisturbance(type(found)(**values), clipped)

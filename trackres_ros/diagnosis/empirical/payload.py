@@ -23,8 +23,7 @@ from trackres_ros.diagnosis.empirical.by_place import WhitenedRows
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
-from trackres_ros.diagnosis.selection.visibility import base_columns
+from trackres_ros.diagnosis.selection.visibility import FORM_ERROR, base_columns
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 

@@ -16,24 +16,23 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, PlaceValues, StreetGraph, gains, learn
-from trackres_ros.diagnosis.empirical.payload import JointValues, loads, may_differ
-from trackres_ros.diagnosis.empirical.torque import torque_residuals
+from trackres_ros.diagnosis.empirical.payload import loads, may_differ
+from trackres_ros.diagnosis.empirical.term import SURE_OF_KIND, Route, Term, compared
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
-from trackres_ros.diagnosis.prepare.on_route import way_of
+from trackres_ros.diagnosis.prepare.gate import way_of
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.selection.candidate import Candidate, compared
+from trackres_ros.diagnosis.selection.locate import torque_residuals
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.route.matching import Matched, Places, matched, neighbours, places_of
 from trackres_ros.route.track import Frame, track_of
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.vehicle.writing.changes import BY_PLACE
 
 SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place includes
 SURE = 10.0  # in log-likelihood: of a term by place, and beyond shifted places on passes not used for learning
-SURE_OF_KIND = 5.0  # in log-likelihood: of a slope over a torque
 LEAST_AGAIN_M = 500.0  # on repeated streets of the fitted laps
 TURNS = 5  # of fitting the base and the term by place
 SETTLED = 0.05  # of its size: a smaller change means convergence
@@ -42,42 +41,6 @@ MORE = 1e-4  # of weight times radius, for the derivative
 OWN = 2.0  # times the gain at shifted places: a slow drift fits many by chance
 COMMON = 0.1  # of the slopes' size: a larger standard deviation of their mean is told
 UNLEARNED = 0.9  # of its size: a place with such a standard deviation is not learned, such as an undriven direction
-
-
-@dataclass(frozen=True, eq=False)
-class Route:
-    """A slope or a torque by place. A torque has no value for the other direction of travel."""
-
-    candidate: Candidate  # the fits with and without it
-    slope_gain: float  # in log-likelihood, of a slope over a torque
-    metres: float  # of fitted streets
-    again_m: float  # of those passed at least twice
-    passes: int  # of a place, median of those passed at least twice
-    course: tuple[Array, ...]  # matched distance at each sample [m], in the order of the first drive; nan off all places
-    places: PlaceColumns
-    values: PlaceValues
-
-    @property
-    def effect(self) -> ByPlace:
-        """Torque of the route."""
-        effect = self.candidate.effect
-        assert isinstance(effect, ByPlace)
-        return effect
-
-    def learned(self, final: Fit) -> RouteMap:
-        """Learned map, scaled by the values of a final fit."""
-        active = next(a for a in final.effects if a.effect.name == self.candidate.name)
-        return self.effect.learned(active.numbers[0])
-
-    @property
-    def is_slope(self) -> bool:
-        """Whether it is significantly a slope."""
-        return self.effect.route.kind == SLOPE
-
-    def joint_values(self, current: Fit) -> JointValues:
-        """Its torque in a fit, and its prior."""
-        prior = self.places.streets.precision(self.values.length_m, self.values.size)
-        return JointValues(tuple(current.contribution(self.candidate.name)), self.places.of, prior, np.zeros(prior.shape[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +97,7 @@ def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     return Roads(frame, places, StreetGraph.of(neighbours(whole), places.table, whole), at, within)
 
 
-def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Route | None:
+def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Term | None:
     """A slope or a torque by place in the residual of a fit; None if not significant, already known, or not among the
     `kinds`.
 
@@ -165,13 +128,13 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
         if before is not None and best.moved(before, masks) < SETTLED:
             break
     assert best is not None
-    found = compared(current, _fitted_with(current, effect, fitted), effect.name, best.learned.cost + math.log(2.0))
+    found = compared(current, _fitted_with(current, effect, fitted), effect, best.learned.cost + math.log(2.0))
     if not found.matters:
         return None
     metres = SPACING_M * int((passes > 0).sum())
     course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.at)
     again = int(np.median(passes[passes > 1]))
-    return Route(found, best.slope_gain, metres, again_m, again, course, best.places, best.learned)
+    return replace(found, pattern=Route(best.slope_gain, metres, again_m, again, course, best.places, best.learned))
 
 
 def _slope_or_torque(

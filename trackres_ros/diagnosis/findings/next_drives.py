@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.empirical.term import MODEL_ERROR, Term
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
-from trackres_ros.diagnosis.selection.candidate import MODEL_ERROR
-from trackres_ros.diagnosis.selection.steps import Step
+from trackres_ros.diagnosis.prepare.session import SLOWEST_MPS, Array, DriveSession, Mask
 
 Points = Sequence[tuple[float, float]]
 
@@ -43,18 +41,18 @@ class Advice:
     information_bit: float  # expected lower bound for the group, or for none but the model's own error
 
 
-def advise(step: Step, max_speed: float) -> list[Advice]:
+def advise(term: Term, max_speed: float) -> list[Advice]:
     """Manoeuvres from a menu, the best first; empty without ties, or if no manoeuvre separates any two."""
-    if step.chosen is None or len(step.members) < 2:
+    if term.rivals is None or len(term.members) < 2:
         return []
-    tied = [c for c in step.candidates if c.name in step.members]
-    names, fits = [c.name for c in tied], [*(c.fit for c in tied), step.before]
-    likely = [step.weights[name] for name in names]
+    tied = [term, *(c for c in term.rivals.candidates if c.name in term.members)]
+    names, fits = [c.name for c in tied], [*(c.fit for c in tied), term.rivals.before]
+    likely = [term.weights[name] for name in names]
     likely.append(max(likely))  # for none of them: that of the most likely one
     weights = np.array([x / sum(likely) for x in likely])
-    here = known(step, names)
+    here = known([c.level - term.rivals.cost for c in tied])
     before = information(weights, here)
-    problem, found = step.before.problem, []
+    problem, found = term.rivals.before.problem, []
     for manoeuvre, drive in menu(problem.base.facts.weight, max_speed).items():
         session = drive(problem.sessions[0])
         more = apart(fits, session)
@@ -78,13 +76,12 @@ def _best_first(found: Sequence[Advice]) -> list[Advice]:
     return ([] if first is None else [first, *(a for a in rest if a is not first)])[:MOST_ADVICE]
 
 
-def known(step: Step, names: Sequence[str]) -> Array:
+def known(gains: Sequence[float]) -> Array:
     """Squared distances from the recordings so far, of the tied effects and last of none: zero between effects, and
-    twice the gain beyond the threshold from none, shape (n + 1, n + 1).
+    twice the `gains` beyond the threshold from none, shape (n + 1, n + 1).
     """
-    gains = {c.name: c.level - step.cost for c in step.candidates}
-    squares = np.zeros((len(names) + 1, len(names) + 1))
-    squares[-1, :-1] = squares[:-1, -1] = [max(0.0, 2.0 * gains[name]) for name in names]
+    squares = np.zeros((len(gains) + 1, len(gains) + 1))
+    squares[-1, :-1] = squares[:-1, -1] = [max(0.0, 2.0 * gain) for gain in gains]
     return squares
 
 
@@ -203,7 +200,7 @@ def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
     parameters within their uncertainty, shape (n, n).
 
     The last fit has none of the effects. Distances from it are smaller by the gain allowed for the model's own error, see
-    `candidate.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
+    `term.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
     """
     moving = np.abs(session.speed) > SLOWEST_MPS  # the gate excludes standstill
     shown = [_torque(found, found.point, session) for found in fits]

@@ -13,9 +13,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, UnnamedTerm, by_improvement
-from trackres_ros.diagnosis.findings.locate import SlowResidual
-from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
+from trackres_ros.diagnosis.empirical.term import Term, by_improvement
 from trackres_ros.diagnosis.findings.wording import (
     LEFT_OUT,
     NO_NAME,
@@ -41,16 +39,61 @@ from trackres_ros.diagnosis.findings.wording import (
     upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.notes import SensorFinding
-from trackres_ros.diagnosis.selection.grade import Graded, far_from_file, moved_parameters
+from trackres_ros.diagnosis.prepare.session import SensorFinding
+from trackres_ros.diagnosis.selection.as_used import far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
-from trackres_ros.text.numbers import figures
+from trackres_ros.diagnosis.selection.locate import Bin, RegimeMap, SlowResidual
+from trackres_ros.text import alike, figures
+from trackres_ros.vehicle.writing.changes import Interval
 
 LACK_OF_FIT_P = 0.01
 LARGE_SLOW_SHARE = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of the effects' torque: with a larger residual, the names explain little
 LEAST_GAIN = 0.01  # of the mean error on hold-out laps: least gain of a re-fit for naming the wrong values
 MOST_CHANGED = 3  # values that a sentence lists
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """A value of the vehicle file that a re-fit changes."""
+
+    name: str
+    unit: str
+    nominal: float  # in the file
+    value: float  # re-fitted
+    low: float  # of its 95 % interval
+    high: float
+    torque_nm: float  # root mean square of the torque change
+    at_bound: bool = False  # whether it is at the end of its range: then it has no interval
+
+    @property
+    def text(self) -> str:
+        """A wrong value of the vehicle file, with its change and interval."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        off = self.value - self.nominal
+        share = f"{100.0 * abs(off / self.nominal):.0f} %" if self.nominal else f"{figures(abs(off))}{unit}"
+        value, low, high, nominal = alike((self.value, self.low, self.high, self.nominal), self.high - self.low)
+        if self.at_bound:
+            way = "high" if off > 0.0 else "low"
+            return f"{self.name} is at the {way} end of its range, {value}{unit} instead of {nominal}"
+        return f"{self.name} is {share} {'higher' if off > 0.0 else 'lower'}, {value} [{low}, {high}]{unit} instead of {nominal}"
+
+
+def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) -> tuple[Changed, ...]:
+    """Values whose 95 % interval excludes the file's, the largest torque change first."""
+    found = []
+    for q in refitted.problem.base.parameters:
+        value, interval = refitted.base_values[q.name], bounds.get(("", q.name))
+        if interval is None or interval.low <= q.nominal <= interval.high:
+            continue
+        as_in_file = refitted.problem.predict({**refitted.base_values, q.name: q.nominal}, refitted.acting)
+        change = [
+            (p.torque - other.torque)[mask]
+            for p, other, mask in zip(refitted.predicted, as_in_file, refitted.problem.masks, strict=True)
+        ]
+        size = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
+        found.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size, interval.bound_only))
+    return tuple(sorted(found, key=lambda c: -c.torque_nm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +106,7 @@ class Verdict:
     may_be: Possible = ()  # unconfirmed possibilities, each with its probability if known, the most likely first
     seen: str = ""  # location and size of an unexplained difference
     changed: tuple[Changed, ...] = ()  # wrong values of the vehicle file, if that is the verdict, the largest effect first
+    slow: bool = False  # whether the unexplained difference is a slow residual, at no place
 
     @property
     def names(self) -> bool:
@@ -74,15 +118,14 @@ class Verdict:
 class Findings:
     """Inputs of a verdict."""
 
-    found: Sequence[NamedEffect]
-    terms: Sequence[UnnamedTerm]
-    unconfirmed: Sequence[Graded]  # best-fitting terms that are left out
+    terms: Sequence[Term]
+    unconfirmed: Sequence[Term]  # best-fitting terms that are left out
     refitted: Fit
     at_end: RegimeMap  # residual by regime of the last fit
     left_over: SlowResidual  # of the last fit
     hint: str  # the best effect below the threshold, if any
     held_out: HeldOut
-    drift: UnnamedTerm | None = None  # the slow residual as a level of each recording, or as a drift
+    drift: Term | None = None  # the slow residual as a level of each recording, or as a drift
     changed: Sequence[Changed] = ()  # values of the vehicle file that the re-fit changes significantly
     shares: Mapping[str, float] = field(default_factory=dict)  # probability of each name over all explanations, if known
     sensor: str = ""  # sentence about errors that the fit assumes of the torque sensor, if they matter
@@ -107,31 +150,31 @@ class Findings:
         return self.left_over.share > LARGE_SLOW_SHARE
 
     @cached_property
-    def sure(self) -> list[NamedEffect | UnnamedTerm]:
+    def sure(self) -> list[Term]:
         """Terms confirmed on hold-out laps, the largest first."""
-        return [t for t in by_improvement([*self.found, *self.terms]) if t.graded.grade == CONFIRMED]
+        return [t for t in by_improvement(self.terms) if t.confirmed]
 
     @cached_property
-    def unsure(self) -> list[NamedEffect | UnnamedTerm]:
+    def unsure(self) -> list[Term]:
         """Terms not confirmed."""
-        return [t for t in by_improvement([*self.found, *self.terms]) if t.graded.grade != CONFIRMED]
+        return [t for t in by_improvement(self.terms) if not t.confirmed]
 
     @cached_property
     def listed(self) -> Possible:
         """Unconfirmed possibilities, without those that the hold-out laps reject."""
-        rejects = {g.name for g in self.unconfirmed if g.grade == REFUTED}
+        rejects = {t.name for t in self.unconfirmed if t.grade == REFUTED}
         return possible(self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejects})
 
     @property
     def after(self) -> list[str]:
         """Sentences that end each verdict."""
-        return [self.sensor, *doubts([t.graded for t in self.unsure]), *rejected(self.unconfirmed)]
+        return [self.sensor, *doubts(self.unsure), *rejected(self.unconfirmed)]
 
     @property
     def rest(self) -> list[str]:
         """Sentences about the residual that the confirmed terms leave."""
         return [
-            f"A small error remains {range_of(self.left[0])}" if self.left else "",
+            f"A small error remains at {range_of(self.left[0])}" if self.left else "",
             *(slow(self.left_over) if self.has_slow_residual else []),
         ]
 
@@ -162,13 +205,13 @@ def _by_terms(f: Findings) -> Verdict:
         return _confirmed(f)
     if far_from_file(f.refitted) or f.unusable:
         return _far_from_file(f)
-    drift = f.drift if f.drift is not None and f.drift.graded.grade == CONFIRMED else None
+    drift = f.drift if f.drift is not None and f.drift.confirmed else None
     follows_clock = f.has_slow_residual and all(BY_NAME[b.variable].as_clock for b in f.left)
-    if drift is not None and (drift.described.form == "recordings" or follows_clock):
-        improvement = drift.graded.improvement
+    if drift is not None and (drift.form == "recordings" or follows_clock):
+        improvement = drift.improvement
         lines = [
-            drift.described.sentence,
-            look_for(drift.described.mechanisms),
+            drift.sentence,
+            look_for(drift.mechanisms),
             mean_error(improvement.before, improvement.after),
             taken_from(drift),
         ]
@@ -185,8 +228,8 @@ def _confirmed(f: Findings) -> Verdict:
         names, seen = " and ".join(map(short, f.sure)), unexplained(f.left, f.base.noun)
         partly = f"{names} would explain a part of it, but the remaining error is too large to confirm that"
         return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), f.listed, seen)
-    named = [t for t in f.sure if isinstance(t, NamedEffect)]
-    status = "described" if not named else "named" if all(len(t.step.members) <= 1 for t in named) else "one_of"
+    named = [t for t in f.sure if t.is_named]
+    status = "described" if not named else "named" if all(len(t.members) <= 1 for t in named) else "one_of"
     lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.sensors), *after, *f.rest]
     return Verdict(status, CONFIRMED, joined(lines), f.listed)
 
@@ -218,10 +261,10 @@ def _unexplained(f: Findings) -> Verdict | None:
         return None
     hint = f"{upper(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
     nothing = NO_NAME if f.left and not f.listed and not hint else hint
-    grades = {g.grade for g in (*f.unconfirmed, *(t.graded for t in f.unsure))}
+    grades = {t.grade for t in (*f.unconfirmed, *f.unsure)}
     grade = REFUTED if grades == {REFUTED} else SUSPECTED
     lines = [seen, *more, nothing, may_be(f.listed), *f.after, f.worth_of_refit]
-    return Verdict("unexplained", grade, joined(lines), f.listed, seen)
+    return Verdict("unexplained", grade, joined(lines), f.listed, seen, slow=not f.left and not f.later and f.has_slow_residual)
 
 
 def _nothing_missing(f: Findings) -> Verdict:

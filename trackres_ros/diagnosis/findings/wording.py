@@ -10,16 +10,12 @@ from collections.abc import Mapping, Sequence
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
-from trackres_ros.diagnosis.findings.found import NamedEffect, UnnamedTerm
-from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
-from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.prepare.notes import SensorFinding
-from trackres_ros.diagnosis.selection.candidate import Candidate
-from trackres_ros.diagnosis.selection.grade import Graded
+from trackres_ros.diagnosis.empirical.term import Term
+from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SMALL_SHARE, HeldOut
-from trackres_ros.diagnosis.selection.steps import Step
+from trackres_ros.diagnosis.selection.locate import Bin, SlowResidual, in_nm
 from trackres_ros.effects.effect import Active
-from trackres_ros.text.numbers import figures, from_to
+from trackres_ros.text import figures, from_to
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
 LEAST_SHARE = 0.05  # of the probability: less likely options are not listed
@@ -53,15 +49,13 @@ def upper(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def is_small(t: NamedEffect | UnnamedTerm) -> bool:
+def is_small(t: Term) -> bool:
     """Whether a term reduces the mean hold-out error by less than `SMALL_SHARE`."""
-    i = t.graded.improvement
+    i = t.improvement
     return i.before - i.after < SMALL_SHARE * i.before
 
 
-def confirmed_terms(
-    terms: Sequence[NamedEffect | UnnamedTerm], held_out: HeldOut, listed: Possible, sensors: Sequence[SensorFinding]
-) -> list[str]:
+def confirmed_terms(terms: Sequence[Term], held_out: HeldOut, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
     """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones.
 
     A rival among the `listed` possibilities has its probability there.
@@ -69,11 +63,11 @@ def confirmed_terms(
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
-    taken = [taken_from(t) for t in terms if isinstance(t, UnnamedTerm)]
+    taken = [taken_from(t) for t in terms]
     if not large:
         lines = (line for t in small for line in _of(t, listed, sensors))
         return ["The missing physics is small", worth, *taken, *lines]
-    gains = [(t, t.graded.improvement.before - t.graded.improvement.after) for t in small]
+    gains = [(t, t.improvement.before - t.improvement.after) for t in small]
     return [
         *(line for t in large for line in _of(t, listed, sensors)),
         worth,
@@ -82,27 +76,28 @@ def confirmed_terms(
     ]
 
 
-def taken_from(t: UnnamedTerm) -> str:
+def taken_from(t: Term) -> str:
     """Source of an unpredictable term in the error on hold-out laps; empty for a predictable one."""
-    source = t.described.held_out_from
+    source = t.held_out_from
     return f"The feed-forward leaves out {short(t)}; this error includes it, taken from {source}" if source else ""
 
 
-def _of(t: NamedEffect | UnnamedTerm, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
+def _of(t: Term, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
-    if isinstance(t, UnnamedTerm):
+    if not t.is_named:
         named = f"{upper(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
-        return [t.described.sentence, inseparable(t.described.variable, t.alike), named, look_for(t.described.mechanisms)]
-    members = t.step.members
+        return [t.sentence, inseparable(t.variable, t.alike), named, look_for(t.mechanisms)]
+    members = t.members
     if len(members) > 1:
-        likeliest = sorted(members, key=lambda name: -t.step.weights[name])
-        options = either([f"{name} ({_percent(t.step.weights[name])})" for name in likeliest])
+        likeliest = sorted(members, key=lambda name: -t.weights[name])
+        options = either([f"{name} ({_percent(t.weights[name])})" for name in likeliest])
         sensor = "The torque cannot tell them apart, but a second sensor is for"
         implied = [f"{sensor} {s.effect}" for s in sensors if s.effect in members]
         return [seen(t), f"The cause is {options}", *(implied or ["These recordings cannot tell them apart"])]
     values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
-    place = t.location.variable if t.location.variable in f"{t.place} {t.seen}" else ""
-    return [seen(t), inseparable(place, t.location.alike), f"The cause is {t.name}", upper(t.text), values, _rival(t, listed)]
+    where = t.location
+    apart = inseparable(where.variable, where.alike) if where is not None and where.variable in f"{t.place} {t.seen}" else ""
+    return [seen(t), apart, f"The cause is {t.name}", upper(t.effect.text), values, _rival(t, listed)]
 
 
 def inseparable(variable: str, alike: Sequence[str]) -> str:
@@ -110,18 +105,17 @@ def inseparable(variable: str, alike: Sequence[str]) -> str:
     return f"These recordings cannot separate {', '.join((variable, *alike[:-1]))} and {alike[-1]}" if variable and alike else ""
 
 
-def seen(f: NamedEffect) -> str:
+def seen(t: Term) -> str:
     """Location and size of the difference in the measured torque."""
-    return upper(f"{f.place}, {f.seen}" if f.place else f.seen)
+    return upper(f"{t.place}, {t.seen}" if t.place else t.seen)
 
 
-def differs(t: NamedEffect | UnnamedTerm) -> str:
+def differs(t: Term) -> str:
     """The difference that a term explains, without naming it."""
-    if isinstance(t, NamedEffect):
+    if t.is_named:
         return seen(t)
-    of = t.described
-    where = f" {of.gate}" if of.gate else f", depending on the {of.variable}" if of.variable else " at times"
-    return f"The measured torque differs from the model by about {figures(of.size_nm, 2)} Nm{where}"
+    where = f" {t.gate}" if t.gate else f", depending on the {t.variable}" if t.variable else " at times"
+    return f"The measured torque differs from the model by about {figures(t.size_nm, 2)} Nm{where}"
 
 
 def look_for(mechanisms: Sequence[str]) -> str:
@@ -138,17 +132,17 @@ def either(options: Sequence[str]) -> str:
     return f"{', '.join(options[:-1])} or {options[-1]}" if len(options) > 1 else options[0]
 
 
-def short(t: NamedEffect | UnnamedTerm) -> str:
+def short(t: Term) -> str:
     """A term in a few words."""
-    if isinstance(t, NamedEffect):
-        return either(list(t.step.members)) if len(t.step.members) > 1 else t.name
-    of = t.described
-    along = " ".join(filter(None, (f"of the {of.variable}" if of.variable and of.form not in FORMS else "", of.gate)))
-    return f"{form_words(of.form)} {along}".strip()
+    if t.is_named:
+        return either(list(t.members)) if len(t.members) > 1 else t.name
+    along = " ".join(filter(None, (f"of the {t.variable}" if t.variable and t.form not in FORMS else "", t.gate)))
+    return f"{form_words(t)} {along}".strip()
 
 
-def form_words(form: str) -> str:
+def form_words(t: Term) -> str:
     """The form of an unnamed term, as a noun with its article."""
+    form = str(t.form)
     return FORMS.get(form, f"a {form.replace('_', ' ')}")
 
 
@@ -173,15 +167,13 @@ def assumed_sensor(instrument: Sequence[Active], held_out: HeldOut, fit: str) ->
     return f"An assumed torque sensor error ({', '.join(sizes)}) lowers the mean error {fit} from {before} to {after} Nm"
 
 
-def possible(
-    unsure: Sequence[NamedEffect | UnnamedTerm], confirmed: Sequence[NamedEffect | UnnamedTerm], shares: Mapping[str, float]
-) -> Possible:
+def possible(unsure: Sequence[Term], confirmed: Sequence[Term], shares: Mapping[str, float]) -> Possible:
     """Possible unconfirmed causes, with probabilities, the most likely first and `NONE_OF_THESE` last.
 
     Without probabilities over whole explanations, those within each suspected class are given, and none for a single name.
     """
     if shares:
-        taken = {m for t in confirmed for m in (t.step.members if isinstance(t, NamedEffect) else (t.described.name,))}
+        taken = {m for t in confirmed for m in (t.members if t.is_named else (t.name,))}
         names = sorted((n for n in shares if n not in taken and n != NONE_OF_THESE), key=lambda n: -shares[n])
         named = [n for n in names if shares[n] >= LEAST_SHARE][:MOST_LISTED]
         if not named:
@@ -189,8 +181,8 @@ def possible(
         return tuple((n, shares[n]) for n in (*named, *([NONE_OF_THESE] if NONE_OF_THESE in shares else [])))
     found: dict[str, float | None] = {}
     for t in unsure:
-        if isinstance(t, NamedEffect) and len(t.step.members) > 1:
-            found.update((name, t.step.weights[name]) for name in t.step.members)
+        if t.is_named and len(t.members) > 1:
+            found.update((name, t.weights[name]) for name in t.members)
         else:
             found[short(t)] = None
     return tuple(found.items())[:MOST_LISTED]
@@ -202,23 +194,23 @@ def may_be(listed: Possible, also: bool = False) -> str:
     return f"It may {'also ' if also else ''}be: {', '.join(options)}" if options else ""
 
 
-def doubts(unsure: Sequence[Graded]) -> list[str]:
+def doubts(unsure: Sequence[Term]) -> list[str]:
     """Reasons why terms are only suspected; those that hardly change the error are told together."""
-    little = [g for g in unsure if not (g.fault or g.improvement.less_likely) and _hardly_gains(g)]
+    little = [t for t in unsure if not (t.fault or t.improvement.less_likely) and _hardly_gains(t)]
     if len(little) < 2:
         little = []
     found = []
     if little:
-        most = figures(max(abs(g.improvement.before - g.improvement.after) for g in little), 1)
-        names = either([g.name for g in little[:MOST_LISTED]])
+        most = figures(max(abs(t.improvement.before - t.improvement.after) for t in little), 1)
+        names = either([t.name for t in little[:MOST_LISTED]])
         found.append(f"{upper(LEFT_OUT)} do not confirm {names}: their mean error changes by {most} Nm at most")
-    for graded in (g for g in unsure if g not in little):
-        i = graded.improvement
+    for t in (t for t in unsure if t not in little):
+        i = t.improvement
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
         error = f"from {figures(i.before)} to {figures(i.after)} Nm"
-        denied = f"{upper(LEFT_OUT)} do not confirm {graded.name}: their mean error"
-        if graded.fault:
-            found.append(f"{graded.name} {graded.fault}")
+        denied = f"{upper(LEFT_OUT)} do not confirm {t.name}: their mean error"
+        if t.fault:
+            found.append(f"{t.name} {t.fault}")
         elif i.less_likely:
             found.append(f"{denied} falls {error}, but their likelihood falls too")
         else:
@@ -226,22 +218,22 @@ def doubts(unsure: Sequence[Graded]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _hardly_gains(graded: Graded) -> bool:
-    i = graded.improvement
+def _hardly_gains(t: Term) -> bool:
+    i = t.improvement
     return abs(i.before - i.after) < SMALL_SHARE * i.before
 
 
-def rejected(unconfirmed: Sequence[Graded]) -> list[str]:
+def rejected(unconfirmed: Sequence[Term]) -> list[str]:
     """Terms rejected or not confirmed on laps left out in turn, and terms that displace a value of the file."""
     return [
         *(
-            f"{upper(LEFT_OUT)} reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
-            f"{figures(g.improvement.after)} Nm"
-            for g in unconfirmed
-            if g.grade == REFUTED and not g.displaces
+            f"{upper(LEFT_OUT)} reject {t.name}: it raises their mean error from {figures(t.improvement.before)} to "
+            f"{figures(t.improvement.after)} Nm"
+            for t in unconfirmed
+            if t.grade == REFUTED and not t.displaces
         ),
-        *(f"The diagnosis drops {g.name}: it {g.fault}" for g in unconfirmed if g.displaces),
-        *doubts([g for g in unconfirmed if g.grade != REFUTED]),
+        *(f"The diagnosis drops {t.name}: it {t.fault}" for t in unconfirmed if t.displaces),
+        *doubts([t for t in unconfirmed if t.grade != REFUTED]),
     ]
 
 
@@ -272,37 +264,36 @@ def file_is_off(far: Sequence[tuple[BaseParameter, float]], base: Base, by_load:
     ]
 
 
-def _rival(f: NamedEffect, listed: Possible) -> str:
+def _rival(t: Term, listed: Possible) -> str:
     """The next best candidate, and its relative probability; empty if it is `listed` with another one."""
-    others = [c for c in f.step.candidates if c.name not in f.step.members]
-    if not others or f.step.chosen is None:
+    others = [c for c in t.rivals.candidates if c.name not in t.members] if t.rivals is not None else []
+    if not others:
         return ""
     next_best = max(others, key=lambda c: c.level)
     if next_best.name in dict(listed):
         return ""
-    if f.step.chosen.level - next_best.level < LEAST_AHEAD:
+    if t.level - next_best.level < LEAST_AHEAD:
         if not next_best.is_name:
             return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
-        worse = f"predicts {LEFT_OUT} significantly worse" if next_best.name in f.step.worse else ""
-        return f"{upper(next_best.name)} fits as well, but {worse or why_not(next_best, f.step)}"
-    return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
+        worse = f"predicts {LEFT_OUT} significantly worse" if next_best.name in t.worse else ""
+        return f"{upper(next_best.name)} fits as well, but {worse or why_not(next_best)}"
+    return f"The next best explanation, {next_best.name}, is {likelier(t, next_best)} times less likely"
 
 
-def why_not(c: Candidate, step: Step) -> str:
+def why_not(candidate: Term) -> str:
     """Why a candidate that fits is not confirmed, as a clause."""
-    graded = step.graded.get(c.name)
-    return f"it {graded.fault}" if graded is not None and graded.fault else NOT_CONFIRMED
+    return f"it {candidate.fault}" if candidate.fault else NOT_CONFIRMED
 
 
-def likelier(one: Candidate, other: Candidate) -> str:
-    """Likelihood ratio of two candidates on the laps left out, as text."""
-    times = math.exp(min(one.level - other.level, MOST_CERTAIN))
+def likelier(term: Term, rival: Term) -> str:
+    """Likelihood ratio of two terms on the laps left out, as text."""
+    times = math.exp(min(term.level - rival.level, MOST_CERTAIN))
     return f"{times:.0f}" if times < 1000.0 else "over a thousand"
 
 
 def range_of(b: Bin) -> str:
     """The range of a bin."""
-    return f"at {b.variable} {from_to(b.low, b.high)} {b.unit}"
+    return f"{b.variable} {from_to(b.low, b.high)} {b.unit}"
 
 
 def largest_of(left: Sequence[Bin]) -> Bin:
@@ -314,7 +305,7 @@ def unexplained(left: Sequence[Bin], noun: str) -> str:
     """Location and size of the largest difference between measured torque and model."""
     first = largest_of(left)
     way = "more" if first.mean_residual > 0 else "less"
-    return f"{upper(range_of(first))} the {noun} needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
+    return f"At {range_of(first)} the {noun} needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
 
 
 def slow(s: SlowResidual) -> list[str]:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parts of a diagnosis that fail become notes: what one finder cannot compute ends no diagnosis."""
+"""Steps of a diagnosis that may fail alone, and its single thread of linear algebra."""
 
 from __future__ import annotations
 
@@ -10,7 +10,23 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
-from trackres_ros.diagnosis.prepare.notes import WarningNote
+from trackres_ros.diagnosis.prepare.session import WarningNote
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """One thread for matrices: they are small here, and further threads would wait more than they compute.
+
+    Without threadpoolctl the threads stay as they are.
+    """
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        yield
+        return
+    with threadpool_limits(1, user_api="blas"):
+        yield
+
 
 Result = TypeVar("Result")
 

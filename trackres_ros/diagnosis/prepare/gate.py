@@ -1,23 +1,24 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 0 of the diagnosis: recordings come in; evenly spaced sessions with numbered laps and the rejected samples go out."""
+"""Step 0 of the diagnosis: recordings come in; evenly spaced sessions with numbered laps and the rejected samples go out.
+
+Sessions on a known route get the learned values of its places. A replay gets the acceleration that a diagnosis has, from the
+speeds before and after, and is compared as a diagnosis compares: in means over its steps.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.altitude import with_slope
-from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone, near
-from trackres_ros.diagnosis.prepare.clocks import on_one_clock
-from trackres_ros.diagnosis.prepare.notes import SensorFinding, WarningNote
-from trackres_ros.diagnosis.prepare.refuse import (
+from trackres_ros.diagnosis.prepare.checks import (
     EARLIEST_CLOCK_S,
     SHORTEST_S,
     Refusal,
@@ -26,18 +27,51 @@ from trackres_ros.diagnosis.prepare.refuse import (
     duration_s,
     each_usable,
     nothing_left,
+    pooled,
     refuse_overlaps,
     refuse_repeated,
-    too_short_pieces,
 )
-from trackres_ros.diagnosis.prepare.resample import BRAKES_ON, QUICK, STEADY, resample, step_for
-from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, DriveSession, Mask, whole_past
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
-from trackres_ros.diagnosis.prepare.split import lap_numbers
-from trackres_ros.diagnosis.prepare.unit_checks import pooled
+from trackres_ros.diagnosis.prepare.resample import (
+    BRAKES_ON,
+    MOST_UNKNOWN,
+    QUICK,
+    STEADY,
+    motor_brakes_alone,
+    near,
+    resample,
+    smoothed_motion,
+    step_for,
+)
+from trackres_ros.diagnosis.prepare.session import (
+    ALWAYS_KNOWN,
+    MOST_LAGS,
+    SLOWEST_MPS,
+    STEP_S,
+    Array,
+    DriveSession,
+    GateSettings,
+    Mask,
+    SensorFinding,
+    WarningNote,
+    Way,
+    lap_numbers,
+    pace,
+    too_short_pieces,
+    whole_past,
+)
+from trackres_ros.diagnosis.prepare.speed_smoothing import with_slope
+from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
+from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.columns import Results
+from trackres_ros.estimator.estimate import Steps
 from trackres_ros.recording.recording import Recording, stamped
-from trackres_ros.recording.samples import standing_time
+from trackres_ros.recording.samples import Series, standing_time
+from trackres_ros.route.learned import SLOPE, RouteMap
+from trackres_ros.route.matching import matched
+from trackres_ros.route.track import track_of
+from trackres_ros.text import number_of, some_of
+from trackres_ros.units import SECOND_NS
 
 UNUSED = "in recordings that are left out"
 SLOWER = 5.0  # times the step of half of the driving: slower recordings would blur the others
@@ -337,3 +371,137 @@ def _stuck(torque: Array, step: float, moving: Mask, longest_s: float) -> Mask:
     changes = np.flatnonzero(~(np.abs(np.diff(torque, prepend=np.nan)) <= SAME_SHARE * np.abs(torque).max()))
     lengths = np.diff(np.append(changes, len(torque)))
     return np.repeat(lengths * step > longest_s, lengths) & moving
+
+
+def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] = ()) -> Gated:
+    """Sessions with torque and, if not recorded, slope of the route by position; samples off the route are excluded.
+
+    The notes name what lacks an input: values of the route, and effects of the vehicle file and its surroundings, `acting`.
+    """
+    sessions, notes = list(gated.sessions), list(gated.notes)
+    notes += _left_out(sessions, route, acting)
+    for one in route:
+        for i, session in enumerate(sessions):
+            if "position" not in session.given or (one.kind == SLOPE and "grade" in session.given):
+                continue
+            found = _along(session, one)
+            known = np.isfinite(found)
+            notes.append(f"{session.name}: {100.0 * known.mean():.0f} % of it is on the route with known {one.kind}s")
+            if known.mean() <= MOST_UNKNOWN:
+                notes[-1] = WarningNote(f"{notes[-1]}; they are not used")
+                continue
+            found = np.where(known, found, 0.0)
+            session = replace(session, used=session.used & known)
+            if one.kind == SLOPE:
+                sessions[i] = replace(session, grade=found, given=session.given | {"grade"})
+            else:
+                sessions[i] = replace(session, torque_by_place=found)
+    return replace(with_fewer_steps(gated, sessions, "off the route"), notes=tuple(notes))
+
+
+def _left_out(sessions: Sequence[DriveSession], route: Sequence[RouteMap], acting: Sequence[Active]) -> list[str]:
+    """A note for each effect, or kind of value of the route, that lacks an input in some sessions."""
+    of = "of the vehicle or its surroundings"
+    needed: dict[str, Sequence[str]] = {f"{one.effect.name} {of}": one.effect.needs for one in acting}
+    needed |= {f"{values.kind} of the route": ("position",) for values in route}
+    found: dict[tuple[str, str], list[str]] = {}
+    for session in sessions:
+        for name, needs in needed.items():
+            lacks = [need for need in needs if need not in ALWAYS_KNOWN and need not in session.given]
+            if lacks and not (name == f"{SLOPE} of the route" and "grade" in session.given):
+                found.setdefault((name, ", ".join(lacks)), []).append(session.name)
+    return [
+        WarningNote(f"{some_of(names)}: {name} is left out, as {lacks} is not known") for (name, lacks), names in found.items()
+    ]
+
+
+def with_fewer_steps(gated: Gated, sessions: Sequence[DriveSession], reason: str) -> Gated:
+    """The same sessions with fewer compared steps; their time is excluded for a reason."""
+    before, after = (sum(s.used.sum() * s.step for s in of) for of in (gated.sessions, sessions))
+    lost = {reason: round(before - after)} if before > after else {}
+    return replace(gated, sessions=tuple(sessions), excluded={**gated.excluded, **lost})
+
+
+def way_of(session: DriveSession) -> Way:
+    """Positions of a session; without positions within its steps, those at their middles."""
+    if session.way is not None:
+        return session.way
+    driven = np.abs(np.nan_to_num(session.speed)) * session.step
+    return Way(session.latitude, session.longitude, np.cumsum(driven) - 0.5 * driven)
+
+
+def _along(session: DriveSession, route: RouteMap) -> Array:
+    """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
+    way = way_of(session)
+    track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
+    at = matched(route.places, [track])[0].at(track.nearest(way.driven))
+    learned = route.value[at.place, (at.sign < 0.0).astype(int)]
+    there = np.isfinite(learned) & (at.share > 0.0) & at.known[:, np.newaxis]
+    share = np.where(there, at.share, 0.0)
+    total = share.sum(axis=1)
+    found = (share * np.where(there, learned, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)
+    mean = found.reshape(len(session), -1).mean(axis=1)
+    return np.asarray(np.where((session.speed < 0.0) & (route.kind == SLOPE), -mean, mean))
+
+
+GIVEN = "the acceleration is recorded, so it is not computed from the speeds on both sides"
+
+
+def with_acceleration(recording: Recording, settings: GateSettings) -> Recording:
+    """A recording with an acceleration [m/s^2] at each of its speeds, from those before and after; logged just before the speed.
+
+    One with a recorded acceleration keeps that, with a note. Raises InputError for a recording without two speeds.
+    """
+    if "accel" in recording.series and np.isfinite(recording.series["accel"].value).any():
+        return replace(recording, notes=(*recording.notes, GIVEN))
+    recording = recording.without(["accel"])  # a role may have no sample
+    logged, speed = recording.series["speed"], stamped(recording).series["speed"]
+    finite = np.flatnonzero(np.isfinite(speed.value))
+    stamps, first, stamp_of = np.unique(speed.stamp_ns[finite], return_index=True, return_inverse=True)
+    if len(stamps) < 2:
+        raise InputError(
+            recording.name, number_of(len(stamps), "usable speed"), "two or more, for an acceleration from both sides"
+        )
+    at = (stamps - stamps[0]) / SECOND_NS
+    accel = smoothed_motion(at, speed.value[finite][first], at, step_of([recording], settings), settings.slowest).accel[stamp_of]
+    finite_accel = np.isfinite(accel)
+    rows, order = finite[finite_accel], recording.log_order()
+    places = np.flatnonzero(order == list(recording.series).index("speed"))[rows]
+    return replace(
+        recording,
+        series={**recording.series, "accel": Series(logged.stamp_ns[rows], logged.arrival_ns[rows], accel[finite_accel])},
+        order=np.insert(order, places, np.int16(len(recording.series))),
+    )
+
+
+class ComparedTorque:
+    """Residual torque of a replay in the steps that a diagnosis compares."""
+
+    def __init__(self, recording: Recording, settings: GateSettings) -> None:
+        """Take the steps of a recording. Raises InputError where a diagnosis would refuse it, with the reason."""
+        (self._session,) = gate([recording], settings).sessions
+        self._start_ns = stamped(recording).start_ns
+        self._sum, self._number = np.zeros((2, len(self._session)))  # of the residuals in each step [Nm]
+
+    def writer(self, write: Callable[[Steps], None]) -> Callable[[Steps], None]:
+        """A function that adds rows of a replay to the comparison, and writes them."""
+
+        def take(steps: Steps) -> None:
+            self._add(steps)
+            write(steps)
+
+        return take
+
+    def _add(self, steps: Steps) -> None:
+        residual = steps.rows[:, Results.residual_nm]
+        step = np.floor((steps.stamp_ns - self._start_ns) / (self._session.step * SECOND_NS)).astype(int)
+        inside = np.isfinite(residual) & (step >= 0) & (step < len(self._session))
+        np.add.at(self._sum, step[inside], residual[inside])
+        np.add.at(self._number, step[inside], 1.0)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Mean absolute residual of the steps' means [Nm], the length of a step and the number of steps, ready for JSON."""
+        steps = self._session.used & (self._number > 0.0)
+        means = self._sum[steps] / self._number[steps]
+        error = float(np.abs(means).mean()) if steps.any() else None
+        return {"mean_error_nm": error, "step_s": self._session.step, "steps": int(steps.sum())}

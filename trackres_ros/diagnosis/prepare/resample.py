@@ -1,42 +1,184 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Resamples a recording to an even grid: means over steps, or held values between samples."""
+"""Resamples a recording to an even grid, with a yaw rate and the limit of the motor's braking where these are not recorded."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
-from trackres_ros.diagnosis.prepare.notes import WarningNote
-from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
+from trackres_ros.diagnosis.prepare.checks import EARLIEST_CLOCK_S, check_compared, check_speed_unit, check_units
 from trackres_ros.diagnosis.prepare.sampling import (
     LONGEST_HOLD_S,
     any_from,
     carried,
+    filled_steps,
     held,
     held_while_sent,
     means,
     middles,
     ordered,
     read_off,
+    steps_without_value,
 )
-from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask, Way
-from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings, LiveFilter, pace
+from trackres_ros.diagnosis.prepare.session import (
+    LEAST_SAMPLES,
+    SLOWEST_MPS,
+    STEP_S,
+    Array,
+    Cumulative,
+    DriveSession,
+    GateSettings,
+    LiveFilter,
+    Mask,
+    WarningNote,
+    Way,
+    pace,
+    robust_least_squares,
+)
 from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smooth_speed
-from trackres_ros.diagnosis.prepare.turning import turning
-from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.recording.samples import Series
-from trackres_ros.units import GRAVITY
+from trackres_ros.units import EARTH_M, GRAVITY, MAD_TO_STD
+
+SIDES = ("left", "right")
+LONGEST_GAP_S = 2.0
+REACHES_S = (1.0, 2.0, 4.0)  # of positions to either side; the shortest precise enough is used
+SURE_RADPS = 0.03  # largest acceptable standard deviation of a yaw rate
+FEWEST_MOVING = 60  # steps
+MAD_OF_SECOND_DIFFERENCE = MAD_TO_STD / 6.0**0.5
+
+
+class Turning(NamedTuple):
+    """Yaw rate [rad/s], positive to the left, mean over each step, nan where unknown; and its source."""
+
+    yaw_rate: Array
+    made_of: str
+
+
+def turning(
+    series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest: float, track_width: float | None
+) -> Turning | None:
+    """Yaw rate [rad/s] from the heading, else the sides' wheel speeds, else positions; None if none suffices.
+
+    `start` [ns] is that of the `edges` of the steps [s], shape (n + 1,). `speed` is the mean over each step [m/s], shape (n,).
+    Positions give a direction above the `slowest` speed [m/s]. `track_width` is the distance of left from right wheels [m].
+    """
+    if "heading" in series and np.isfinite(series["heading"].value).sum() > 1:
+        return Turning(_of_angle(*ordered(series["heading"], start), edges), "heading")
+    sides = [_side(series, side, start, edges) for side in SIDES]
+    if track_width is not None and sides[0] is not None and sides[1] is not None:
+        return Turning((sides[1] - sides[0]) / track_width, f"wheel speeds of both sides, {track_width:g} m apart")
+    if "latitude" in series and "longitude" in series:
+        found = _of_positions(series, start, edges, speed, slowest)
+        return None if found is None else Turning(found, "positions")
+    return None
+
+
+def _of_angle(at: Array, angle: Array, edges: Array) -> Array:
+    """Change of an angle over each step."""
+    known = (edges[:-1] >= at[0]) & (edges[1:] <= at[-1])
+    after = np.clip(np.searchsorted(at, edges[1:]), 1, len(at) - 1)
+    known &= at[after] - at[after - 1] <= LONGEST_GAP_S
+    return np.where(known, np.diff(np.interp(edges, at, np.unwrap(angle))) / np.diff(edges), np.nan)
+
+
+def _side(series: Mapping[str, Series], side: str, start: int, edges: Array) -> Array | None:
+    """Mean wheel speed of one side over each step; None without any."""
+    roles = [role for role in series if role.startswith("wheel_speed/") and side in role.partition("/")[2].split("_")]
+    of = [Cumulative.of(*ordered(series[r], start)).means(edges[:-1], edges[1] - edges[0]) for r in roles if _there(series[r])]
+    return np.asarray(np.mean(of, axis=0)) if of else None
+
+
+def _there(series: Series) -> bool:
+    return int(np.isfinite(series.value).sum()) > 1
+
+
+def _of_positions(series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest: float) -> Array | None:
+    """Turn of the path from before a step to after it; nan at near standstill, or between forward and reverse."""
+    (at, north), (also_at, east) = (ordered(series[role], start) for role in ("latitude", "longitude"))
+    if len(at) < FEWEST_MOVING or len(also_at) < FEWEST_MOVING:
+        return None
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    east = np.interp(at, also_at, np.unwrap(east))
+    x, y = EARTH_M * np.cos(np.median(north)) * (east - east[0]), EARTH_M * (north - north[0])
+    noise = max(MAD_OF_SECOND_DIFFERENCE * float(np.median(np.abs(np.diff(z, 2)))) for z in (x, y))
+    moving = np.abs(speed) > slowest
+    if moving.sum() < FEWEST_MOVING:
+        return None
+    typical = float(np.median(np.abs(speed[moving])))
+    spacing = float(np.median(np.diff(at)))
+    precise = [r for r in REACHES_S if 6.0**0.5 * noise <= SURE_RADPS * typical * r**2 and r >= spacing]
+    if not precise:
+        return None
+    reach = precise[0]
+    before, now, after = (
+        np.interp(middle + shift, at, x) + 1j * np.interp(middle + shift, at, y) for shift in (-reach, 0.0, reach)
+    )
+    turned = np.angle((after - now) * np.conj(now - before))
+    one_way = [np.interp(middle + shift, middle, np.sign(speed) * moving) for shift in (-reach, 0.0, reach)]
+    known = (np.abs(np.sum(one_way, axis=0)) > 3.0 - 1e-9) & (middle - reach >= at[0]) & (middle + reach <= at[-1])
+    return np.where(known, turned / reach, np.nan)
+
+
+FEWEST_DRIVING = 300  # steps
+FEWEST_OF_A_LEVEL, LEVELS = 40, 25
+FAR_STDS = 4.0  # of driving steps: a larger residual means a friction brake
+MOST_FAR = 0.1  # of the steps of a level, beyond the share while driving; a fit tolerates a few outliers
+MOST_LOST = 0.2  # of a braking torque: a gear loss of a tenth in both directions
+
+
+def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask]) -> float:
+    """Torque in the direction of travel [Nm], zero or negative, down to which the motor brakes alone; zero where unknown.
+
+    The torque of driving steps depends on speed, acceleration and slope. With friction brakes, the vehicle decelerates more
+    than its torque explains: much more in some steps of a torque level, or a little in all of them. Braking steps are checked
+    level by level, from the smallest torque on, up to the first level with either sign. Compared are the moving steps of each
+    session with known speed and torque.
+    """
+    torque, columns = (np.concatenate(rows) for rows in zip(*map(_rows, sessions, compared), strict=True))
+    drives = np.concatenate([~near(s.torque * s.ahead <= 0.0)[m] for s, m in zip(sessions, compared, strict=True)])
+    if drives.sum() < FEWEST_DRIVING:
+        return 0.0
+    values = robust_least_squares(columns[drives], torque[drives])
+    left = torque - columns @ values
+    middle = float(np.median(left[drives]))
+    std = MAD_TO_STD * float(np.median(np.abs(left[drives] - middle)))
+    usual = float((left[drives] > middle + FAR_STDS * std).mean())
+    brakes = np.flatnonzero(torque <= 0.0)
+    order = brakes[np.argsort(-torque[brakes])]
+    alone = 0.0
+    for level in np.array_split(order, max(1, min(LEVELS, len(order) // FEWEST_OF_A_LEVEL))):
+        if len(level) < FEWEST_OF_A_LEVEL:
+            break
+        of_level = float(np.median(left[level]))
+        far = float((left[level] > of_level + FAR_STDS * std).mean())
+        if far > usual + MOST_FAR or of_level - middle > std + MOST_LOST * abs(float(np.median(torque[level]))):
+            break
+        alone = float(torque[level[-1]])
+    return alone
+
+
+def near(steps: Mask) -> Mask:
+    """Steps and their neighbours."""
+    return np.asarray(np.convolve(steps, np.ones(3), mode="same") > 0)
+
+
+def _rows(session: DriveSession, compared: Mask) -> tuple[Array, Array]:
+    """The torque in the direction of travel, and its possible dependencies."""
+    v, weight, ahead = session.speed * session.ahead, session.weight, session.ahead
+    columns = (weight, weight * v, v**2, weight * session.accel * ahead / GRAVITY, weight * np.nan_to_num(session.grade) * ahead)
+    return (session.torque * ahead)[compared], np.column_stack(columns)[compared]
+
 
 BRAKES_ON = "brakes on"
 MOST_UNKNOWN = 0.5  # of a recording
@@ -278,8 +420,8 @@ def _live_filter(accel: Array, noise: float, jerk: float) -> LiveFilter | None:
         return None
     std = float(np.sqrt(np.mean(changes**2)))
     values = LiveFilter(noise, std, 2.0 * (std / jerk) ** 2)
-    limits = {one.name: one.metadata for one in fields(Settings)}
-    return LiveFilter(*(float(np.clip(x, limits[name]["low"], limits[name]["high"])) for name, x in values._asdict().items()))
+    limits = limits_of(Settings)
+    return LiveFilter(*(float(np.clip(x, limits[name].low, limits[name].high)) for name, x in values._asdict().items()))
 
 
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:

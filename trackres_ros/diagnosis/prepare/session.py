@@ -1,22 +1,25 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines sessions: recordings as evenly spaced series in SI, with masks for their use."""
+"""Sessions: recordings as evenly spaced series in SI, with masks for their use; the facts of a vehicle, notes, and the split."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import PurePath
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.settings import LiveFilter, pace
+from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.roles import PASSENGER_KG
 from trackres_ros.recording.slopes import runs_of
-from trackres_ros.text.names import told_apart
-from trackres_ros.units import STANDSTILL_MPS
+from trackres_ros.text import told_apart
+from trackres_ros.units import MAD_TO_STD, STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -127,7 +130,7 @@ class DriveSession:
 
     @property
     def pace(self) -> float:
-        """Time scale over that of a drive, see `settings.pace`."""
+        """Time scale over that of a drive, see `pace`."""
         return pace(self.step)
 
     def stretches(self, inside: Mask) -> Iterator[tuple[float, float]]:
@@ -191,3 +194,220 @@ class Split:
     def held_out_mask(self, session: DriveSession) -> Mask:
         """Samples of a session to hold out."""
         return session.used & np.isin(session.block, self.held_out)
+
+
+STEP_S = 1.0  # mean torque over a step against its change of speed: exact for any course within
+LEAST_SAMPLES = 5  # in a step: with fewer, sampling affects the change of speed and the mean torque as much as the drive does
+SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
+
+
+def pace(step: float) -> float:
+    """Time scale of a recording over that of a drive: 1, or less for a quick machine with steps of less than `STEP_S`.
+
+    It scales the built-in times of the diagnosis (length of a piece, of a long gap).
+    """
+    return min(1.0, step / STEP_S)
+
+
+class LiveFilter(NamedTuple):
+    """Settings of the live filter of the acceleration that fit a recording's speeds, named as in the estimator's `Settings`."""
+
+    speed_std_mps: float
+    acceleration_std: float
+    acceleration_time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class GateSettings:
+    """Facts of a vehicle for the checks of its recordings."""
+
+    weight: float  # [N], for recordings without it
+    max_speed: float  # [m/s]
+    ambient: float  # [degC], for recordings without it
+    friction_brakes: bool | None  # whether they may add to a braking torque, if not recorded; None for a vehicle without
+    belt_shows_surface: bool = False  # whether a measured belt temperature is that of the surface, as from infrared
+    motor_ratio: float | None = None  # motor turns per sprocket turn; None if not in the file
+    torque_scale: float = 1.0  # shown over true torque: sessions have the true one [Nm]
+    torque_share: tuple[float, float] = (1.0, 1.0)  # limits of true over expected torque, by the ranges of the file
+    passenger_kg: float = PASSENGER_KG  # of one passenger
+    track_width: float | None = None  # distance of left from right wheels [m]; None if not in the file
+    has_belt: bool = False  # whether notes on belts apply
+    is_vehicle: bool = True  # whether words and times of vehicles apply; else a slide, or a model of the user's own
+    friction: float = 0.0  # torque that an offset and friction which the model lacks may reach [Nm]
+    axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by axle, nominal loads of its assemblies [N]
+
+    def total_load(self, known: Mapping[str, Array], payload: Array | float = 0.0) -> Array:
+        """Load of the whole vehicle [N], from loads of it, of axles or of assemblies by role, alike in shape, at least one.
+
+        Where that of an axle or assembly is unknown, it is the nominal one with its share of a counted payload [N].
+        """
+        loaded = 1.0 + payload / self.weight
+        if "load" in known:
+            return known["load"]
+        if not known.keys() <= {f"load/{name}" for axle, of in self.axles.items() for name in (axle, *of)}:
+            return np.asarray(np.sum(list(known.values()), axis=0))
+        unknown = np.full_like(next(iter(known.values())), np.nan)
+        total = np.zeros_like(unknown)
+        for axle, nominal in self.axles.items():
+            own, *each = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
+            whole = np.sum(
+                [np.where(np.isfinite(x), x, load * loaded) for x, load in zip(each, nominal.values(), strict=True)], axis=0
+            )
+            total += np.where(np.isfinite(own), own, whole)
+        return total
+
+    @property
+    def slowest(self) -> float:
+        """Speed below which friction may be static [m/s]."""
+        return min(SLOWEST_MPS, SLOWEST_SHARE * self.max_speed)
+
+
+TURNS, OUTLIER = 10, 1.5  # Huber's
+
+
+def robust_least_squares(columns: Array, y: Array) -> Array:
+    """Least squares with less weight on outliers; columns may be collinear."""
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-12)
+    weight = np.ones(len(y))
+    values = np.zeros(columns.shape[1])
+    for _ in range(TURNS):
+        root = np.sqrt(weight)
+        values = np.linalg.lstsq(columns / scale * root[:, np.newaxis], y * root, rcond=None)[0] / scale
+        left = np.abs(y - columns @ values)
+        weight = np.minimum(1.0, OUTLIER * MAD_TO_STD * float(np.median(left)) / np.maximum(left, 1e-12))
+    return values
+
+
+class WarningNote(str):
+    """A note on which the user should act: a recording or a channel is not used, or two inputs contradict each other.
+
+    Any other note states an assumption or a correction.
+    """
+
+    __slots__ = ()
+
+
+class SensorFinding(WarningNote):
+    """A warning on a sensor that another input contradicts. The verdict has it too, so that the two never disagree.
+
+    Parameters
+    ----------
+    text
+        The warning.
+    says
+        The same as a sentence of the verdict.
+    effect, value
+        The error as an effect of the catalogue, with the value of its first parameter; empty where there is none.
+    """
+
+    says: str
+    effect: str
+    value: float
+
+    def __new__(cls, text: str, says: str, effect: str = "", value: float = 0.0) -> SensorFinding:
+        """A string with attributes."""
+        found = super().__new__(cls, text)
+        found.says, found.effect, found.value = says, effect, value
+        return found
+
+
+FEWEST_SESSIONS = 4
+HELD_OUT_SHARE = 0.25
+FULL_STOP_S = 5.0
+PIECES, SHORTEST_PIECE_S, LONGEST_PIECE_S = 20, 60.0, 300.0
+FEWEST_DRIVES = 8
+
+
+def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
+    """Choose the hold-out blocks: the last ones, or `held_out`.
+
+    That is the number of the last sessions (of several) or blocks, or the names of recordings, or of laps as in a report
+    ("drive_3.csv: 5"). With names, added recordings do not change the hold-out set. A part of a name holds out all recordings
+    that have it, unless one is called so.
+
+    Raises
+    ------
+    InputError
+        If nothing, or too little, would remain to fit on, or a name is not among the recordings.
+    """
+    chosen = _chosen(sessions, held_out)
+    rows = sum(int(whole_past(chosen.training_mask(s), MOST_LAGS).sum()) for s in sessions)
+    if rows < FEWEST_FITTED:
+        raise too_short_pieces(", ".join(s.name for s in sessions), sessions[0].step)
+    return chosen
+
+
+def _chosen(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None) -> Split:
+    blocks = [sorted(set(s.block.tolist())) for s in sessions]
+    by_session = len(sessions) >= FEWEST_SESSIONS or (isinstance(held_out, int) and held_out < len(sessions) > 1)
+    if held_out is not None and not isinstance(held_out, int):
+        laps = {lap_name(s, b): b for s, of in zip(sessions, blocks, strict=True) for b in of}
+        by_name = {b for lap, b in laps.items() if any(lap == name if name in laps else lap.endswith(name) for name in held_out)}
+        whole = [name for name in held_out if not any(lap.endswith(name) for lap in laps)]
+        unknown = [name for name in whole if not any(name in s.name for s in sessions)]
+        if unknown:
+            raise InputError("--holdout", unknown[0], f"part of a name among {', '.join(s.name for s in sessions)}")
+        called = [(s.name, PurePath(s.name).stem) for s in sessions]
+        exact = {name for names in called for name in names}
+        chosen = {i for i, names in enumerate(called) for name in whole if name in (names if name in exact else names[0])}
+        if by_name:
+            return _by_laps(sessions, blocks, by_name.union(*(blocks[i] for i in chosen)))
+    elif by_session:
+        count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(sessions)))
+        chosen = set(range(len(sessions) - count, len(sessions)))
+    else:
+        return _last_laps(sessions, [b for of in blocks for b in of], held_out)
+    training = tuple(b for i, of in enumerate(blocks) if i not in chosen for b in of)
+    if not training or not chosen:
+        allowed, lap = f"some, but not all, of the {len(sessions)} recordings", lap_name(sessions[-1], blocks[-1][-1])
+        raise InputError("--holdout", held_out, allowed, f"or laps by name, such as '{lap}'")
+    text = f"held out: {', '.join(sessions[i].name for i in sorted(chosen))}"
+    return Split(training, tuple(b for i in sorted(chosen) for b in blocks[i]), text)
+
+
+def lap_name(session: DriveSession, block: int) -> str:
+    """A lap as in a report: the recording, and its number there."""
+    return f"{session.name}: {block - session.block[0] + 1}"
+
+
+def _last_laps(sessions: Sequence[DriveSession], laps: Sequence[int], held_out: int | None) -> Split:
+    """Hold out so many of the last laps, by default a quarter; the last driven ones if the vehicle is parked in all of these."""
+    compared = set(np.concatenate([s.block[s.used] for s in sessions]).tolist())
+    end, parked = len(laps), ""
+    count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
+    if 0 < count < end and compared.isdisjoint(laps[-count:]):
+        end = 1 + max((i for i, lap in enumerate(laps) if lap in compared), default=-1)
+        count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
+        parked = f", before {len(laps) - end} without a comparable torque"
+    if not 0 < count < end:
+        raise InputError("--holdout", count, f"1 to {end - 1} of the {end} laps or pieces")
+    first = end - count
+    return Split(tuple(laps[:first]), tuple(laps[first:]), f"the last {count} of {end} laps or pieces are held out{parked}")
+
+
+def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:
+    training = tuple(b for of in blocks for b in of if b not in held_out)
+    if not training:
+        raise InputError("--holdout", sorted(held_out), "some, but not all, of the laps")
+    text = f"held out: {', '.join(lap_name(s, b) for s, of in zip(sessions, blocks, strict=True) for b in of if b in held_out)}"
+    return Split(training, tuple(sorted(held_out)), text)
+
+
+def lap_numbers(session: DriveSession) -> NDArray[np.int64]:
+    """Number of the drive between two stops, or of a piece of equal length if there are few stops; shape (n,), from 0."""
+    standing = np.abs(session.speed) < SLOWEST_MPS
+    full_stop = FULL_STOP_S * session.pace
+    cuts = [begin for begin, end in runs_of(standing) if begin > 0 and (end - begin) * session.step >= full_stop]
+    if len(cuts) >= FEWEST_DRIVES - 1:
+        return np.searchsorted(np.array(cuts), np.arange(len(session)), side="right").astype(np.int64)
+    duration = len(session) * session.step
+    length = min(max(duration / PIECES, SHORTEST_PIECE_S * session.pace), LONGEST_PIECE_S * session.pace)
+    pieces = max(1, int(duration // length))
+    return np.minimum((np.arange(len(session)) * pieces) // len(session), pieces - 1).astype(np.int64)
+
+
+def too_short_pieces(where: str, step: float) -> InputError:
+    """Error if the samples to fit on come in pieces too short for a fit, in steps of `step` [s]."""
+    given = "a torque of the fitted laps that is too short, or has too many gaps"
+    allowed = f"driving for more than {MOST_LAGS * step:.3g} s without a gap"
+    return InputError(where, given, allowed, "record the torque without gaps, or give a longer recording")

@@ -14,18 +14,13 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
-from trackres_ros.diagnosis.empirical.payload import Stretch
-from trackres_ros.diagnosis.empirical.routes import Route
-from trackres_ros.diagnosis.empirical.terms import Described
-from trackres_ros.diagnosis.findings.found import NamedEffect
-from trackres_ros.diagnosis.findings.locate import residual_sources
-from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
+from trackres_ros.diagnosis.empirical.term import FOLLOWED, Route, Term
 from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, joined, likelier, rejected, why_not
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.selection.candidate import Candidate
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SUSPECTED, Improvement
-from trackres_ros.diagnosis.selection.steps import Step
+from trackres_ros.diagnosis.selection.locate import Bin, residual_sources
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
@@ -38,25 +33,24 @@ BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
 
 def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
     """All findings as plain data."""
-    belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
     lines = sensor_lines(d.kept.of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
     kept = {kind: d.kept.names_of(kind) for kind in BELONGS_TO}
-    routes = [_route(route, d.final) for route in d.routes]
+    routes = [_route(t, t.pattern, d.final) for t in d.in_order if isinstance(t.pattern, Route)]
     content = {
         "schema": SCHEMA,
         "recordings": [str(path) for path in paths],
         "base": _base(d),
         "verdict": _verdict(d),
-        "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
-        "described": _described(d),
+        "effects": [_effect(t) for t in d.found],
+        "described": [_described(t) for t in (*d.described, *(() if d.drift is None else (d.drift,)))],
         "route": routes[0] if routes else None,
         "routes": routes,
         **{
             grade: [
-                {"name": g.name, "heldout": _improvement(g.improvement), "grade": g.grade, "why": joined(rejected([g]))}
-                for g in d.unconfirmed
-                if g.grade == grade
+                {"name": t.name, "heldout": _improvement(t.improvement), "grade": t.grade, "why": joined(rejected([t]))}
+                for t in d.unconfirmed
+                if t.grade == grade
             ]
             for grade in (SUSPECTED, REFUTED)
         },
@@ -72,7 +66,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "not_visible": [{"name": n.name, "why": n.why} for n in d.alone.separability.of_names.not_visible],
         "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.excluded.items()],
         "advice": [asdict(advice) for advice in d.advice],
-        "candidates": [_candidate(i, c, step) for i, step in enumerate(d.steps, 1) for c in step.candidates],
+        "candidates": _candidates(d),
         "residual_by_regime": {
             stage: [{**_bin(b), "samples": b.samples, "p": b.p} for b in of.bins]
             for stage, of in (("base", d.at_base), ("end", d.at_end))
@@ -127,7 +121,7 @@ def _verdict(d: Diagnosis) -> dict[str, Any]:
         "status": d.verdict.status,
         "grade": d.verdict.grade,
         "sentence": d.verdict.sentence,
-        "hint": d.steps[-1].hint or None,
+        "hint": d.last.hint or None,
         "seen": d.verdict.seen or None,
         "may_be": [{"name": name, "share": share} for name, share in d.verdict.may_be],
         "changed": [
@@ -154,18 +148,24 @@ def _held_out(d: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _candidate(round_: int, c: Candidate, step: Step) -> dict[str, Any]:
-    return {
-        "round": round_,
-        "name": c.name,
-        "delta_loglik": c.gain,
-        "level_score": c.level,
-        "kept": c.kept,
-        "d_prime": c.d_prime,
-        "threshold": step.cost,
-        "chosen": step.chosen is c,
-        "why": _why(c, step),
-    }
+def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
+    """The rounds of the search: without each term of the final fit, which comes first, and from all of them."""
+    rounds = [(term.rivals, (term,)) for term in d.in_order if term.rivals is not None]
+    return [
+        {
+            "round": number,
+            "name": c.name,
+            "delta_loglik": c.gain,
+            "level_score": c.level,
+            "kept": c.kept,
+            "d_prime": c.d_prime,
+            "threshold": search_round.cost,
+            "chosen": c in chosen,
+            "why": why(c, search_round.cost, *chosen),
+        }
+        for number, (search_round, chosen) in enumerate([*rounds, (d.last, ())], 1)
+        for c in (*chosen, *search_round.candidates)
+    ]
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
@@ -182,55 +182,55 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
     return steps
 
 
-def _why(c: Candidate, step: Step) -> str:
-    if step.chosen is c:
+def why(c: Term, cost: float, chosen: Term | None = None) -> str:
+    """Why a candidate was chosen or not, of a round at this cost."""
+    if chosen is c:
         return "chosen"
-    if step.chosen is not None and c.name in step.members:
-        return f"not distinguishable from {step.chosen.name} here"
-    if c.level <= step.cost:
+    if chosen is not None and c.name in chosen.members:
+        return f"not distinguishable from {chosen.name} here"
+    if c.level <= cost:
         return "the best of as many candidates may gain as much by chance"
     if not c.matters:
         return f"adds only {100.0 * c.share:.1f} % of the torque"
-    if step.chosen is None:
-        return why_not(c, step)
-    if c.level > step.chosen.level - LEAST_AHEAD:
-        if step.chosen.is_name and not c.is_name:
-            return f"fits as well as {step.chosen.name}, but is a form: it bends to the data"
-        on_laps = f"{LEFT_OUT} decide for {step.chosen.name}" if c.name in step.worse else why_not(c, step)
-        return f"fits as well as {step.chosen.name}, but {on_laps}"
-    return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
+    if chosen is None:
+        return why_not(c)
+    if c.level > chosen.level - LEAST_AHEAD:
+        if chosen.is_name and not c.is_name:
+            return f"fits as well as {chosen.name}, but is a form: it bends to the data"
+        on_laps = f"{LEFT_OUT} decide for {chosen.name}" if c.name in chosen.worse else why_not(c)
+        return f"fits as well as {chosen.name}, but {on_laps}"
+    return f"{likelier(chosen, c)} times less likely than {chosen.name}"
 
 
-def _effect(f: NamedEffect, belongs_to: str) -> dict[str, Any]:
-    chosen = f.step.chosen
-    assert chosen
-    units = {q.name: q.unit for q in f.parameters}
+def _effect(t: Term) -> dict[str, Any]:
+    effect, where = t.effect, t.location
+    units = {q.name: q.unit for q in effect.parameters}
     return {
-        "name": f.name,
-        "class": f.step.members,
-        "weights": f.step.weights,
-        "acts_on": f.acts_on,
-        "acts": {"text": f.place, "size": f.seen, "by": f.location.variable if f.location.both_ways else ""},
-        "grade": f.graded.grade,
-        "heldout": _improvement(f.graded.improvement),
-        "on_bounds": f.graded.on_bounds,
-        "belongs_to": belongs_to,
+        "name": t.name,
+        "class": t.members,
+        "weights": t.weights,
+        "acts_on": effect.acts_on,
+        "acts": {"text": t.place, "size": t.seen, "by": where.variable if where is not None and where.both_ways else ""},
+        "grade": t.grade,
+        "heldout": _improvement(t.improvement),
+        "on_bounds": t.on_bounds,
+        "belongs_to": effect.belongs_to,
         "parameters": {
-            name: {"value": value, "unit": units[name], **_interval(f.intervals[name])} for name, value in f.values.items()
+            name: {"value": value, "unit": units[name], **_interval(t.intervals[name])} for name, value in t.values.items()
         },
         "where": {
-            "time": [[s.recording, s.begin, s.end] for s in f.where],
-            "regime": [{**_bin(b), "p": b.p} for b in f.regime],
+            "time": [[s.recording, s.begin, s.end] for s in t.spans],
+            "regime": [{**_bin(b), "p": b.p} for b in t.regime],
         },
         "evidence": {
-            "delta_loglik": chosen.gain,
-            "level_score": chosen.level,
-            "bic_gain": chosen.bic_gain,
-            "stability": f.step.stability,
-            "kept": chosen.kept,
-            "d_prime": chosen.d_prime,
+            "delta_loglik": t.gain,
+            "level_score": t.level,
+            "bic_gain": t.bic_gain,
+            "stability": t.stability,
+            "kept": t.kept,
+            "d_prime": t.d_prime,
         },
-        "text": f.text,
+        "text": effect.text,
     }
 
 
@@ -240,43 +240,34 @@ def _sources(final: Fit) -> dict[str, Any]:
     return {"total": s.total, **sensors, "model_at_most": s.model, "unit": "Nm", "text": s.text}
 
 
-def _described(d: Diagnosis) -> list[dict[str, Any]]:
-    """The unnamed terms, and a drift."""
-    found = []
-    for t in d.described:
-        intervals = {name: _pair(interval) for name, interval in t.intervals.items()}
-        found.append({**_term(t.described, t.graded.improvement, t.graded.grade), "parameters": intervals})
-        found[-1]["instead"] = t.instead or None
-    if d.drift and d.tracked:
-        found.append({**_term(d.drift, d.tracked, d.tracked.grade), "parameters": {}})
-    return found
-
-
-def _term(of: Described, improvement: Improvement, grade: str) -> dict[str, Any]:
-    """An unnamed term, with its improvement of laps left out."""
+def _described(t: Term) -> dict[str, Any]:
+    """A term without a name, or a drift, with its improvement of laps left out."""
+    followed = t.form in FOLLOWED
     return {
-        "form": of.form,
-        "name": of.name or None,
-        "variable": of.variable or None,
-        "gate": of.gate or None,
-        "period_m": of.period_m,
-        "memory": of.memory,
-        "size_nm": of.size_nm,
-        "sentence": of.sentence,
-        "mechanisms": of.mechanisms,
-        "predictable": of.predictable,
-        "held_out_from": of.held_out_from,
-        **({"stretches": of.stretches} if of.stretches else {}),
-        "gain_nm": improvement.before - improvement.after,
-        "grade": grade,
-        "heldout": _improvement(improvement),
+        "form": t.form,
+        "name": None if followed else t.name,
+        "variable": t.variable or None,
+        "gate": t.gate or None,
+        "period_m": t.period_m,
+        "memory": t.memory,
+        "size_nm": t.size_nm,
+        "sentence": t.sentence,
+        "mechanisms": t.mechanisms,
+        "predictable": t.predictable,
+        "held_out_from": t.held_out_from,
+        **({"stretches": t.pattern.stretches} if isinstance(t.pattern, Payload) else {}),
+        "gain_nm": t.improvement.before - t.improvement.after,
+        "grade": t.grade,
+        "heldout": _improvement(t.improvement),
+        "parameters": {name: _pair(interval) for name, interval in t.intervals.items()},
+        **({} if followed else {"instead": t.instead or None}),
     }
 
 
-def _route(route: Route, final: Fit) -> dict[str, Any]:
-    learned = route.learned(final)
+def _route(t: Term, route: Route, final: Fit) -> dict[str, Any]:
+    learned = t.learned(final)
     return {
-        "name": route.candidate.name,
+        "name": t.name,
         "kind": learned.kind,
         "slope_likelier_by": route.slope_gain,
         "streets_m": route.metres,

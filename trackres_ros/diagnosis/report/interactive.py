@@ -22,33 +22,31 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, rms_over_time, smoothed
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, shown_names
 from trackres_ros.diagnosis.report.series import (
-    axis_label,
-    bars,
-    bins_of_steps,
-    clock,
-    lasting,
-    most_off,
-    shown_lap,
-    stages,
-)
-from trackres_ros.diagnosis.report.timeline import (
     AVERAGED_S,
     MARK,
     Panel,
+    axis_label,
+    bars,
     begins,
+    bins_of_steps,
+    clock,
     held_out_times,
+    lasting,
     marked_times,
     minutes,
+    most_off,
     names,
     panels,
+    shown_lap,
+    stages,
 )
+from trackres_ros.diagnosis.selection.locate import SMOOTHED_S, rms_over_time, smoothed
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.output.style import GREY, ORANGE, shortened
-from trackres_ros.text.numbers import figures, from_to, rising
+from trackres_ros.text import figures, from_to, rising
 
 DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`

@@ -15,25 +15,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.candidates import varies
-from trackres_ros.diagnosis.empirical.finders import SURE, Term
-from trackres_ros.diagnosis.empirical.routes import Route
-from trackres_ros.diagnosis.empirical.torque import against_travel
+from trackres_ros.diagnosis.empirical.finders import SURE
+from trackres_ros.diagnosis.empirical.forms import varies
+from trackres_ros.diagnosis.empirical.term import CLOCK, FORM, ONLY_BETWEEN, Round, Term, active_of, displaced, on_bounds
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
+from trackres_ros.diagnosis.prepare.session import SLOWEST_MPS
 from trackres_ros.diagnosis.search.cross_validation import Score
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
 from trackres_ros.diagnosis.search.proposals import TIED
 from trackres_ros.diagnosis.search.stability import unstable
-from trackres_ros.diagnosis.selection.as_used import AsUsed
-from trackres_ros.diagnosis.selection.candidate import CLOCK, FORM, FORM_ERROR, NAME
-from trackres_ros.diagnosis.selection.grade import ON_BOUND, ONLY_BETWEEN, Graded, displaced, on_bounds
+from trackres_ros.diagnosis.selection.as_used import ON_BOUND, AsUsed
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
-from trackres_ros.diagnosis.selection.steps import Step
-from trackres_ros.effects.learned import VARIABLES, EmpiricalEffect
-from trackres_ros.text.numbers import figures
+from trackres_ros.diagnosis.selection.locate import against_travel
+from trackres_ros.diagnosis.selection.visibility import FORM_ERROR
+from trackres_ros.text import figures
 
 MOST_JUDGED = 5  # explanations, those with the highest worth
 MOST_NAMED = 2  # explanations by names alone: forms bend to the data
@@ -45,52 +42,23 @@ FEWEST_SESSIONS = 6  # with fewer, differences between recordings may have any c
 LEAST_WITHIN = 0.3  # of its spread: with a smaller variation within recordings, a term differs only between them
 NEAR = 100.0  # in level score: no rival further behind is as good
 CLASS_SHARE = 0.8
+NOT_AS_A_WHOLE = "is part of an explanation that laps left out do not confirm as a whole"
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
     """The chosen explanation and its rivals."""
 
-    explanation: Explanation  # the best one confirmed by cross-validation; empty if none
-    graded: Mapping[str, Graded]
-    alone: Step  # the round from the base alone
-    steps: Mapping[str, Step]  # for each term the round without it, with its class
-    last: Step  # the round from all of it
-    unconfirmed: tuple[Graded, ...]  # best-fitting terms that cross-validation does not confirm
+    explanation: Explanation  # the best one confirmed by cross-validation, its terms with grade and class; empty if none
+    alone: Round  # from the base alone
+    last: Round  # from all of it
+    unconfirmed: tuple[Term, ...]  # best-fitting terms that cross-validation does not confirm
     shares: Mapping[str, float]  # probability of each name, and of no name, see `Choice._shares`
 
     @property
     def final(self) -> Fit:
         """Its predictive fit."""
         return self.explanation.fit
-
-    def is_named(self, name: str) -> bool:
-        """Whether a term has a name: it is in the catalogue, or certainly a slope by place."""
-        route = self.term(name).route
-        return self.explanation.candidates[name].is_name or (route is not None and route.is_slope)
-
-    def term(self, name: str) -> Term:
-        """A term with its properties outside the fit."""
-        return self.explanation.terms.get(name) or Term(self.explanation.candidates[name])
-
-    def instead_of(self, name: str) -> str:
-        """The name that would gain most in place of a term, if more than half as much; empty without one."""
-        step = self.steps[name]
-        least = max(step.cost, 0.5 * step.chosen.level) if step.chosen is not None else step.cost
-        names = [c for c in step.candidates if c.is_name and c.name != name and c.matters and c.level > least]
-        return max(names, key=lambda c: c.level).name if names else ""
-
-    def variables_like(self, name: str) -> tuple[str, ...]:
-        """The variables of other forms that laps left out do not separate from a form over another one."""
-        own, step = self.explanation.candidates[name].effect, self.steps[name]
-        effects = [c.effect for c in step.candidates if c.name in step.members] if isinstance(own, EmpiricalEffect) else []
-        codes = dict.fromkeys(e.variable for e in effects if isinstance(e, EmpiricalEffect))
-        return tuple(VARIABLES[code].text for code in codes if code != getattr(own, "variable", code))
-
-    @property
-    def routes(self) -> tuple[Route, ...]:
-        """The terms by place."""
-        return tuple(term.route for term in self.explanation.terms.values() if term.route is not None)
 
 
 class Choice:
@@ -101,31 +69,33 @@ class Choice:
         self._beyond_base = self._validation.beyond(search.nothing.fit)
         self._use, self._by_file = use, use.error(None)
         self._wide: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
-        self._graded: dict[tuple[Key, str], Graded] = {}
+        self._graded: dict[tuple[Key, str], Term] = {}
         self._unstable = set[str]()  # names whose size changes
 
-    def graded(self, explanation: Explanation, name: str) -> Graded:
-        """Cross-validated grade of a term of an explanation."""
-        at = explanation.key, name
-        if at not in self._graded:
+    def graded(self, explanation: Explanation, name: str) -> Term:
+        """A term of an explanation with its cross-validated grade."""
+        term, key = explanation.terms[name], (explanation.key, name)
+        if key not in self._graded:
             without = self._search.without(explanation, name)
             improvement = self._validation.improvement(without.score, explanation.score)
-            active = next(a for a in explanation.fit.effects if a.effect.name == name)
             faults = self._faults(explanation, name, improvement, without) if improvement.confirmed else ()
-            instead = displaced(improvement, explanation.fit, without.fit)
-            self._graded[at] = Graded(name, improvement, tuple(faults), on_bounds(active), instead)
-        return self._graded[at]
+            displaces = displaced(improvement, explanation.fit, without.fit)
+            bounds = on_bounds(active_of(explanation.fit, name))
+            self._graded[key] = replace(
+                term, improvement=improvement, faults=tuple(faults), on_bounds=bounds, displaces=displaces
+            )
+        return term.graded_as(self._graded[key])
 
     def _faults(self, explanation: Explanation, name: str, improvement: Improvement, without: Explanation) -> list[str]:
         """Why laps and recordings left out do not confirm a term that predicts the laps better, in words after its name."""
-        candidate, validation = explanation.candidates[name], self._validation
+        term, validation = explanation.terms[name], self._validation
         shows = f"from {figures(improvement.before)} to {figures(improvement.after)} Nm on laps left out"
         found = []
-        least = ALIKE_WITHIN if candidate.kind == CLOCK else ALIKE_WITHIN + self._search.cost
+        least = ALIKE_WITHIN if term.kind == CLOCK else ALIKE_WITHIN + self._search.cost
         if not improvement.likelier > 0.0 or improvement.gained < least:
             found.append(f"gains no more than the best of many candidates may by chance: {shows}")
-        if not candidate.matters:
-            found.append(f"adds only {100.0 * candidate.share:.1f} % of the torque")
+        if not term.matters:
+            found.append(f"adds only {100.0 * term.share:.1f} % of the torque")
         small = improvement.before - improvement.after < SMALL_SHARE * improvement.before
         if small and not validation.level_falls(without.score, explanation.score):
             found.append(f"hardly reduces the error: {shows}")
@@ -142,9 +112,9 @@ class Choice:
         before, after = without.score.unseen, explanation.score.unseen
         if acts.sum() >= 3 and after > NO_WORSE * before:
             found.append(f"predicts recordings left out worse: {figures(before)} to {figures(after)} Nm")
-        if candidate.kind == NAME and not found:
+        if term.is_name and not found:
             found += self._unsteady(explanation, name)
-        if candidate.kind != NAME and not found:
+        if not term.is_name and not found:
             found += self._clock_rivals(explanation, name, without)
         return found or self._values_instead(explanation, without)
 
@@ -155,8 +125,8 @@ class Choice:
             self._unstable.add(name)
             return found
         named = explanation
-        for form, candidate in explanation.candidates.items():
-            named = named if candidate.kind == NAME else self._search.without(named, form)
+        for other, term in explanation.terms.items():
+            named = named if term.is_name else self._search.without(named, other)
         if named.key == explanation.key:
             return []
         improvement = self._validation.improvement(self._search.without(named, name).score, named.score)
@@ -194,25 +164,21 @@ class Choice:
 
     def _clock_rivals(self, explanation: Explanation, name: str, without: Explanation) -> list[str]:
         """A form over a channel and one over the clock that laps left out do not separate."""
-        kind = explanation.candidates[name].kind
-        other_kind = {FORM: CLOCK, CLOCK: FORM}[kind]
+        other_kind = {FORM: CLOCK, CLOCK: FORM}[explanation.terms[name].kind]
         for key, rival in self._search.known.items():
             new = key - without.key
             if len(key) != len(explanation.key) or not without.key <= key or len(new) != 1:
                 continue
             (other,) = new
-            if rival.candidates[other].kind != other_kind or other == name or other in rival.terms or name in explanation.terms:
+            searched = other in rival.searched or name in explanation.searched
+            if rival.terms[other].kind != other_kind or other == name or searched:
                 continue
             if self._validation.least_gain(rival.score, explanation.score) <= 0.0 and rival.worth > explanation.worth - SURE:
                 return [f"cannot be separated from {other} in these drives"]
         return []
 
-    def _all_graded(self, explanation: Explanation) -> dict[str, Graded]:
-        return {name: self.graded(explanation, name) for name in explanation.candidates}
-
-    def _graded_beyond(self, key: Key) -> dict[str, Graded]:
-        """The known grades of single terms that are added to an explanation."""
-        return {name: graded for (of, name), graded in self._graded.items() if of - {name} == key}
+    def _all_graded(self, explanation: Explanation) -> dict[str, Term]:
+        return {name: self.graded(explanation, name) for name in explanation.terms}
 
     def _is_confirmed(self, explanation: Explanation) -> bool:
         whole = self._validation.improvement(self._search.nothing.score, explanation.score)
@@ -223,7 +189,7 @@ class Choice:
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
         if not whole.confirmed or kept.after > min(kept.before, self._by_file) or not self._laps.predicts(explanation.fit):
             return False
-        return all(self.graded(explanation, name).confirmed for name in explanation.candidates)
+        return all(self.graded(explanation, name).confirmed for name in explanation.terms)
 
     def _kept(self, explanation: Explanation) -> Improvement:
         return self._laps.improvement_of(self._refitted, explanation.fit)
@@ -242,13 +208,14 @@ class Choice:
             for explanation in (best, *(self._search.without(best, name) for name in names_of(best))):
                 self._search.expand(explanation)
         first = judged[0] if judged else nothing
-        doubted = tuple(g for g in self._all_graded(first).values() if not g.confirmed and g.name not in best.key)
+        doubted = tuple(term for term in self._all_graded(first).values() if not term.confirmed and term.name not in best.key)
         graded = self._all_graded(best)
         shares = self._shares([e for e in confirmed if _competes(e, best)] or [nothing])
         if keep_suspected and not best.key:
-            best, doubted, graded = first, (), {name: g.of_unconfirmed() for name, g in self._all_graded(first).items()}
-        steps = {name: self._round_of(best, name) for name in best.candidates}
-        return Chosen(best, graded, self._step(nothing), steps, self._step(best), doubted, shares)
+            best, doubted, graded = first, (), self._all_graded(first)
+            graded = {name: replace(term, faults=(NOT_AS_A_WHOLE, *term.faults)) for name, term in graded.items()}
+        terms = {name: self._with_class(best, term) for name, term in graded.items()}
+        return Chosen(replace(best, terms=terms), self._round(nothing), self._round(best), doubted, shares)
 
     def _chosen(self) -> tuple[list[Explanation], list[Explanation], Explanation]:
         """The judged explanations, the confirmed ones of them, and the best one of these."""
@@ -262,13 +229,13 @@ class Choice:
         room = (e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0 and not self._search.has_left_out(e))
         found = sorted(room, key=lambda e: -e.worth)
         named = [e for e in found if not e.without_a_name][:MOST_NAMED]
-        queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or e in named or any(map(e.goes_by_place, e.key))]
+        queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or e in named or e.by_place is not None]
         judged: dict[Key, Explanation] = {}
         while queue:
             explanation = queue.pop(0)
             if explanation.key and explanation.key not in judged:
                 judged[explanation.key] = self._search.polished(explanation)
-                queue += [self._search.without(explanation, name) for name in explanation.candidates]
+                queue += [self._search.without(explanation, name) for name in explanation.terms]
         return sorted(judged.values(), key=lambda e: -e.worth)
 
     def _pick(self, confirmed: Sequence[Explanation]) -> Explanation:
@@ -284,53 +251,58 @@ class Choice:
 
         return max(unbeaten or confirmed, key=rank, default=self._search.nothing)
 
-    def _beats(self, one: Explanation, other: Explanation) -> bool:
-        """Whether one explanation predicts significantly better than another.
+    def _beats(self, rival: Explanation, explanation: Explanation) -> bool:
+        """Whether a rival predicts significantly better than an explanation.
 
         A further form, or one in place of a name, needs a larger margin, because a function is accurate to about 10 %: the
         mean square error must fall by more than the square of a tenth of the others' torque. A map learned by place has no form.
         """
-        more_forms = one.without_a_name > other.without_a_name
-        if self._validation.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
+        more_forms = rival.without_a_name > explanation.without_a_name
+        if self._validation.least_gain(explanation.score, rival.score) <= (SURE if more_forms else ALIKE_WITHIN):
             return False
-        torques = [self._beyond_base(other.fit.contribution(name)) for name in other.key if not other.goes_by_place(name)]
-        by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2
-        return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
-
-    def _step(self, explanation: Explanation) -> Step:
-        """The round from an explanation, with the fitted candidates."""
-        proposals = self._search.rounds.get(explanation.key) or self._search.rounds[frozenset()]
-        children = [e for key, e in self._search.known.items() if len(key - explanation.key) == 1 and explanation.key < key]
-        added = [
-            replace(
-                next(c for name, c in e.candidates.items() if name not in explanation.key),
-                level=self._validation.gain(explanation.score, e.score),
-            )
-            for e in children
+        torques = [
+            self._beyond_base(explanation.fit.contribution(name))
+            for name, term in explanation.terms.items()
+            if not term.is_by_place
         ]
-        ordered = tuple(sorted(added, key=lambda c: -c.level))
-        graded = self._graded_beyond(explanation.key)
-        return Step(explanation.fit, proposals.separability, ordered, self._search.cost, graded=graded)
+        by_form = sum(float((torque**2).sum()) for torque in torques) * FORM_ERROR**2
+        return not more_forms or float((explanation.score.square - rival.score.square).sum()) > by_form
 
-    def _round_of(self, best: Explanation, name: str) -> Step:
-        """The round without a term, with its class: the term and the replacements of its kind that it does not surely beat."""
-        without = self._search.without(best, name)
-        step = self._step(without)
-        chosen = replace(best.candidates[name], level=self._validation.gain(without.score, best.score))
-        near = [c for c in step.candidates if c.is_name == chosen.is_name and c.level > chosen.level - NEAR]
+    def _round(self, explanation: Explanation) -> Round:
+        """The round from an explanation, with the fitted candidates and their grades, where laps left out have judged them."""
+        proposals = self._search.rounds.get(explanation.key) or self._search.rounds[frozenset()]
+        added = []
+        for key, child in self._search.known.items():
+            if len(key - explanation.key) == 1 and explanation.key < key:
+                (name,) = key - explanation.key
+                term = replace(child.terms[name], level=self._validation.gain(explanation.score, child.score))
+                added.append(term.graded_as(self._graded.get((key, name), term)))
+        ordered = tuple(sorted(added, key=lambda term: -term.level))
+        return Round(explanation.fit, proposals.separability, ordered, self._search.cost)
+
+    def _with_class(self, best: Explanation, term: Term) -> Term:
+        """A term with the round without it and its class: the term and the rivals of its kind that it does not surely beat."""
+        without, name = self._search.without(best, term.name), term.name
+        search_round = self._round(without)
+        level = self._validation.gain(without.score, best.score)
+        near = [c for c in search_round.candidates if c.is_name == term.is_name and c.level > level - NEAR]
         rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in near}
         rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._rivals(e, other, name)} | {name: best}
         worse = {other for other, e in rivals.items() if e is not best and self._beats(best, e)}
         shares = dict(zip(rivals, self._validation.shares([e.score for e in rivals.values()]).tolist(), strict=True))
-        alike = set(step.separability.alike(name)) & rivals.keys() if name in step.separability.names else {name}
+        separability = search_round.separability
+        alike = set(separability.alike(name)) & rivals.keys() if name in separability.names else {name}
         members = _class_of(name, shares, (rivals.keys() - worse) | alike)
         total = sum(shares[m] for m in members)
-        rest = tuple(c for c in step.candidates if c.name != name)
-        weights = {m: shares[m] / max(total, 1e-12) for m in members}
-        return Step(
-            step.before, step.separability, (chosen, *rest), step.cost, chosen, tuple(members), weights, float(total),
-            tuple(sorted(worse)), step.graded,
-        )  # fmt: skip
+        return replace(
+            term,
+            level=level,
+            rivals=replace(search_round, candidates=tuple(c for c in search_round.candidates if c.name != name)),
+            members=tuple(members),
+            weights={m: shares[m] / max(total, 1e-12) for m in members},
+            stability=float(total),
+            worse=tuple(sorted(worse)),
+        )
 
     def _rivals(self, explanation: Explanation, name: str, chosen: str) -> bool:
         """Whether a replacement of a chosen term would be confirmed itself, or these drives hardly separate the two."""
@@ -346,9 +318,9 @@ class Choice:
         return dict(sorted(found.items(), key=lambda pair: -pair[1]))
 
 
-def _competes(one: Explanation, chosen: Explanation) -> bool:
-    """Whether the share of a confirmed explanation shows a doubt about the chosen one: not with more forms, which bend."""
-    return one.without_a_name <= chosen.without_a_name
+def _competes(rival: Explanation, chosen: Explanation) -> bool:
+    """Whether a confirmed rival casts doubt on the chosen explanation: not with more forms, which bend."""
+    return rival.without_a_name <= chosen.without_a_name
 
 
 def _class_of(name: str, shares: Mapping[str, float], alike: Collection[str]) -> list[str]:

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.bounded import bounded
-from trackres_ros.diagnosis.inference.fitting import Fit, Problem
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, bounded
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, numbered
@@ -67,7 +66,7 @@ class CrossValidation:
         self._draws: dict[int, Array] = {}
 
     def score(self, found: Fit, columns: Array | None = None) -> Score:
-        """Score a fit by `levels.with_levels`; `columns` are its derivatives, where they are known."""
+        """Score a fit by `fitting.with_levels`; `columns` are its derivatives, where they are known."""
         problem = found.problem
         columns = base_columns(found) if columns is None else columns
         white = np.concatenate(problem.white(problem.split(columns), found.noises))

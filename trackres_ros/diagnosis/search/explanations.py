@@ -5,6 +5,9 @@
 
 It starts from the base alone. In each turn the best few are expanded by the proposals for their residual, and by removing one
 term. Sets that no lap confirms are expanded too: two effects may pass only together. Laps left out score every set.
+
+`LinearSets` scores sets of proposals to first order about one fit. Each set then costs one small system of equations instead of a
+fit, so that pairs which only help together are found too.
 """
 
 from __future__ import annotations
@@ -13,18 +16,129 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 
-from trackres_ros.diagnosis.empirical.finders import Term, find_terms
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.empirical.finders import find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
-from trackres_ros.diagnosis.inference.fitting import Fit, first_look, fit
+from trackres_ros.diagnosis.empirical.term import Route, Term, compared, share
+from trackres_ros.diagnosis.inference.fitting import Fit, bounded, first_look, fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.search.cross_validation import CrossValidation, Score
-from trackres_ros.diagnosis.search.linear_sets import Columns, LinearSets
-from trackres_ros.diagnosis.search.proposals import Proposals, Proposer
-from trackres_ros.diagnosis.selection.candidate import NAME, Candidate, compared, share
-from trackres_ros.diagnosis.selection.visibility import amplitude_bounds, amplitude_spans, base_columns, is_name
+from trackres_ros.diagnosis.search.proposals import Proposals, Proposer, same_variable
+from trackres_ros.diagnosis.selection.level_errors import PRIOR, RIDGE
+from trackres_ros.diagnosis.selection.visibility import Proposal, amplitude_bounds, amplitude_spans, base_columns, is_name
 from trackres_ros.effects.effect import Effect
 from trackres_ros.progress import counted
+
+Names = tuple[str, ...]
+
+EXPANDED_SETS = 8  # best sets of each size that get a further term
+FEWEST_RECORDINGS = 3  # to leave whole ones out
+
+
+class LinearSets:
+    """Errors of sets of terms on rows left out.
+
+    Parameters
+    ----------
+    fit, own
+        The fit without the terms, and the derivatives of its own parameters, shape (n, parameters).
+    terms
+        The proposal of each term.
+    lap, recording
+        Number of the fold and of the recording of each row, shape (n,); a row of fold -1 is never left out.
+    """
+
+    def __init__(
+        self, fit: Fit, own: Array, terms: Mapping[str, Proposal], lap: NDArray[np.int64], recording: NDArray[np.int64]
+    ) -> None:
+        scale, std, nominal, low, high = (
+            np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal", "low", "high")
+        )
+        self._effects = {name: term.effect for name, term in terms.items()}
+        self._own, count = len(scale), len(scale)
+        self._at: dict[str, NDArray[np.int64]] = {}
+        for name, term in terms.items():
+            self._at[name] = np.arange(count, count + term.columns.shape[1])
+            count += term.columns.shape[1]
+        used = np.isfinite(weights := fit.weights)
+        root = np.sqrt(weights[used])
+        x, y = np.empty((len(root), count)), valid_rows(fit.white) * root
+        # Term by term: together they would be the largest arrays of a diagnosis.
+        of_terms = ((self._at[name], term.columns, amplitude_spans(term.effect)) for name, term in terms.items())
+        for at, derivatives, sizes in [(np.arange(self._own), own, scale), *of_terms]:
+            white = fit.problem.white(fit.problem.split(derivatives * sizes), fit.noises)
+            x[:, at] = valid_rows(white) * root[:, np.newaxis]
+        prior = np.full(count, PRIOR)
+        prior[: self._own] = scale / std
+        self._prior = np.diag(prior**2 + RIDGE * len(y))
+        self._pull = np.zeros(count)
+        self._pull[: self._own] = scale / std * np.nan_to_num((nominal - fit.point) / std)
+        bounds = [((low - fit.point) / scale, (high - fit.point) / scale), *(amplitude_bounds(e) for e in self._effects.values())]
+        self._low, self._high = (np.concatenate(sides) for sides in zip(*bounds, strict=True))
+        pairs, group = np.unique(np.stack([lap[used], recording[used]]), axis=1, return_inverse=True)
+        order = np.argsort(group.ravel(), kind="stable")
+        parts = np.split(order, np.cumsum(np.bincount(group.ravel()))[:-1])
+        self._information = np.stack([x[rows].T @ x[rows] for rows in parts])
+        self._right = np.stack([x[rows].T @ y[rows] for rows in parts])
+        self._square = np.array([y[rows] @ y[rows] for rows in parts])
+        self._rows = np.array([len(rows) for rows in parts])
+        laps, recordings = np.unique(pairs[0][pairs[0] >= 0]), np.unique(pairs[1][pairs[0] >= 0])
+        self._folds = [np.stack([pairs[0] == number for number in laps])]
+        if len(recordings) >= FEWEST_RECORDINGS:
+            self._folds.append(np.stack([(pairs[1] == number) & (pairs[0] >= 0) for number in recordings]))
+        self._nothing = self._errors(())
+
+    def gain(self, names: Collection[str]) -> float:
+        """Gain in log-likelihood on the rows left out, less one for each amplitude beyond the first of a term."""
+        more = sum(len(self._at[name]) - 1 for name in names)
+        pairs = zip(self._nothing, self._errors(names), self._folds, strict=True)
+        return float(np.mean([0.5 * self._left_out(f) * np.log(before / after) for before, after, f in pairs])) - more
+
+    def _left_out(self, folds: NDArray[np.bool_]) -> int:
+        return int((folds @ self._rows).sum())
+
+    def _errors(self, names: Collection[str]) -> list[float]:
+        """Sum of squares of the rows left out, by laps and by recordings."""
+        at = np.concatenate([np.arange(self._own), *(self._at[name] for name in names)]).astype(np.int64)
+        square = np.ix_(at, at)
+        information, right = self._information[:, at[:, np.newaxis], at], self._right[:, at]
+        prior, pull = self._prior[square], self._pull[at]
+        whole, all_right = information.sum(axis=0) + prior, right.sum(axis=0) + pull
+        values, free = bounded(whole, all_right, self._low[at], self._high[at])
+        held = np.where(free, 0.0, values)
+        found = []
+        for folds in self._folds:
+            own, own_right = np.tensordot(folds, information, 1), folds @ right
+            rest = whole - own
+            fitted = np.tile(held, (len(folds), 1))
+            target = all_right - own_right - rest @ held
+            fitted[:, free] = np.linalg.solve(rest[:, free][:, :, free], target[:, free, np.newaxis])[..., 0]
+            fitted = np.clip(fitted, self._low[at], self._high[at])
+            bent = (fitted[:, np.newaxis] @ own)[:, 0]
+            found.append(
+                float((folds @ self._square + (bent * fitted).sum(axis=1) - 2.0 * (fitted * own_right).sum(axis=1)).sum())
+            )
+        return found
+
+    def _fits(self, name: str, names: Names) -> bool:
+        return name not in names and not any(same_variable(self._effects[name], self._effects[other]) for other in names)
+
+    def best(self, among: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
+        """The `count` sets of each size of some terms with the highest gain less a `cost` for each term, best first."""
+        beam: list[Names] = [()]
+        gains: dict[Names, float] = {}
+        chosen: list[Names] = []
+        for size in range(1, most_terms + 1):
+            pairs = ((names, name) for names in beam for name in among if self._fits(name, names))
+            sets = dict.fromkeys(tuple(sorted((*names, name))) for names, name in pairs)  # in an order of its own
+            gains |= {names: self.gain(names) - cost * size for names in sets}
+            beam = sorted(sets, key=lambda names: -gains[names])[:EXPANDED_SETS]
+            chosen += beam[:count]
+        return sorted(chosen, key=lambda names: -gains[names])
+
 
 Key = frozenset[str]
 
@@ -40,23 +154,28 @@ class Explanation:
     fit: Fit
     score: Score
     worth: float = 0.0  # level score over the base alone, less the logarithm of the number of proposals for each one of them
-    candidates: Mapping[str, Candidate] = field(default_factory=dict)  # each term, as added
-    terms: Mapping[str, Term] = field(default_factory=dict)  # properties outside the fit of terms by clock or place
+    terms: Mapping[str, Term] = field(default_factory=dict)  # as added, by name
     settled: bool = False  # whether fit and noise were alternated until they settled
 
     @property
     def key(self) -> Key:
         """Names of its terms."""
-        return frozenset(self.candidates)
+        return frozenset(self.terms)
 
     @property
     def without_a_name(self) -> int:
         """Number of its unnamed terms; one of the clock counts twice, as a recorded channel goes before the clock."""
-        return sum(c.kind for c in self.candidates.values())
+        return sum(term.kind for term in self.terms.values())
 
-    def goes_by_place(self, name: str) -> bool:
-        """Whether one of its terms was learned for each place of a route."""
-        return name in self.terms and self.terms[name].route is not None
+    @property
+    def searched(self) -> Key:
+        """Names of its terms by clock or place that were searched in the residual, not proposed."""
+        return frozenset(name for name, term in self.terms.items() if term.pattern is not None)
+
+    @property
+    def by_place(self) -> Term | None:
+        """Its term that was learned for each place of a route."""
+        return next((term for term in self.terms.values() if isinstance(term.pattern, Route)), None)
 
 
 class Search:
@@ -85,7 +204,7 @@ class Search:
         self._combine(self.expand(self.nothing))
         for explanation in {e.key: e for e in (self._best_known(), self.nothing)}.values():
             self._follow_clock(explanation)
-        if self._best_known().terms:  # a slope by place and spells may pass only together
+        if self._best_known().searched:  # a slope by place and spells may pass only together
             self._follow_clock(self._best_known())
         for explanation in self._best_unexpanded(1):
             self._swap(self.polished(explanation))
@@ -112,12 +231,9 @@ class Search:
     def _add_sets(self, proposals: Proposals) -> None:
         """Fit the sets of proposals that predict laps and recordings left out best to first order."""
         base = self.nothing.fit
-        terms, sensed = {}, {a.effect.name for a in base.instrument}  # an error of the sensors is free in the base already
-        for name, p in proposals.every.items():
-            if name in sensed or name in self._left_out:
-                continue
-            low, high = amplitude_bounds(p.effect)
-            terms[name] = Columns(p.effect, p.sensitivity.columns, amplitude_spans(p.effect), low, high)
+        # An error of the sensors is free in the base already.
+        excluded = self._left_out | {a.effect.name for a in base.instrument}
+        terms = {name: p for name, p in proposals.every.items() if name not in excluded}
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
         own = _by_parameter(base, proposals.own)
         catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
@@ -129,14 +245,13 @@ class Search:
                 known |= p.derivatives
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
             found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
-            seen = {p.effect.name: p.sensitivity for p in chosen}
-            candidates = {name: compared(base, found, name, 0.0, s.kept, s.d_prime) for name, s in seen.items()}
-            self._keep(self._explained(found, self.validation.score(found, columns), candidates, {}))
+            added = {p.effect.name: compared(base, found, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
+            self._keep(self._explained(found, self.validation.score(found, columns), added))
 
     def _swap(self, explanation: Explanation) -> None:
         """Expand an explanation, and look at what it is without each of its terms."""
         self.expand(explanation)
-        for name in explanation.candidates if len(explanation.key) > 1 else ():
+        for name in explanation.terms if len(explanation.key) > 1 else ():
             self.without(explanation, name)
 
     def polished(self, explanation: Explanation) -> Explanation:
@@ -145,14 +260,15 @@ class Search:
         if known.settled:
             return known
         found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {})
-        candidates = {name: replace(c, share=share(found, name)) for name, c in known.candidates.items()}
-        explained = self._explained(found, self.validation.score(found), candidates, known.terms)
+        terms = {name: replace(term, share=share(found, name)) for name, term in known.terms.items()}
+        explained = self._explained(found, self.validation.score(found), terms)
         self.known[known.key] = replace(explained, settled=True)
         return self.known[known.key]
 
-    def _explained(self, found: Fit, score: Score, candidates: Mapping[str, Candidate], terms: Mapping[str, Term]) -> Explanation:
-        worth = self.validation.gain(self.nothing.score, score) - self.cost * len(candidates.keys() - terms.keys())
-        return Explanation(found, score, worth, candidates, terms)
+    def _explained(self, found: Fit, score: Score, terms: Mapping[str, Term]) -> Explanation:
+        explained = Explanation(found, score, terms=terms)
+        worth = self.validation.gain(self.nothing.score, score) - self.cost * len(explained.key - explained.searched)
+        return replace(explained, worth=worth)
 
     def expand(self, explanation: Explanation) -> Proposals:
         """Add each proposal for the remaining residual, one at a time."""
@@ -165,16 +281,13 @@ class Search:
         return found
 
     def _add_best(self, explanation: Explanation, found: Proposals) -> None:
-        current, by_place = explanation.fit, any(map(explanation.goes_by_place, explanation.key))
+        current, by_place = explanation.fit, explanation.by_place is not None
         best = [p for p in found.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
         own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
-        for proposal in counted(best, "fits of candidate effects", len(best)):
-            s, effect = proposal.sensitivity, proposal.effect
-            known = own | proposal.derivatives
-            start = {(effect.name, q): value for q, value in proposal.start.items()}
-            fitted, columns = first_look(current, [*effects, effect], known, start, SHORT_ROOT)
-            candidate = compared(current, fitted, effect.name, 0.0, s.kept, s.d_prime)
-            self._add(explanation, candidate, None, columns)
+        for p in counted(best, "fits of candidate effects", len(best)):
+            start = {(p.effect.name, q): value for q, value in p.start.items()}
+            fitted, columns = first_look(current, [*effects, p.effect], own | p.derivatives, start, SHORT_ROOT)
+            self._add(explanation, compared(current, fitted, p.effect, 0.0, p.kept, p.d_prime), columns)
 
     @property
     def cost(self) -> float:
@@ -188,29 +301,23 @@ class Search:
         current = explanation.fit
         effects = [a.effect for a in current.effects]
         tested = fit(current.problem, effects, current.at)  # with the noise that best whitens: a drift is no spell
-        routes = {name: term.route for name, term in explanation.terms.items() if term.route is not None}
-        for term in find_terms(tested, self._roads, self._kinds, routes, waves=not explanation.key):
-            effect = term.candidate.effect
-            fitted = self._fitted(current, [*effects, effect], term.candidate.fit.at)
-            self._add(explanation, replace(term.candidate, fit=fitted), term)
+        for term in find_terms(tested, self._roads, self._kinds, explanation.by_place, waves=not explanation.key):
+            fitted = self._fitted(current, [*effects, term.effect], term.fit.at)
+            self._add(explanation, replace(term, fit=fitted))
 
     def _fitted(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
         """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
         return fit(self.nothing.fit.problem, effects, {**current.at, **start}, current.noises, largest_root=SHORT_ROOT)
 
-    def _add(self, explanation: Explanation, candidate: Candidate, term: Term | None, columns: Array | None = None) -> None:
-        score = self.validation.score(candidate.fit, columns)
-        candidate = replace(candidate, level=self.validation.gain(explanation.score, score))
-        terms = explanation.terms if term is None else {**explanation.terms, candidate.name: term}
-        added = {**explanation.candidates, candidate.name: candidate}
-        self._keep(self._explained(candidate.fit, score, added, terms))
+    def _add(self, explanation: Explanation, term: Term, columns: Array | None = None) -> None:
+        score = self.validation.score(term.fit, columns)
+        term = replace(term, level=self.validation.gain(explanation.score, score))
+        self._keep(self._explained(term.fit, score, {**explanation.terms, term.name: term}))
 
     def _keep(self, explanation: Explanation) -> None:
         """Keep the better one of two ways to the same set. A slope by place has the name of a constant one."""
         same = self.known.get(explanation.key)
-        if same is None or (
-            explanation.worth > same.worth and not (same.settled and same.terms.keys() == explanation.terms.keys())
-        ):
+        if same is None or (explanation.worth > same.worth and not (same.settled and same.searched == explanation.searched)):
             self.known[explanation.key] = explanation
             self.rounds.pop(explanation.key, None)
 
@@ -221,9 +328,8 @@ class Search:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
             known = _by_parameter(explanation.fit, base_columns(explanation.fit))
             found, columns = first_look(explanation.fit, effects, known, {}, SHORT_ROOT)
-            kept = {n: c for n, c in explanation.candidates.items() if n != name}
-            terms = {n: t for n, t in explanation.terms.items() if n != name}
-            self.known[key] = self._explained(found, self.validation.score(found, columns), kept, terms)
+            kept = {other: term for other, term in explanation.terms.items() if other != name}
+            self.known[key] = self._explained(found, self.validation.score(found, columns), kept)
         return self.known[key]
 
     def _best_known(self) -> Explanation:
@@ -242,4 +348,4 @@ def _by_parameter(found: Fit, columns: Array) -> dict[tuple[str, str], Array]:
 
 def names_of(explanation: Explanation) -> list[str]:
     """Its terms of the catalogue."""
-    return [name for name, c in explanation.candidates.items() if c.kind == NAME]
+    return [name for name, term in explanation.terms.items() if term.is_name]

@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.candidates import candidates, followed, series
-from trackres_ros.diagnosis.empirical.thresholds import found_by_clock, found_by_scan
+from trackres_ros.diagnosis.empirical.forms import candidates, followed, found_by_clock, found_by_scan, series
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.diagnosis.selection.candidate import same_variable
 from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels
 from trackres_ros.diagnosis.selection.visibility import (
     EffectColumns,
-    EffectSensitivity,
+    Proposal,
     Separability,
     amplitude_bounds,
     amplitude_spans,
@@ -39,23 +37,6 @@ TIED = ("torque_gain", "speed_scale", "rotating_inertia", "drivetrain_efficiency
 """Names that most drives hardly separate: where one is proposed, the others are, too."""
 LEAST_BEGUN = 0.05  # of the typical size: at zero, the shape of a term has no influence
 BEGUN_WITHIN = 20.0  # typical sizes
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """An effect to fit, with its initial values."""
-
-    effect: Effect
-    start: Mapping[str, float]
-    sensitivity: EffectSensitivity  # about the start of these
-    level: float  # gain by the level of the torque, in log-likelihood of block means left out
-    fast: float  # gain by the whitened residual
-
-    @property
-    def derivatives(self) -> dict[tuple[str, str], Array]:
-        """Derivatives of the predictions by the amplitudes, each of shape (n,)."""
-        amplitudes = [(self.effect.name, q.name) for q in self.effect.parameters if q.off is not None]
-        return dict(zip(amplitudes, self.sensitivity.columns.T, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,22 +96,29 @@ class Proposer:
         return found
 
 
+def same_variable(one: Effect, other: Effect) -> bool:
+    """Whether both are forms over the same variable: then one of them describes it, and not a sum of both."""
+    if not (isinstance(one, EmpiricalEffect) and isinstance(other, EmpiricalEffect) and one.is_function and other.is_function):
+        return False
+    return one.variable == other.variable
+
+
 def _stronger(one: Proposal, other: Proposal) -> Proposal:
     """The start with the larger gain; each list has the best of both."""
     better = max(one, other, key=lambda p: max(p.level, p.fast))
     return replace(better, level=max(one.level, other.level), fast=max(one.fast, other.fast))
 
 
-def _proposal(s: EffectSensitivity, levels: Levels) -> Proposal:
+def _proposal(s: Proposal, levels: Levels) -> Proposal:
     """Gains of an effect from one start, and initial values by the list that favours it."""
     spans, (low, high) = amplitude_spans(s.effect), amplitude_bounds(s.effect)
     candidate = Amplitudes(levels.means(s.columns) * spans, low, high)
     level = levels.gain(candidate)
     moved = levels.start(candidate) if level >= s.fast else s.moved
-    return Proposal(s.effect, _begin(s, moved), s, level, s.fast)
+    return replace(s, start=_begin(s, moved), level=level)
 
 
-def _begin(s: EffectSensitivity, moved: Array) -> dict[str, float]:
+def _begin(s: Proposal, moved: Array) -> dict[str, float]:
     """Initial values: the first-order optimum, but not zero, where the shape has no influence."""
     values = dict(s.start)
     amplitudes = [q for q in s.effect.parameters if q.off is not None]

@@ -15,9 +15,8 @@ import numpy as np
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.diagnosis.selection.candidate import FORM_ERROR
 from trackres_ros.diagnosis.selection.level_errors import Levels
-from trackres_ros.diagnosis.selection.visibility import base_columns
+from trackres_ros.diagnosis.selection.visibility import FORM_ERROR, base_columns
 
 SURELY = 2.5  # standard deviations
 LEAST = 2.0 * FORM_ERROR  # of its size: a smaller change may be an error of its function

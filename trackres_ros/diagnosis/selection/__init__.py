@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fits come in; chosen effects go out: visible, with a gain, distinguishable and confirmed by the hold-out laps."""
+"""Fits come in; where they err, visible effects, errors on the hold-out laps, and the results to write go out."""

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.prepare.split import lap_name
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, lap_name
 from trackres_ros.diagnosis.prepare.torque_checks import SMALL_ERROR
 from trackres_ros.errors import InputError
 

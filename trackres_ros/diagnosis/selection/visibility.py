@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -13,8 +14,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
-from trackres_ros.diagnosis.inference.levels import for_tests
+from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, for_tests, jacobian, valid_rows
 from trackres_ros.diagnosis.prepare.session import ALWAYS_KNOWN, Array
 from trackres_ros.effects.effect import Active, Effect
 from trackres_ros.effects.learned import EmpiricalEffect
@@ -22,15 +22,16 @@ from trackres_ros.progress import counted
 
 LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
 ALIKE_COSINE = 0.95
+FORM_ERROR = 0.1  # of an effect's torque: standard deviation of its function's error
 SLOPES = ("grade", "grade_profile")  # effects that a measured slope replaces
 
 
 @dataclass(frozen=True, eq=False)
-class EffectSensitivity:
-    """First-order change of the residual by an effect."""
+class Proposal:
+    """An effect to fit, by the first-order change of the residual: its visibility, its gains, and where its fit begins."""
 
     effect: Effect
-    start: Mapping[str, float]  # values of the linearisation
+    start: Mapping[str, float]  # values of the linearisation, then of the fit's begin
     columns: Array  # change of the prediction per amplitude, of all segments concatenated, shape (n, amplitudes)
     kept: float  # share of it that no re-fit of the base absorbs
     d_prime: float  # visibility of a typical effect in standard deviations
@@ -38,6 +39,13 @@ class EffectSensitivity:
     direction: Array  # whitened, orthogonal to the base, of unit length: for the cosine between two effects, empty after that
     fast: float = 0.0  # gain in log-likelihood under the noise that best whitens the residual, to first order
     moved: Array = field(default_factory=lambda: np.empty(0))  # the amplitudes of that gain over the typical ones
+    level: float = math.nan  # gain by the level of the torque, in log-likelihood of block means left out
+
+    @property
+    def derivatives(self) -> dict[tuple[str, str], Array]:
+        """Derivatives of the predictions by the amplitudes, each of shape (n,)."""
+        amplitudes = [(self.effect.name, q.name) for q in self.effect.parameters if q.off is not None]
+        return dict(zip(amplitudes, self.columns.T, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +65,7 @@ class NotVisible:
 class Separability:
     """Visible effects, and their similarity."""
 
-    visible: tuple[EffectSensitivity, ...]  # one effect may appear several times, from several starts
+    visible: tuple[Proposal, ...]  # one effect may appear several times, from several starts
     not_visible: tuple[NotVisible, ...]  # and visible ones that the base absorbs almost entirely
     names: tuple[str, ...]  # of the visible ones of the catalogue
     cosines: Array  # (names, names), signed
@@ -185,12 +193,12 @@ class _Visibility:
 
     def strongest(
         self, effect: Effect, columns: Sequence[tuple[dict[str, float], Array]]
-    ) -> tuple[list[EffectSensitivity], EffectSensitivity | None]:
+    ) -> tuple[list[Proposal], Proposal | None]:
         """Sensitivity to an effect from each start with any influence, and the largest one."""
         found = [s for start, of in columns if (s := self._sensitivity(effect, start, of)) is not None]
         return found, max(found, key=lambda s: s.d_prime, default=None)
 
-    def _sensitivity(self, effect: Effect, start: Mapping[str, float], columns: Array) -> EffectSensitivity | None:
+    def _sensitivity(self, effect: Effect, start: Mapping[str, float], columns: Array) -> Proposal | None:
         """That to all amplitudes together, or to the most visible one; None without influence."""
         best = None
         spanned = columns * amplitude_spans(effect)
@@ -205,7 +213,7 @@ class _Visibility:
             rest = float(np.hypot(data, prior))
             if best is None or rest > best.d_prime:
                 direction = np.concatenate((left, pushed)) / max(rest, 1e-300)
-                best = EffectSensitivity(effect, start, columns, rest / whole, rest, prior, direction)
+                best = Proposal(effect, start, columns, rest / whole, rest, prior, direction)
         return best
 
 
@@ -226,7 +234,7 @@ class _FastGains:
         self._taken = np.linalg.inv(information)
         self._pull = self._own.T @ self._white - np.nan_to_num((fit.point - nominal) / std**2) * scale
 
-    def added(self, s: EffectSensitivity) -> EffectSensitivity:
+    def added(self, s: Proposal) -> Proposal:
         """The same sensitivity with its gain."""
         spans = amplitude_spans(s.effect)
         x = _white(s.columns, self._fit) * spans * self._root[:, np.newaxis]

@@ -14,29 +14,35 @@ from functools import partial
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
-from trackres_ros.node.background import Background, ErrorLines
-from trackres_ros.node.clock import Arrival
-from trackres_ros.node.dds.messages import CdrInput, clock_ns, diagnostic_array, prepared
-from trackres_ros.node.dds.participant import Participant, Publication, Taken, TopicReader, Writer
-from trackres_ros.node.dds.wire import type_hash, typestore
-from trackres_ros.node.endpoints import (
+from trackres_ros.node.dds.wire import (
+    CdrInput,
+    Participant,
+    Publication,
+    Taken,
+    TopicReader,
+    Writer,
+    clock_ns,
+    diagnostic_array,
+    prepared,
+    type_hash,
+    typestore,
+)
+from trackres_ros.node.inputs import Arrival, Sent
+from trackres_ros.node.parameters import LOOK_EVERY_S, ParameterFile, Parameters, Value
+from trackres_ros.node.process import Background, ErrorLines, ServiceManager, SignalRequests
+from trackres_ros.node.transport import (
     DISCOVERY_NS,
+    NAMELESS,
     TORQUES,
     InputTopic,
+    Level,
+    Peer,
     Quality,
+    Reasons,
+    Status,
     full_name,
     input_name,
-    input_quality,
-    latched_quality,
-    output_quality,
 )
-from trackres_ros.node.inbox import Inbox
-from trackres_ros.node.message_handler import Sent
-from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
-from trackres_ros.node.parameters import Parameters, Value
-from trackres_ros.node.service_manager import ServiceManager
-from trackres_ros.node.signals import SignalRequests
-from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.units import SECOND_NS
 
@@ -63,7 +69,7 @@ class DdsNode:
         self._writers: dict[int, Writer] = {}
         self._open(shared=True)
         self._input_names = [self.topic_name(given.name) for given in application.inputs]
-        self._quality, self._latched_quality = input_quality(parameters), latched_quality(parameters)
+        self._quality, self._latched_quality = parameters.input_quality(), parameters.latched_quality()
         self._readers = [
             self._participant.reader(name, given.type, self._quality)
             for name, given in zip(self._input_names, application.inputs, strict=True)
@@ -75,14 +81,7 @@ class DdsNode:
         if parameters.sim_time:
             self._clock = self._participant.reader("/clock", CLOCK_TYPE, CLOCK_QUALITY)
         self._participant.announce()
-        guard = application.guard
-        self._inbox = Inbox(
-            [guard.taking(f"reading {name}", partial(self._take, index)) for index, name in enumerate(self._input_names)],
-            self._hand,
-            application.clock.arrival,
-            application.messages.dropped,
-            parameters.count("input_depth"),
-        )
+        self._inbox = application.inbox(self._fetch, self._deliver)
         self._next_tick = 0
         self._looking = Background("parameter file")
         self._looked: tuple[Mapping[str, Value], list[InputError]] | BaseException = {}, []
@@ -132,7 +131,7 @@ class DdsNode:
             return None
         there = [found for found in self._participant.publications() if found.topic in self._torques]
         return [
-            f"{self._participant.node_of(found) or 'a publisher without a node name'} on {found.topic}"
+            f"{self._participant.node_of(found) or NAMELESS} on {found.topic}"
             for found in there
             if not self._participant.is_own(found)
         ]
@@ -145,7 +144,7 @@ class DdsNode:
     def _open(self, shared: bool) -> None:
         for output, (name, topic) in enumerate(zip(self._output_names, self.application.outputs, strict=True)):
             if topic.shared is shared:
-                quality = output_quality(self.application.parameters, topic)
+                quality = self.application.parameters.output_quality(topic)
                 self._writers[output] = self._participant.writer(name, topic.type, quality)
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
@@ -193,7 +192,7 @@ class DdsNode:
             # A simulated clock stands still while messages are processed.
             guard.essential("taking messages", self._inbox.work_off, self._tick_if_due, collecting=self._clock is None)
             self._tick_if_due()
-            guard("a request", self._carry_out, requests)
+            guard("a request", application.carry_out, requests)
             if watched:
                 guard("the parameter file", self._follow, watched)
 
@@ -203,7 +202,7 @@ class DdsNode:
                 before, self._sim_ns = self._sim_ns, clock_ns(taken.raw)
                 self.application.time_went_back(before - self._sim_ns)
 
-    def _take(self, index: int) -> list[Taken]:
+    def _fetch(self, index: int) -> list[Taken]:
         """The messages that wait at an input."""
         latched = self._latched.get(index)
         return [*(latched.take() if latched else ()), *self._readers[index].take()]
@@ -212,10 +211,6 @@ class DdsNode:
         for index, kept in self._kept:
             for taken in kept.take():
                 self.application.messages.keep(index, taken.raw)
-
-    def _carry_out(self, requests: SignalRequests) -> None:
-        for level, text in requests.carry_out(self.application):
-            self.log(level, text)
 
     def _follow(self, watched: ParameterFile) -> None:
         """Apply the changes of a parameter file, and report each refused line. Another thread reads the file."""
@@ -240,12 +235,12 @@ class DdsNode:
         except BaseException as error:  # raised in the loop, which handles it
             self._looked = error
 
-    def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
+    def _deliver(self, index: int, message: Taken, arrived: Arrival) -> None:
         sent = Sent(message.sent_ns, message.source, message.latched)
         try:
             stamp, values = self._input_readers[index].read(message.raw)
         except Exception:  # no bytes, whatever they are, end the node
-            self.application.messages.receive_undecodable(index, sent, arrived, message.raw)
+            self.application.messages.receive_values(index, None, None, sent, arrived, message.raw)
         else:
             self.application.messages.receive_values(index, stamp, values, sent, arrived, message.raw)
 

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.dds.participant import ALIGNMENT, Participant, Writer
-from trackres_ros.node.dds.wire import typestore
-from trackres_ros.node.endpoints import Quality
+from trackres_ros.node.dds.wire import ALIGNMENT, Participant, Writer, typestore
+from trackres_ros.node.transport import Quality
 from trackres_ros.recording.bag_files import READABLE, is_ros1, messages, open_bag, remedy
 from trackres_ros.recording.reading import read_in_steps
 from trackres_ros.units import SECOND_NS

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -20,32 +21,47 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.serialization import serialize_message
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
-from trackres_ros.node.clock import Arrival
-from trackres_ros.node.endpoints import DISCOVERY_NS, TORQUES, InputTopic, input_quality, latched_quality, output_quality
-from trackres_ros.node.inbox import Inbox
-from trackres_ros.node.message_handler import Sent
+from trackres_ros.node.inputs import Arrival, Sent
 from trackres_ros.node.parameters import Parameters, make_parameters
-from trackres_ros.node.ros import parameters as ros_parameters
-from trackres_ros.node.ros.callback_group import OneAtATime
-from trackres_ros.node.ros.messages import Fill, diagnostic_array, input_type, installed_type, prepared, type_text
-from trackres_ros.node.ros.qos import OVERRIDABLE, overridden, profile_of
-from trackres_ros.node.transport import Level, Peer, Reasons, Status
+from trackres_ros.node.ros import interface
+from trackres_ros.node.transport import DISCOVERY_NS, NAMELESS, TORQUES, InputTopic, Level, Peer, Reasons, Status
 from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC, OutputTopic
 from trackres_ros.units import SECOND_NS
 
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold the messages between two of them, at 1 kHz too
-
 MOST_COLLECTED = 1000  # of a topic at a time
-
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of a publisher that no node announces, see rmw/get_topic_endpoint_info.h
-
 Taken = tuple[Any, dict[str, int], bool]
 """A message, its middleware information, and whether it came by a subscription that also gets what publishers keep."""
+
+
+class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
+    """The group of all callbacks of a node: any executor runs one at a time, so messages keep the order in which they are taken.
+
+    Sometimes the executor excludes some of them from its wait. rclpy builds its wait set again for each message, from every
+    entity that may run. With dozens of services and event handlers in it that takes longer than the estimate itself.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.inputs: list[Any] = []  # subscriptions that feed the estimate
+        self.waits_for_inputs = True  # for their messages; else the next tick collects them
+        self.serves = True  # services and events; not from a message until the next tick
+
+    def can_execute(self, entity: Any) -> bool:
+        """Whether the executor waits for it, or runs it."""
+        if isinstance(entity, Subscription):  # others are rclpy's own, of /clock, or only recorded
+            opened = self.waits_for_inputs or entity not in self.inputs
+        else:
+            opened = self.serves or isinstance(entity, Timer)
+        return opened and bool(super().can_execute(entity))
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -68,18 +84,18 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._clear()
         self._made_ns = time.monotonic_ns()
         super().__init__(node, **arguments)
-        self.add_pre_set_parameters_callback(ros_parameters.in_own_type)
+        self.add_pre_set_parameters_callback(interface.own_types)
         self.add_on_set_parameters_callback(self._check)
-        ros_parameters.declare(self, values or make_parameters({}))
+        interface.declare_parameters(self, values or make_parameters({}))
         self.add_post_set_parameters_callback(self._apply)
-        self._warn(ros_parameters.unknown(self, of_topics=False))
+        self.warn(interface.unknown_parameters(self, of_topics=False))
         for service in self.services:
             if service.srv_type is ChangeState:
                 service.callback = _answering(service.callback)
 
     def _clear(self) -> None:
         """Before configuration or after cleanup."""
-        self._fills: list[Fill | None] = []
+        self._fills: list[interface.Fill | None] = []
         self._outputs: dict[int, Any] = {}  # without those whose type is not installed
         self._latched: dict[int, Any] = {}
         self._inputs: list[Any] = []
@@ -132,29 +148,21 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self, _state: LifecycleState) -> None:
-        parameters = ros_parameters.read(self)
+        parameters = interface.read_parameters(self)
         self._frame_id = parameters.text("frame_id")
         application = Application(parameters, self, self.get_name(), self.get_namespace())
-        kinds = [input_type(given, application.topics.origin) for given in application.inputs]
+        kinds = [interface.input_type(given, application.topics.origin) for given in application.inputs]
         self.application = application
         self._fills = [None if topic.kind == "status" else self._fill(topic) for topic in application.outputs]
         self._open(shared=True)
         time.sleep(max(0, self._made_ns + DISCOVERY_NS - time.monotonic_ns()) / SECOND_NS)
         if not self.rivals():
             self._open(shared=False)
-        self._input_profile = profile_of(input_quality(parameters))
+        self._input_profile = interface.profile_of(parameters.input_quality())
         for given, kind in zip(application.inputs, kinds, strict=True):
-            self._open_input(given.name, kind, profile_of(input_quality(parameters)))  # its own: overrides are written into it
-        self._inbox = Inbox(
-            [
-                application.guard.taking(f"reading {given.topic_name}", partial(self._come, index))
-                for index, given in enumerate(self._inputs)
-            ],
-            self._hand,
-            application.clock.arrival,
-            application.messages.dropped,
-            parameters.count("input_depth"),
-        )
+            profile = interface.profile_of(parameters.input_quality())  # its own: overrides are written into it
+            self._open_input(given.name, kind, profile)
+        self._inbox = application.inbox(self._fetch, self._deliver)
         self._offered = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
             self.create_service(Trigger, "~/reset_learning", self._server(application.reset_learning)),
@@ -162,7 +170,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         ]
         self._start_clocks(application)
         self._wait_or_collect(application)
-        self._warn(ros_parameters.unknown(self, of_topics=True))
+        self.warn(interface.unknown_parameters(self, of_topics=True))
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
         if self.configured:
             self.configured(application)
@@ -177,14 +185,14 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _publisher_of(self, topic: OutputTopic, parameters: Parameters) -> Any:
         name = _relative(topic)
-        profile = profile_of(output_quality(parameters, topic))
+        profile = interface.profile_of(parameters.output_quality(topic))
         events = PublisherEventCallbacks(
             incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
         )
-        kind = installed_type(topic.type, f"topic {name}")
-        with overridden(self, name):
+        kind = interface.installed_type(topic.type, f"topic {name}")
+        with interface.override_errors(self, name):
             return self.create_lifecycle_publisher(
-                kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE
+                kind, name, profile, event_callbacks=events, qos_overriding_options=interface.OVERRIDABLE
             )
 
     def _open_input(self, name: str, kind: Any, profile: QoSProfile) -> None:
@@ -192,8 +200,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             incompatible_qos=self._reporter(f"a publisher of {self.topic_name(name)}"), use_default_callbacks=False
         )
         take = self._taker(len(self._inputs), latched=False)
-        with overridden(self, name):
-            made = self.create_subscription(kind, name, take, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE)
+        with interface.override_errors(self, name):
+            made = self.create_subscription(
+                kind, name, take, profile, event_callbacks=events, qos_overriding_options=interface.OVERRIDABLE
+            )
         self._inputs.append(made)
 
     def _start_clocks(self, application: Application) -> None:
@@ -265,10 +275,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     # Interface of the application's transport
 
-    def _fill(self, topic: OutputTopic) -> Fill | None:
+    def _fill(self, topic: OutputTopic) -> interface.Fill | None:
         """None for an estimate whose type is not installed, or differs: it alone is not among the common interfaces."""
         try:
-            return prepared(topic, self._frame_id)
+            return interface.prepared(topic, self._frame_id)
         except (InputError, AttributeError, AssertionError, TypeError) as error:  # not there, or of another version
             if topic is not ESTIMATE_TOPIC:
                 raise
@@ -286,7 +296,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""
-        self._outputs[output].publish(diagnostic_array(stamp_ns, statuses, self._frame_id))
+        self._outputs[output].publish(interface.diagnostic_array(stamp_ns, statuses, self._frame_id))
 
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers on the topic of an input."""
@@ -312,7 +322,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         assert self.application
         given = self._inputs[index]
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
-        profile = profile_of(latched_quality(self.application.parameters))
+        profile = interface.profile_of(self.application.parameters.latched_quality())
         take = self._taker(index, latched=True)
         self._latched[index] = self.create_subscription(given.msg_type, given.topic_name, take, profile, event_callbacks=events)
 
@@ -328,7 +338,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 nodes = [_node_of(there) for there in self.get_publishers_info_by_topic(name)]
                 if output in self._outputs and self.get_fully_qualified_name() in nodes:
                     nodes.remove(self.get_fully_qualified_name())
-                found += [f"{node or 'a publisher without a node name'} on {name}" for node in nodes]
+                found += [f"{node or NAMELESS} on {name}" for node in nodes]
         return found
 
     def open_outputs(self) -> None:
@@ -342,10 +352,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         """Record every message, including those of other topics."""
         assert self.application
         self._recording = True
-        texts = [type_text(given.type) for given in (*self.application.inputs, *others)]
+        texts = [interface.type_text(given.type) for given in (*self.application.inputs, *others)]
         for index, given in enumerate(others, len(self.application.inputs)):
             if texts[index] is not None:
-                kind = installed_type(given.type, given.name)
+                kind = interface.installed_type(given.type, given.name)
                 take = partial(self._keep, index)
                 self._kept.append(self.create_subscription(kind, given.name, take, self._input_profile, raw=True))
         return texts
@@ -396,13 +406,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._inbox.collect()
         self._inbox.work_off(self._tick_if_due, collecting=not self.application.parameters.sim_time)
 
-    def _come(self, index: int) -> Iterator[Taken]:
+    def _fetch(self, index: int) -> Iterator[Taken]:
         """Take the messages that wait at an input."""
         if latched := self._latched.get(index):
             yield from ((*taken, True) for taken in _waiting(latched))
         yield from ((*taken, False) for taken in _waiting(self._inputs[index]))
 
-    def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
+    def _deliver(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
             content, about, latched = message
             raw = self.application.guard("recording", serialize_message, content) if self._recording else None
@@ -442,16 +452,17 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
         return report
 
-    def _warn(self, text: str) -> None:
+    def warn(self, text: str) -> None:
+        """Write a warning to the log, if there is a text."""
         if text:
             self.get_logger().warning(text)
 
     def _check(self, changes: list[RosParameter]) -> Any:
-        check = self.application.checked_change if self.application else ros_parameters.check_values
-        return ros_parameters.verdict(check, ros_parameters.named(changes))
+        check = self.application.checked_change if self.application else interface.check_values
+        return interface.check_result(check, interface.known_values(changes))
 
     def _apply(self, changes: list[RosParameter]) -> None:
-        ours = ros_parameters.named(changes)
+        ours = interface.known_values(changes)
         if self.application and ours:
             self.application.change(ours)
             self._wait_or_collect(self.application)

@@ -22,20 +22,20 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.road_load import RoadBase
 from trackres_ros.diagnosis.base.track import TrackBase
-from trackres_ros.diagnosis.inference.blas_threads import one_blas_thread
+from trackres_ros.diagnosis.inference.failures import one_blas_thread
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
-from trackres_ros.diagnosis.prepare.refuse import check_speed
+from trackres_ros.diagnosis.prepare.checks import check_speed
 from trackres_ros.diagnosis.prepare.resample import step_for
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, whole_past
+from trackres_ros.diagnosis.selection.as_used import NORMAL_95, intervals, lap_std
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
-from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals, lap_std
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import relative_std, relative_weight_std
 from trackres_ros.progress import counted
 from trackres_ros.recording.recording import Recording, stamped
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.tools.coastdown.coasting import CoastingBase
 from trackres_ros.tools.coastdown.stretches import Rollouts, rollouts
 from trackres_ros.units import GRAVITY

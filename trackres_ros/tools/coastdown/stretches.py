@@ -15,21 +15,19 @@ from itertools import pairwise
 import numpy as np
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.prepare.altitude import coasting_errors, confirmed, slope_of_altitude, with_slope
-from trackres_ros.diagnosis.prepare.clocks import on_one_clock
-from trackres_ros.diagnosis.prepare.gate import Gated
-from trackres_ros.diagnosis.prepare.on_route import on_route
-from trackres_ros.diagnosis.prepare.refuse import check_compared, refuse_repeated
+from trackres_ros.diagnosis.prepare.checks import check_compared, refuse_repeated
+from trackres_ros.diagnosis.prepare.gate import Gated, on_route
 from trackres_ros.diagnosis.prepare.resample import resample
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, GateSettings, Mask
+from trackres_ros.diagnosis.prepare.speed_smoothing import coasting_errors, confirmed, slope_of_altitude, with_slope
+from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.roles import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.recording.topics_files import line_to_write
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY
 
 NO_TORQUE_SHARE = 1e-3  # of weight times radius: a tenth of rolling resistance

@@ -1,21 +1,14 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Estimates resistance parameters from coast-downs: the function and the command."""
+"""Estimates resistance parameters from coast-downs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import click
-
-from trackres_ros.api.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
-from trackres_ros.api.recordings import read
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, needs, progress, with_written
-from trackres_ros.cli.partial_output import watch
+from trackres_ros.tasks.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
 
 if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording
@@ -75,6 +68,7 @@ def coastdown(
     from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.recording.recording import Recording, topics_in_use
+    from trackres_ros.tasks.recordings import read
     from trackres_ros.tools.coastdown.fitted import coastdown as run
     from trackres_ros.tools.coastdown.result import CoastdownResult
     from trackres_ros.tools.coastdown.stretches import in_driving_order
@@ -87,48 +81,3 @@ def coastdown(
     loaded = loaded.with_topics(topics_in_use(read_in))
     inputs = input_files(mapping, loaded.source, surroundings)
     return CoastdownResult(run(read_in, loaded, seed), paths_of(read_in), inputs)
-
-
-@click.command("coastdown", cls=Command)
-@click.argument("recordings", nargs=-1, required=True, type=options.PATH)
-@options.vehicle
-@options.surroundings
-@options.topics("which topic or column feeds which role.")
-@options.methods
-@options.of(coastdown, "seed", "Seed of all random draws.", options.SEEDS)
-@click.option(
-    "--save-vehicle",
-    type=options.PATH,
-    metavar="NEW.yaml",
-    help="Vehicle file with the estimates; written only if it predicts the hold-out coast-downs better.",
-)
-@click.option("--picture", type=options.PATH, metavar="P.png", help="Picture of the measured speed and of both predictions.")
-@options.json
-def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
-    """Estimate parameters of a vehicle file, with ranges, from recordings of coast-downs.
-
-    With a recorded torque, only stretches without torque are used; else all stretches of free deceleration. The mass is
-    fixed, and all results scale with it. Without a recorded slope or altitude, coast down in both directions.
-
-    \b
-    trackres coastdown roll_1.csv roll_2.csv --vehicle xgd24d --picture rolls.png
-    trackres coastdown roll.mcap --vehicle my.yaml --topics topics.yaml --save-vehicle rolled.yaml
-    """
-    from trackres_ros.files.file_sets import file_set
-    from trackres_ros.files.output_files import output_file, picture_file
-
-    if save_vehicle is not None:
-        output_file(save_vehicle, (".yaml",), "save_vehicle")
-    if picture is not None:
-        needs("a picture", "plots", "matplotlib")
-        picture_file(picture, "picture")
-    watch(save_vehicle, picture)
-    with progress("coast-down", None):
-        found = coastdown(**asked)
-    with file_set():
-        written = [*found.save_vehicle(save_vehicle)] if save_vehicle is not None and found.better else []
-        if picture is not None:
-            written.append(found.plot(picture))
-    refused = f"\nNot written: {save_vehicle}" if save_vehicle is not None and not found.better else ""
-    report = {**found.as_dict(), "written": [str(path) for path in written]}
-    emit(report, as_json, lambda: with_written(f"{found!r}{refused}", written))

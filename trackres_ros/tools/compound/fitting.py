@@ -14,14 +14,14 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG
-from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.text import decimals, figures
 from trackres_ros.tools.compound.master import MasterCurve, master_curve
 from trackres_ros.tools.compound.prony import Prony, fit_prony
 from trackres_ros.tools.compound.reading import Array, Sweep
 from trackres_ros.tools.compound.shift import ABSOLUTE_ZERO_DEGC, Shift
 from trackres_ros.tools.compound.superposition import ISOTHERM_K, FittedShift, Law, Value, fitted, with_power
 from trackres_ros.vehicle import Vehicle
-from trackres_ros.vehicle.schema import RUBBER
+from trackres_ros.vehicle.description import RUBBER
 
 WLF, ARRHENIUS, KEPT = "WLF", "Arrhenius", "kept"
 SWEEP_FREQUENCY = RUBBER["sweep_frequency"]

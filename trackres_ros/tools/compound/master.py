@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 
 from trackres_ros.tools.compound.reading import Array, Sweep
 from trackres_ros.tools.compound.shift import Shift
-from trackres_ros.vehicle.schema import SWEEP_LOSS, SWEEP_STORAGE
+from trackres_ros.vehicle.loading import SWEEP_LOSS, SWEEP_STORAGE
 
 KNOTS_K = 3.0  # the softening zone of a rubber is some 30 K wide
 MOST_KNOTS = 90

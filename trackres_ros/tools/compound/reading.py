@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.dataclass_reader import Limits
 from trackres_ros.recording.reading import check_there, reading
 from trackres_ros.recording.text_table import Column, Progress, TextTable, decide, marks_of, number_of
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.tools.compound.columns import (
     FREQUENCY,
     LOSS,
@@ -30,12 +31,11 @@ from trackres_ros.tools.compound.columns import (
     columns_of,
     is_unit,
 )
-from trackres_ros.vehicle.description import QuantityLimits
-from trackres_ros.vehicle.schema import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA
+from trackres_ros.vehicle.loading import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA
 
 Array = NDArray[np.float64]
 
-FREQUENCIES = QuantityLimits("Hz", 1e-6, 1e6, "frequency of a row")
+FREQUENCIES = Limits("Hz", 1e-6, 1e6, "frequency of a row")
 FEWEST_ROWS, FEWEST_DEGC, NARROWEST_K = 8, 4, 10.0
 TANGENT_DIFFERS = 0.02  # of loss over storage modulus, in the median: both are there, and cannot be of one test
 NEEDED = {
@@ -177,7 +177,7 @@ class _Table:
         return same[0] if same else None
 
     def checked(
-        self, k: int, limits: QuantityLimits, to_limits: float = 1.0, values: Array | None = None, remedy: str = UNIT_REMEDY
+        self, k: int, limits: Limits, to_limits: float = 1.0, values: Array | None = None, remedy: str = UNIT_REMEDY
     ) -> Array:
         """Values of a column in SI, or made with it, that are within limits."""
         values = self.si[:, k] if values is None else values

@@ -15,11 +15,11 @@ from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input
 from trackres_ros.files.own_files import write
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.tools.compound.fitting import ARRHENIUS, KEPT, CompoundFit
 from trackres_ros.vehicle import Vehicle, load
-from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import RUBBER, SWEEP_DEGC, SWEEP_TAN_DELTA, WARM_STORAGE
+from trackres_ros.vehicle.description import FITTED, RUBBER
+from trackres_ros.vehicle.loading import SWEEP_DEGC, SWEEP_TAN_DELTA, WARM_STORAGE
 from trackres_ros.vehicle.writing.changes import FileChanges
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE, write_numbered, write_track_vehicle
 from trackres_ros.vehicle.writing.yaml_edit import Document

@@ -17,7 +17,7 @@ from trackres_ros.estimator.constants import drag_area_stds
 from trackres_ros.estimator.uncertainty import fits, logarithms_at, slopes
 from trackres_ros.tools.design.steady import Array, FileErrors
 from trackres_ros.vehicle import Vehicle
-from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.description import FITTED
 
 STEP = 0.01  # of a factor, for the derivatives
 BEARING, DRAG = "chassis.bearing_friction", "chassis.drag_coefficient"

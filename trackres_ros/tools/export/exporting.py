@@ -20,8 +20,8 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.documents import parse_json
 from trackres_ros.files.file_sets import file_set
-from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle

@@ -26,14 +26,15 @@ from trackres_ros.estimator.columns import Motion
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
 from trackres_ros.kernels.extension import filled
 from trackres_ros.model.thermal import parting_resistance
 from trackres_ros.tools.export.c_source import TEMPLATES, CSource, in_c
 from trackres_ros.tools.export.exporting import Request, translated
-from trackres_ros.vehicle.road import RoadVehicle, built_in, least_rolling
-from trackres_ros.vehicle.schema import CHASSIS, ROAD_LOAD
+from trackres_ros.vehicle.description import CHASSIS
+from trackres_ros.vehicle.road import ROAD_LOAD, RoadVehicle, built_in, least_rolling
 
 MODEL = "trackres"
 SOURCES = ("trackres.c", "fmi3.c")
@@ -135,7 +136,7 @@ def _variables(source: CSource) -> Iterator[Variable]:
 def _limits(estimator: Estimator) -> dict[str, tuple[float, float]]:
     """Lowest and highest value of each number of `TUNED`, as a vehicle file and settings take them."""
     vehicle = estimator.vehicle
-    rate, share = (Settings.__dataclass_fields__[f"feedforward_{of}"].metadata for of in ("rate", "share"))
+    rate, share = (limits_of(Settings)[f"feedforward_{of}"] for of in ("rate", "share"))
     per_share = estimator.constants.number.feedforward_limit / estimator.settings.feedforward_share
     if isinstance(vehicle, RoadVehicle):
         of, area = ROAD_LOAD, (ROAD_LOAD["drag_area"].low, ROAD_LOAD["drag_area"].high)
@@ -148,8 +149,8 @@ def _limits(estimator: Estimator) -> dict[str, tuple[float, float]]:
     return {name: (of[key].low, of[key].high) for name, key in alike.items()} | {
         "bearing_friction": friction,
         "drag_area": area,
-        "feedforward_rate": (rate["low"], rate["high"]),
-        "feedforward_limit": (share["low"] * per_share, share["high"] * per_share),
+        "feedforward_rate": (rate.low, rate.high),
+        "feedforward_limit": (share.low * per_share, share.high * per_share),
     }
 
 

@@ -18,8 +18,7 @@ from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, Problem, fit, free_parameters, jacobian, of_rows, valid_rows
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import DriveSession
-from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.prepare.session import DriveSession, split
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.surroundings.headwind import Headwind
 from trackres_ros.recording.recording import Recording

@@ -20,7 +20,7 @@ import yaml
 from trackres_ros.diagnosis.base.loading import LoadedBase, load_base
 from trackres_ros.diagnosis.synthetic import drives, write_recording
 from trackres_ros.errors import InputError
-from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.documents import parse_json
 from trackres_ros.files.own_files import PART, read, write
 
 VEHICLE = "xgd24d"
@@ -150,7 +150,7 @@ def begin_recordings(folder: Path, fleet: Sequence[DrawnVehicle], minutes: float
     """Write fleet.yaml; of each recording its folder, vehicle, number and length [min]."""
     folder.mkdir(parents=True, exist_ok=True)
     described = {v.name: {"file": VEHICLE, "limits": {BEARING: BEARING_LIMIT}} for v in fleet}
-    (folder / FLEET).write_text(yaml.safe_dump({"vehicles": described}, sort_keys=False), encoding="utf-8")
+    write(folder / FLEET, yaml.safe_dump({"vehicles": described}, sort_keys=False).encode())
     return [(folder / RECORDINGS, v, number, minutes) for v in fleet for number in range(len(v.days))]
 
 

@@ -129,7 +129,7 @@ def _vehicle(file: Path, _sha: str) -> tuple[Any, Any]:
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
     """Distance, energies and, if there are belts, the warmest temperature, as from the live node."""
     import trackres_ros as tr
-    from trackres_ros.offline.energy import energy_j, steps_of
+    from trackres_ros.estimator.energy import energy_j, steps_of
 
     result = tr.replay(recording, vehicle)
     step = steps_of(result.time_s, result.estimator.settings.bridge_s)

@@ -5,25 +5,40 @@
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
-from trackres_ros.checks import number
-from trackres_ros.errors import InputError, nearest
+from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import FILLED, DataReader, Limits
+from trackres_ros.files.documents import MOST_BYTES, read_text, read_yaml
 from trackres_ros.files.resources import find_topics, find_vehicle
-from trackres_ros.files.small_files import read_text
-from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 
-KEYS = ("file", "recordings", "topics", "limits")
 ALLOWED = "vehicles: a name for each, with file, and if need be recordings, topics, limits"
 FORBIDDEN_IN_NAMES = "/\\=\0"  # a name becomes a folder of the dataset
 HIGHEST_LIMIT = 1e12
 NOT_A_NAME = ("", ".", "..", "none")
 WORDS = "title", "reason"  # keys of a vehicle file that alter no result
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A vehicle in a fleet.yaml; paths are relative to it."""
+
+    file: str
+    recordings: str | tuple[str, ...] = ()  # globs
+    topics: str | None = None
+    limits: Mapping[str, Annotated[float, Limits("1", 0.0, HIGHEST_LIMIT, "value for maintenance")]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetFile:
+    """The content of a fleet.yaml."""
+
+    vehicles: Annotated[Mapping[str, str | Entry], FILLED]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,61 +95,35 @@ def one_vehicle(path_or_name: str, topics_path_or_name: str | None) -> Fleet:
 def read_fleet(path: Path) -> Fleet:
     """Read a fleet.yaml; paths in it are relative to it. Raises InputError if it cannot be used."""
     content = read_yaml(path, ALLOWED)
-    unknown = [key for key in content if key != "vehicles"]
-    if unknown:
-        raise InputError(f"{path}: {unknown[0]}", content[unknown[0]], ALLOWED)
-    vehicles = content.get("vehicles")
-    if not isinstance(vehicles, dict) or not vehicles:
-        raise InputError(f"{path}: vehicles", vehicles, ALLOWED)
+    file: FleetFile = DataReader(path).part(FleetFile, content)
     text = read_text(path, "YAML file", MOST_BYTES)
-    named = [(_name(key, path, text), of) for key, of in vehicles.items()]
-    names = [name for name, _ in named]
-    if len(set(names)) < len(names):  # as 7 and "7"
-        raise InputError(f"{path}: vehicles", names, "each name once")
-    return Fleet({name: _vehicle(path, name, of) for name, of in named})
+    for key in content["vehicles"]:
+        # A number, date or truth value is a name only if it reads as it is written. YAML reads 0123 as 83.
+        if not isinstance(key, str) and not re.search(rf"(?<![\w.+:-]){re.escape(str(key))}\s*:", text):
+            raise InputError(f"{path}: vehicles", key, "names that are texts", "write such a name in quotes")
+    if len(file.vehicles) < len(content["vehicles"]):  # as 7 and "7"
+        raise InputError(f"{path}: vehicles", list(map(str, content["vehicles"])), "each name once")
+    return Fleet({name: _vehicle(path, name, entry) for name, entry in file.vehicles.items()})
 
 
-def _name(key: object, path: Path, text: str) -> str:
-    """The name of a vehicle: a number, date or truth value only if it reads as it is written. YAML reads 0123 as 83."""
-    if not isinstance(key, str) and not re.search(rf"(?<![\w.+:-]){re.escape(str(key))}\s*:", text):
-        raise InputError(f"{path}: vehicles", key, "names that are texts", "write such a name in quotes")
-    return str(key)
-
-
-def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:
+def _vehicle(path: Path, name: str, entry: Entry | str) -> FleetVehicle:
     where = f"{path}: vehicles.{name}"
     if name in NOT_A_NAME or any(sign in name for sign in FORBIDDEN_IN_NAMES) or not name.isprintable():
         raise InputError(where, name, "a name that may be that of a folder")
-    if isinstance(content, str):
-        content = {"file": content}
-    if not isinstance(content, dict) or content.get("file") is None:
-        raise InputError(where, content, "a vehicle file, or a mapping with file")
-    for key in content:
-        if key not in KEYS:
-            raise InputError(f"{where}.{key}", content[key], f"one of {', '.join(KEYS)}", nearest(str(key), KEYS))
-    patterns = content.get("recordings", ())
-    if isinstance(patterns, str):
-        patterns = [patterns]
-    if not isinstance(patterns, Sequence) or not all(isinstance(pattern, str) for pattern in patterns):
-        raise InputError(f"{where}.recordings", patterns, "a list of globs")
-    file = _beside(path, content["file"], f"{where}.file")
-    topics = None if content.get("topics") is None else _beside(path, content["topics"], f"{where}.topics")
-    limits = content.get("limits", {})
-    if not isinstance(limits, dict):
-        raise InputError(f"{where}.limits", limits, "a number for each parameter")
-    checked = {str(key): number(value, f"{where}.limits.{key}", 0.0, HIGHEST_LIMIT) for key, value in limits.items()}
+    entry = Entry(entry) if isinstance(entry, str) else entry
+    file = _beside(path, entry.file, f"{where}.file", find_vehicle)
+    topics = None if entry.topics is None else _beside(path, entry.topics, f"{where}.topics", find_topics)
+    patterns = (entry.recordings,) if isinstance(entry.recordings, str) else entry.recordings
     shas = digest(file), digest_of_values(file)
-    return FleetVehicle(name, file, *shas, tuple(patterns), topics, digest(topics) if topics else "", checked)
+    return FleetVehicle(name, file, *shas, patterns, topics, digest(topics) if topics else "", entry.limits)
 
 
-def _beside(path: Path, given: object, where: str) -> Path:
-    if not isinstance(given, str):
-        raise InputError(where, given, "a path")
+def _beside(path: Path, given: str, where: str, find: Callable[[str], Path]) -> Path:
     local = path.parent / given
     if local.is_file():
         return local.resolve()
     try:
-        return (find_vehicle if where.endswith(".file") else find_topics)(given).resolve()
+        return find(given).resolve()
     except InputError as error:
         raise InputError(where, error.given, error.allowed, error.remedy) from None
 

@@ -16,19 +16,16 @@ from typing import Any
 
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
+from trackres_ros.files.dataclass_reader import Limits
+from trackres_ros.files.documents import MOST_BYTES, read_text, read_yaml
 from trackres_ros.files.file_sets import file_set, is_free, present
 from trackres_ros.files.own_files import remove, write
-from trackres_ros.files.small_files import read_text
-from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.vehicle import Quantity, RoadVehicle, Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity
-from trackres_ros.vehicle.description import QuantityLimits
-from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.road import SECTION
-from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, ROAD_LOAD, RUBBER
-from trackres_ros.vehicle.surroundings import SCHEMA
+from trackres_ros.vehicle.description import BELT, CHASSIS, DISTURBANCES, FITTED, RUBBER
+from trackres_ros.vehicle.road import ROAD_LOAD, SECTION
 from trackres_ros.vehicle.writing.changes import DIAGNOSE, FileChanges, LearnedDisturbance
 from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
@@ -72,7 +69,7 @@ def write_road_vehicle(vehicle: RoadVehicle, path: Path, kept: FileChanges, text
 
 
 def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float], kept: FileChanges) -> None:
-    def put(path: tuple[str, ...], value: float, learned: Range, limits: Mapping[str, QuantityLimits]) -> None:
+    def put(path: tuple[str, ...], value: float, learned: Range, limits: Mapping[str, Limits]) -> None:
         set_quantity(document, path, vehicle.parameters[".".join(path)], value, learned, limits[path[-1]], kept.by)
 
     for section, name, limits in (
@@ -145,7 +142,7 @@ def opened(source: Path) -> Document:
 
 
 def set_quantity(
-    document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: QuantityLimits, by: str
+    document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: Limits, by: str
 ) -> None:
     """A fitted value with its interval as the range, which is read as +-2 standard deviations. Without one it keeps the old
     range, and unchanged values keep their notation.
@@ -206,7 +203,7 @@ def finish(
             if f"route: {route_file.name}\n" in earlier:
                 remove(route_file)
         return [path, *copies]
-    lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
+    lines = ["schema: 1", f"vehicle: {flow(name)}"]
     files = _named(sources_of(around), names)
     lines += [f"effect_files: {flow(files)}"] if files else []
     lines += [f"route: {route_file.name}"] if route else []

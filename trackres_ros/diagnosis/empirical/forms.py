@@ -1,0 +1,294 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Unnamed candidate forms of a mismatch over a variable, and the thresholds that a scan of the residual finds for them.
+
+Steps, hinges, latches and fades are found by linear algebra on block means of a residual. Each threshold of a grid makes a
+column. The best one of each variable and form becomes a candidate; laps and recordings left out judge it like any other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.diagnosis.base.patterns import FADE, ClockTerm
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
+from trackres_ros.diagnosis.selection.level_errors import FURTHEST, Levels
+from trackres_ros.effects import learned
+from trackres_ros.effects.effect import Conditions
+from trackres_ros.effects.learned import ABOVE, BELOW, LATCHED, STEP, Corner, Curve, EmpiricalEffect, Latch, SidedGain
+from trackres_ros.units import STANDSTILL_MPS
+
+Columns = Callable[[Array], list[Array]]
+"""Columns of each session for thresholds, shape (n, thresholds)."""
+
+RANGE = (0.02, 0.98)  # quantiles: both ends of the driven range
+GRID = 15  # thresholds at first
+FINER, PASSES = 5, 3  # then so many between the neighbours of the best
+FEWEST_BEYOND = 0.03  # share of the samples on either side of a threshold
+LEAST_KEPT = 0.01  # share of the squares of a column that the fit's own parameters do not explain
+LONG_STOP_S = 20.0  # a stop after which oil has run off, a belt has set and a brake has been applied
+
+
+Found = list[tuple[EmpiricalEffect | ClockTerm, Array]]
+"""Forms, each with its torque in all sessions per unit of its size, shape (n,)."""
+
+
+def found_by_scan(fit: Fit, levels: Levels, series: Mapping[int, list[Array]]) -> Found:
+    """The best step, hinges and latch of each variable; `series` has its values in each session, by its code."""
+    scan, found = _Scan(fit, levels), Found()
+    for code, x in series.items():
+        grid, low, high = scan.grid(x)
+        if not len(grid):
+            continue
+        for kind in (STEP, ABOVE, BELOW):
+            gain, at = scan.best(partial(shapes, kind, x, (low, high)), grid)
+            if gain > 0.0:
+                found.append((Corner(code, kind, low, at, high), scan.along(shapes(kind, x, (low, high), np.array([at])))))
+        if code in LATCHED:
+            gain, off, on = scan.best_latch(x, grid)
+            if gain > 0.0:
+                states = [latched_states(one, np.array([off]), np.array([on])) for one in x]
+                found.append((Latch(code, low, off, on, high), scan.along(states)))
+    return found
+
+
+def found_by_clock(fit: Fit, levels: Levels) -> Found:
+    """The best step, hinge and fade over each variable of the clock."""
+    scan, found = _Scan(fit, levels), Found()
+    facts, sessions = fit.problem.base.facts, fit.problem.sessions
+    ends = np.cumsum([len(s) for s in sessions])[:-1]
+    for variable, of in CLOCKS.items():
+        x = [of(s) for s in sessions]
+        grid, low, high = scan.grid(x)
+        if not len(grid):
+            continue
+        for kind in (STEP, ABOVE, BELOW, FADE):
+            own = grid if kind != FADE else np.geomspace(max(grid[0], 0.01 * high), high, GRID)
+            gain, at = scan.best(partial(shapes, kind, x, (low, high)), own)
+            if gain > 0.0:
+                rows = scan.along(shapes(kind, x, (low, high), np.array([at])))
+                size = facts.weight * facts.radius
+                found.append((ClockTerm(variable, kind, at, (low, high), np.split(rows, ends), size), rows))
+    return found
+
+
+def time_since_long_stop(session: DriveSession) -> Array:
+    """Time since the end of the last stop of at least `LONG_STOP_S` [s]; the start of a recording ends one."""
+    still = np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS
+    since, stood = np.empty(len(session)), math.inf
+    moved = 0.0
+    for i, stands in enumerate(still.tolist()):
+        stood = stood + session.step if stands else 0.0
+        moved = 0.0 if stood >= LONG_STOP_S else moved + session.step
+        since[i] = moved
+    return since
+
+
+CLOCKS: Mapping[str, Callable[[DriveSession], Array]] = {
+    "time since start": lambda s: s.time,
+    "time since a long stop": time_since_long_stop,
+    "distance": lambda s: s.distance,
+}
+"""Variables that no sensor shows, but the clock and the odometer."""
+
+
+def shapes(kind: int, series: Sequence[Array], ends: tuple[float, float], thresholds: Array) -> list[Array]:
+    """Columns of a step, a hinge or a fade for thresholds or scales, shape (n, thresholds) in each session."""
+    low, high = ends
+    columns = []
+    for x in series:
+        at = x[:, np.newaxis]
+        if kind == STEP:
+            column = (at > thresholds).astype(float)
+        elif kind == ABOVE:
+            column = np.clip((at - thresholds) / (high - thresholds), 0.0, 1.0)
+        elif kind == BELOW:
+            column = np.clip((thresholds - at) / (thresholds - low), 0.0, 1.0)
+        else:
+            column = np.exp(-np.maximum(at - low, 0.0) / thresholds)
+        columns.append(np.nan_to_num(column))
+    return columns
+
+
+class _Scan:
+    """Gains of columns on the block means of a residual, beyond the base's own columns."""
+
+    def __init__(self, fit: Fit, levels: Levels) -> None:
+        self._levels, self._masks = levels, fit.problem.masks
+        self._rest = np.clip(levels.beyond(levels.residual), -FURTHEST, FURTHEST)
+        self._direction = [np.tanh(s.speed / fit.problem.base.facts.standstill) for s in fit.problem.sessions]
+
+    def grid(self, series: Sequence[Array]) -> tuple[Array, float, float]:
+        """Thresholds within the driven range with enough samples on either side, and both ends of that."""
+        known = np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
+        if not len(known) or not np.isfinite(known).all():
+            return np.empty(0), math.nan, math.nan
+        low, high = (float(q) for q in np.quantile(known, RANGE))
+        levels = np.unique(known)
+        if len(levels) > GRID:
+            at = np.unique(np.quantile(known, np.linspace(FEWEST_BEYOND, 1.0 - FEWEST_BEYOND, GRID)))
+        else:
+            at = 0.5 * (levels[1:] + levels[:-1])
+        share = np.array([np.mean(known > t) for t in at])
+        inside = (share >= FEWEST_BEYOND) & (share <= 1.0 - FEWEST_BEYOND) & (at > low) & (at < high)
+        return at[inside], low, high
+
+    def along(self, columns: Sequence[Array]) -> Array:
+        """A single column as a torque against travel, all sessions concatenated, shape (n,)."""
+        return np.concatenate([c[:, 0] * d for c, d in zip(columns, self._direction, strict=True)])
+
+    def gains(self, columns: Sequence[Array]) -> Array:
+        """Square of the block scatter that each column explains, shape (columns,)."""
+        z = self._levels.means(np.concatenate([c * d[:, np.newaxis] for c, d in zip(columns, self._direction, strict=True)]))
+        left = self._levels.beyond(z)
+        size, kept = (z**2).sum(axis=0), (left**2).sum(axis=0)
+        return np.where(kept > LEAST_KEPT * size, (left.T @ self._rest) ** 2 / np.maximum(kept, 1e-12), 0.0)
+
+    def best(self, columns: Columns, grid: Array) -> tuple[float, float]:
+        """The largest gain, and its threshold."""
+        best = (0.0, math.nan)
+        for _ in range(PASSES):
+            gains = self.gains(columns(grid))
+            i = int(np.argmax(gains))
+            best = float(gains[i]), float(grid[i])
+            grid = _finer(grid, best[1])
+        return best
+
+    def best_latch(self, series: Sequence[Array], grid: Array) -> tuple[float, float, float]:
+        """The largest gain, the lower threshold (off) and the upper one (on)."""
+        best, offs, ons = (0.0, math.nan, math.nan), grid, grid
+        for _ in range(PASSES):
+            off, on = np.meshgrid(offs, ons)
+            pairs = off[off < on], on[off < on]
+            if not len(pairs[0]):
+                break
+            gains = self.gains([latched_states(x, *pairs) for x in series])
+            i = int(np.argmax(gains))
+            best = float(gains[i]), float(pairs[0][i]), float(pairs[1][i])
+            offs, ons = _finer(offs, best[1]), _finer(ons, best[2])
+        return best
+
+
+def _finer(grid: Array, at: float) -> Array:
+    """Thresholds around one of a grid, up to but excluding its neighbours."""
+    i = int(np.searchsorted(grid, at))
+    begin, end = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
+    return np.unique(np.append(np.linspace(begin, end, FINER + 2)[1:-1], at))
+
+
+def latched_states(x: Array, off: Array, on: Array) -> Array:
+    """State of latches along a series, initially off, shape (n, latches); see `effects.learned.latched`."""
+    set_, reset = x[:, np.newaxis] > on, ~(x[:, np.newaxis] >= off)
+    row = np.arange(1, len(x) + 1)[:, np.newaxis]
+    last_set, last_reset = (np.maximum.accumulate(np.where(at, row, 0), axis=0) for at in (set_, reset))
+    return (last_set > last_reset).astype(float)
+
+
+def most_on_side(x: Array, side: int) -> float:
+    """The largest value of a sign, as a quantile of those of that sign; 0 with hardly any."""
+    there = side * x[side * x > 0.0]
+    return float(np.quantile(there, RANGE[1])) if len(there) > FEWEST_BEYOND * len(x) else 0.0
+
+
+DRIVEN = (0.02, 0.98)  # quantiles that bound the knots
+KNOTS = {
+    learned.SPEED: 5, learned.LOAD: 3, learned.AMBIENT: 2, learned.TURNING: 3, learned.CURVATURE: 3, learned.ACCELERATION: 4,
+    learned.TURN: 4, learned.DRIVING_TORQUE: 4, learned.BELT: 3,
+}  # fmt: skip
+SIGNED = (learned.ACCELERATION, learned.TURN, learned.DRIVING_TORQUE)
+BOTH_SIDES = 0.05  # least share of a signed variable on its rarer side to use both
+NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
+RESOLVED = 6.0  # times its noise: nearer zero a smoothed acceleration reflects the smoothing more than the drive
+LEAST_RANGE = 0.02  # of its size: a smaller variation is constant
+FEWEST_REVERSE = 60  # samples in reverse
+
+
+def series(code: int, fit: Fit) -> list[Array]:
+    """A variable of learned effects in each session of a fit, as in the live step."""
+    facts, found = fit.problem.base.facts, []
+    for s, p in zip(fit.problem.sessions, fit.predicted, strict=True):
+        turning = np.abs(s.yaw_rate)
+        curvature = turning / np.hypot(s.speed, facts.contact_length * turning + STANDSTILL_MPS)
+        recorded: Any = s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance
+        simulated: Any = p.at_sprockets, np.tanh(s.speed / facts.standstill), curvature, p.belt
+        at = Conditions(facts, *recorded, *simulated)
+        found.append(np.asarray(np.broadcast_to(learned.variable(at, code), len(s)), dtype=float))
+    return found
+
+
+def driven(code: int, fit: Fit) -> Array:
+    """Values of the variable at compared samples; empty if it is not always known, or too imprecise."""
+    found = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
+    known = np.isfinite(found).all() and (code not in (learned.ACCELERATION, learned.DRIVING_TORQUE) or _resolved(fit))
+    return found if known else np.empty(0)
+
+
+def _resolved(fit: Fit) -> bool:
+    """Whether the acceleration is precise where its curve may step: smoothing errors look like such a curve."""
+    noise = max(s.accel_noise for s in fit.problem.sessions)
+    largest = max(float(np.quantile(np.abs(s.accel), DRIVEN[1])) for s in fit.problem.sessions)
+    return RESOLVED * noise <= NEAR_ZERO * largest
+
+
+def varies(x: Array) -> bool:
+    """Whether a variable varies enough for a curve."""
+    if len(x) == 0:
+        return False
+    low, high = np.quantile(x, DRIVEN)
+    return bool(high - low > LEAST_RANGE * max(abs(low), abs(high)))
+
+
+def knots(code: int, x: Array, count: int) -> list[float]:
+    """Knots of a curve: equally filled between, or close on either side of zero for a signed variable."""
+    low, high = (float(q) for q in np.quantile(x, DRIVEN))
+    if code in SIGNED and min(np.mean(x < 0.0), np.mean(x > 0.0)) > BOTH_SIDES:
+        inner = NEAR_ZERO * min(-low, high)
+        extra = max(0, (count - 4) // 2)
+        below = np.linspace(low, -inner, extra + 2)
+        above = np.linspace(inner, high, extra + 2)
+        return [*below.tolist(), *above.tolist()]
+    even = np.quantile(x, np.linspace(*DRIVEN, count))
+    if code == learned.SPEED:  # for rarely driven speeds: half by frequency, half by distance
+        even = 0.5 * (even + np.linspace(low, high, count))
+    found = [float(even[0])]
+    for knot in even[1:].tolist():
+        if knot - found[-1] > LEAST_RANGE * (high - low):
+            found.append(knot)
+    return found
+
+
+def followed(fit: Fit) -> list[int]:
+    """Codes of the variables that a form may follow here.
+
+    Notes
+    -----
+    A curve over an acceleration derived from speeds shows their error: at a steady speed, the apparent acceleration
+    is error, and its inertia is not in the torque. So such a curve needs a measured acceleration. A curve over the driving
+    torque, which includes that inertia, needs a small error.
+    """
+    measured = all("accel" in s.given for s in fit.problem.sessions)
+    return [code for code in KNOTS if varies(driven(code, fit)) and (code != learned.ACCELERATION or measured)]
+
+
+def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
+    """All forms with knots of their own here, by their names."""
+    facts = fit.problem.base.facts
+    found: list[EmpiricalEffect] = []
+    x = {code: driven(code, fit) for code in learned.VARIABLES}
+    shown = followed(fit)
+    found += [Curve(code, knots(code, x[code], KNOTS[code])) for code in shown]
+    if learned.DRIVING_TORQUE in shown:
+        most = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in (learned.DRIVES, learned.BRAKES)}
+        reverse = np.concatenate([s.speed[m] < 0.0 for s, m in zip(fit.problem.sessions, fit.problem.masks, strict=True)])
+        if reverse.sum() >= FEWEST_REVERSE:  # forwards, a negative torque brakes
+            most[learned.NEGATIVE] = most_on_side(np.where(reverse, 1.0, -1.0) * x[learned.DRIVING_TORQUE], 1)
+        found += [SidedGain(side, one) for side, one in most.items() if min(most.values()) > 0.0]
+    size = facts.weight * facts.radius
+    return {effect.name: learned.sized(effect, size) for effect in found}

@@ -1,0 +1,319 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Sentences of a term without a name: the variable or the timing of the torque, and possible mechanisms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from trackres_ros.diagnosis.base.patterns import FADE, ClockTerm, ResidualPattern
+from trackres_ros.diagnosis.empirical.payload import Payload
+from trackres_ros.diagnosis.empirical.places import Place, Wave
+from trackres_ros.diagnosis.empirical.spells import Chain, DriftingLevel
+from trackres_ros.diagnosis.empirical.term import SURE_OF_KIND, Form, Route, Term
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Array
+from trackres_ros.diagnosis.selection.visibility import FORM_ERROR
+from trackres_ros.effects import learned
+from trackres_ros.effects.learned import Corner, Curve, Latch, SidedGain
+from trackres_ros.text import figures, on_scale
+
+
+class OfVehicle(str):
+    """A mechanism that only a vehicle has."""
+
+    __slots__ = ()
+
+
+ANY_MACHINE = ("a part that rubs, binds or slips under these conditions",)
+MECHANISMS: Mapping[int, tuple[str, ...]] = {
+    learned.SPEED: (OfVehicle("a resonance of belt, wheels or drive train"), "a fan or pump driven by the motion"),
+    learned.ACCELERATION: ("play in the drive train", "an inertia that the model lacks"),
+    learned.LOAD: (OfVehicle("a part that touches when the springs are compressed"), OfVehicle("soft ground")),
+    learned.AMBIENT: ("grease or oil that thickens in the cold",),
+    learned.TURN: (OfVehicle("a part that touches on one side in turns"), OfVehicle("a steering brake")),
+    learned.TURNING: (OfVehicle("a part that touches in turns"), OfVehicle("sheared ground")),
+    learned.CURVATURE: (OfVehicle("a part that touches in turns"), OfVehicle("sheared ground")),
+    learned.DRIVING_TORQUE: (
+        "play in the drive train, taken up as the torque changes its sign",
+        "a gear or coupling that binds under load",
+    ),
+    learned.BELT: (
+        "a fan or pump that is switched by temperature",
+        OfVehicle("rubber or grease with a stronger temperature dependence than in the file"),
+    ),
+}
+OF_LATCHES: Mapping[int, tuple[str, ...]] = {
+    learned.SPEED: ("a gearbox that shifts up and down at different speeds", "a pump or fan that is switched by speed"),
+    learned.LOAD: (OfVehicle("a part that touches and sticks when the springs are compressed"),),
+    learned.BELT: ("a fan, pump or valve with a thermostat",),
+}
+OF_GAINS: Mapping[int, tuple[str, ...]] = {
+    learned.DRIVES: ("a torque sensor with another gain for one sign", OfVehicle("gears with a larger loss when driving")),
+    learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
+    learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
+}
+OF_SPELLS = (
+    "a pump, fan or compressor that switches on and off",
+    "a brake that stays applied for a while",
+    "another consumer on the same drive",
+)
+OF_WAVES = ("a stiff or damaged place in a belt", "an out-of-round wheel or a worn bearing")
+OF_CLOCKS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
+OF_PLACES = tuple(map(OfVehicle, ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")))
+OF_PAYLOAD = (OfVehicle("boarding passengers or loaded goods"), "a tank or a hopper that fills and empties")
+OF_RECORDINGS = (OfVehicle("a load, ground or wind that differs from the recorded one"), "a torque sensor whose zero is reset")
+OF_DRIFT = ("a torque sensor with a drifting zero", OfVehicle("an unrecorded slope, wind or ground"))
+
+
+def of_learned(term: Term, noun: str) -> Term:
+    """Describe an unnamed effect over a variable, by its values."""
+    effect, values = term.effect, term.values
+    if isinstance(effect, SidedGain):
+        return _of_gain(term, effect)
+    if isinstance(effect, Corner | Latch):
+        return _of_threshold(term, effect, noun)
+    assert isinstance(effect, Curve)
+    x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(axis)] for axis in ("x", "y"))
+    follows = learned.VARIABLES[effect.variable]
+    unit = "" if follows.unit == "1" else follows.unit
+    begin, *others = turning_points(y)
+    knots = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
+    ways = ["rises" if y[i] > y[before] else "falls" for before, i in zip((begin, *others), others, strict=False)]
+    ends = [f"to {_signed(y[i])} at {knots[i]}" for i in others]
+    first = f"The extra torque {ways[0]} from {_signed(y[begin])} at {knots[begin]} of {follows.text} {ends[0]}"
+    further = " and ".join(f"{way} {end}" for way, end in zip(ways[1:], ends[1:], strict=True))
+    return replace(
+        term,
+        form="curve",
+        sentences=(first, f"It then {further}") if further else (first,),
+        mechanisms=MECHANISMS[effect.variable],
+        size_nm=max(map(abs, y)),
+        variable=follows.text,
+        unit=unit,
+        predictable=True,
+    )
+
+
+def turning_points(heights: Sequence[float]) -> list[int]:
+    """Knots at which a curve turns, and its ends, rising; without swings smaller than the error of a form."""
+    least, found = FORM_ERROR * (max(heights) - min(heights)), list(range(len(heights)))
+
+    def swing(place: int) -> float:
+        back, on = (heights[found[place]] - heights[found[place + way]] for way in (-1, 1))
+        return min(abs(back), abs(on)) if back * on > 0.0 else 0.0
+
+    while len(found) > 2:
+        smallest = min(range(1, len(found) - 1), key=swing)
+        if swing(smallest) > least:
+            break
+        del found[smallest]
+    return found
+
+
+def _of_threshold(term: Term, effect: Corner | Latch, noun: str) -> Term:
+    values, follows = term.values, learned.VARIABLES[effect.variable]
+    level, scale, mechanisms = values["y1"], values["x2"] - values["x1"], MECHANISMS.get(effect.variable, ())
+    form: Form
+
+    def at(name: str) -> str:
+        return f"{on_scale(values[name], scale)} {follows.unit}"
+
+    if isinstance(effect, Latch):
+        form, mechanisms = "latch", OF_LATCHES[effect.variable]
+        text = (
+            f"The {noun} needs {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below "
+            f"{at('off')}"
+        )
+    elif effect.kind == learned.STEP:
+        form = "step"
+        text = f"The {noun} needs {_more(level)} with the {follows.text} above {at('threshold')} than below"
+    else:
+        form, (side, end) = "hinge", ("below", "x1") if effect.kind == learned.BELOW else ("above", "x2")
+        text = (
+            f"With the {follows.text} {side} {at('threshold')} the {noun} needs increasingly {_more_or_less(level)}, "
+            f"{_more(level)} at {at(end)}"
+        )
+    return replace(
+        term,
+        form=form,
+        sentences=(text,),
+        mechanisms=mechanisms,
+        size_nm=abs(level),
+        variable=follows.text,
+        unit=follows.unit,
+        predictable=True,
+    )
+
+
+def _of_gain(term: Term, effect: SidedGain) -> Term:
+    gain, side, follows = term.values["gain"], learned.SIDES[effect.side], learned.VARIABLES[effect.variable]
+    text = f"The torque {side.text} is {100.0 * abs(gain):.1f} % {'larger' if gain > 0.0 else 'smaller'} than in the model"
+    return replace(
+        term,
+        form="sided_gain",
+        sentences=(text,),
+        mechanisms=OF_GAINS[effect.side],
+        size_nm=abs(gain) * term.values["x1"],
+        variable=follows.text,
+        unit=follows.unit,
+        gate=side.text,
+        predictable=True,
+    )
+
+
+def of_spells(term: Term, chain: Chain, level: float, lengths_s: Array, begins: str, noun: str) -> Term:
+    """Describe spells of this size [Nm]: their number, the duration of each [s], and the common event at their start."""
+    low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [chain.mean_s], (0.1, 0.9)))
+    first = f"For {low} to {high} s at a time, the {noun} needs {_more(level)} than the model"
+    second = f"That happens {len(lengths_s)} times in these recordings{begins}"
+    sentences = (first, second)
+    return replace(term, form="spells", sentences=sentences, mechanisms=OF_SPELLS, size_nm=abs(level), memory=chain.mean_s)
+
+
+def of_wave(term: Term, wave: Wave, level: float, part: str) -> Term:
+    """Describe a wave of this size [Nm], named after the part with its length per turn, if there is one."""
+    which = f", which is {part}" if part else ""
+    text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{which}"
+    return replace(
+        term,
+        form="wave",
+        sentences=(text,),
+        mechanisms=OF_WAVES,
+        size_nm=abs(level),
+        variable="driven distance",
+        period_m=wave.length_m,
+    )
+
+
+def of_clock(term: Term, effect: ClockTerm, level: float, noun: str) -> Term:
+    """Describe a torque of this size [Nm] that follows the clock or the odometer."""
+    low, high = effect.ends
+    unit = "m" if effect.variable == "distance" else "s"
+
+    def at(value: float) -> str:
+        return f"{on_scale(value, high - low)} {unit}"
+
+    since = effect.text_of_variable
+    sentences: tuple[str, ...]
+    if effect.kind == FADE:
+        fading = f"That fades {since} with a constant of {at(effect.threshold)}"
+        sentences = (f"At first the {noun} needs {_more(level)}", fading)
+    elif effect.kind == learned.STEP:
+        sentences = (f"From {at(effect.threshold)} {since} on, the {noun} needs {_more(level)} than before",)
+    else:
+        order, end = ("before", low) if effect.kind == learned.BELOW else ("after", high)
+        text = (
+            f"{order.capitalize()} {at(effect.threshold)} {since} the {noun} needs increasingly {_more_or_less(level)}, "
+            f"{_more(level)} at {at(end)}"
+        )
+        sentences = (text,)
+    size = abs(level)
+    return replace(
+        term, form="clock", sentences=sentences, mechanisms=OF_CLOCKS, size_nm=size, variable=effect.variable, unit=unit
+    )
+
+
+def of_place(term: Term, level: float, place: Place, noun: str) -> Term:
+    """Describe a torque of this size [Nm] at the same place on each pass."""
+    route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
+    between = f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}"
+    first = f"{between}, the {noun} needs {_more(level)} than the model"
+    return replace(
+        term,
+        form="place",
+        sentences=(first, f"The recordings show it on {place.passes} passes"),
+        mechanisms=OF_PLACES,
+        size_nm=abs(level),
+        variable="place on the route",
+        unit="m",
+        period_m=place.lap_m if place.folded else None,
+    )
+
+
+def of_payload(term: Term, level: float, payload: Payload, noun: str) -> Term:
+    """Describe a mass by stretch, with a torque of this size [Nm], and scale the masses to it."""
+    scale = level / payload.level
+    stretches = tuple(replace(s, mass=scale * s.mass, std=scale * s.std) for s in payload.stretches)
+    masses, seconds = np.array([s.mass for s in stretches]), np.array([s.end_s - s.begin_s for s in stretches])
+    low, high = np.quantile(np.repeat(masses, np.maximum(1, np.round(seconds)).astype(int)), (0.05, 0.95))
+    sure = float(np.median([s.std for s in stretches]))
+    first = f"The {noun} weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model"
+    each = f"{len(stretches)} stretches, each with a standard deviation of about {figures(sure)} kg"
+    return replace(
+        term,
+        form="payload",
+        sentences=(first, f"The mass changes at stops ({each})"),
+        mechanisms=OF_PAYLOAD,
+        size_nm=abs(level),
+        variable="mass",
+        unit="kg",
+        pattern=replace(payload, stretches=stretches),
+    )
+
+
+def of_route(term: Term, size: float, least: float, most: float, route: Route, noun: str) -> Term:
+    """Describe a torque by place with its minimum, maximum and size [Nm], if it is not a slope."""
+    tied = abs(route.slope_gain) <= SURE_OF_KIND
+    streets = f"On {figures(0.001 * route.metres)} km of streets"
+    sentences = (
+        f"{streets}, the {noun} needs between {_more(least)} and {_more(most)} than the model, by the place",
+        f"The repeated streets have {route.passes} passes (median)",
+        *(("To identify a slope, drive them in the other direction too, or with another load",) if tied else ()),
+    )
+    return replace(
+        term,
+        form="place",
+        sentences=sentences,
+        mechanisms=OF_PLACES if tied else OF_PLACES[1:],
+        size_nm=size,
+        variable="place on the route",
+        unit="m",
+        predictable=True,
+    )
+
+
+def of_recordings(final: Fit, levels: Array) -> Term:
+    """A different level [Nm] in each recording, as a live estimate follows it; nan if a recording is not compared."""
+    low, high, noun = float(np.nanmin(levels)), float(np.nanmax(levels)), final.problem.base.noun
+    first = f"From recording to recording the {noun} needs between {_more(low)} and {_more(high)} than the model"
+    return replace(
+        _followed("recordings", final),
+        sentences=(first, "Within each recording it hardly changes"),
+        mechanisms=OF_RECORDINGS,
+        size_nm=max(-low, high),
+        variable="recording",
+    )
+
+
+def of_drift(final: Fit, drifting: DriftingLevel) -> Term:
+    """A drifting torque, as a live estimate follows it."""
+    text = f"The residual drifts by {figures(drifting.size)} Nm over about {figures(drifting.seconds, 2)} s"
+    followed, size = _followed("drift", final), drifting.size
+    return replace(followed, sentences=(text,), mechanisms=OF_DRIFT, size_nm=size, memory=drifting.seconds)
+
+
+def _followed(form: Form, final: Fit) -> Term:
+    return Term(ResidualPattern(form, "a torque that a live estimate follows", (), 1.0), final, form=form)
+
+
+def possible_in(term: Term, noun: str) -> Term:
+    """The same of a vehicle or a machine, with the mechanisms that this may have."""
+    parts = tuple(part for part in term.mechanisms if noun == "vehicle" or not isinstance(part, OfVehicle))
+    return replace(term, mechanisms=parts or ANY_MACHINE)
+
+
+def _more(by: float, unit: str = "Nm") -> str:
+    return f"{figures(abs(by))} {unit} {_more_or_less(by)}"
+
+
+def _more_or_less(by: float) -> str:
+    return "more" if by > 0.0 else "less"
+
+
+def _signed(torque: float) -> str:
+    return f"{'+' if torque > 0.0 else ''}{figures(torque)} Nm"

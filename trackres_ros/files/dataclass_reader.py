@@ -1,0 +1,215 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads plain data, such as the content of a YAML file, into annotated dataclasses. All settings and descriptions come this way.
+
+A dataclass is a mapping with its fields as keys; a field with a default may be missing. ``Annotated`` adds what the type does not
+say: `Limits`, `FILLED`, or a check such as `checks.positive`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+from trackres_ros import checks
+from trackres_ros.errors import InputError
+
+ABSENT: Any = None
+"""Default of a key that may be missing, but not empty."""
+FILLED = "filled"
+"""Note of a list or mapping with at least one entry."""
+
+
+class Limits(NamedTuple):
+    """Unit, absolute limits and meaning of a number."""
+
+    unit: str
+    low: float
+    high: float
+    meaning: str
+
+
+class Field(NamedTuple):
+    """A key of a mapping: its kind, and whether it is required."""
+
+    name: str
+    kind: Any
+    required: bool
+
+
+def _fields_of(part: Any) -> tuple[Field, ...]:
+    """The keys from which a dataclass is read, in their order. Limits may be in the metadata of a field too."""
+    kinds, found = get_type_hints(part, include_extras=True), []
+    for item in fields(part):
+        limits, kind = item.metadata.get("limits"), kinds[item.name]
+        required = item.default is MISSING and item.default_factory is MISSING
+        found.append(Field(item.name, Annotated[kind, limits] if limits else kind, required))
+    return tuple(found)
+
+
+fields_of: Callable[[Any], tuple[Field, ...]] = cache(_fields_of)
+
+
+def limits_of(part: Any) -> dict[str, Limits]:
+    """The limits of the numbers of a dataclass, by name."""
+    return {field.name: note for field in fields_of(part) for note in notes_of(field.kind) if isinstance(note, Limits)}
+
+
+def notes_of(kind: Any) -> tuple[Any, ...]:
+    """What ``Annotated`` adds to a type."""
+    return get_args(kind)[1:] if get_origin(kind) is Annotated else ()
+
+
+def words_of(kind: Any) -> tuple[str, ...]:
+    """The words that a kind allows, or a list of it; empty if it is of another form."""
+    inner = get_args(kind)[0] if get_origin(kind) is tuple else kind
+    return get_args(inner) if get_origin(inner) is Literal else ()
+
+
+def check_values(part: Any, origin: str) -> None:
+    """Check the values of a dataclass as if it were read. Raises InputError."""
+    for field in fields_of(type(part)):
+        DataReader(f"{origin} {field.name}").read(field.kind, getattr(part, field.name))
+
+
+class DataReader:
+    """Reads annotated kinds. An error names the place: the origin, and the keys that lead there.
+
+    `origin`: the file, for messages; `mark`: between two keys of a place. A part of a list is called by its name, once that is
+    known. Every method raises InputError for a missing, unknown or bad value.
+    """
+
+    def __init__(self, origin: object, mark: str = ".") -> None:
+        self.origin, self.mark = origin, mark
+
+    def where(self, key: str) -> str:
+        """Place of a key, for messages."""
+        return f"{self.origin}: {key}" if key else str(self.origin)
+
+    def below(self, key: str, name: object) -> str:
+        """A key within that of a mapping."""
+        return f"{key}{self.mark}{name}" if key else str(name)
+
+    def read(self, kind: Any, given: Any, key: str = "", filled: bool = False) -> Any:
+        """Read a value of any kind. `filled`: whether a list or mapping must have an entry."""
+        notes = notes_of(kind)
+        if notes:
+            return self.noted(get_args(kind)[0], notes[0], given, key)
+        form = get_origin(kind) or kind
+        if is_dataclass(kind):
+            return self.part(kind, given, key)
+        if form is Literal:
+            return self._choice(get_args(kind), given, key)
+        if form in (Union, UnionType):
+            return self._one_of_kinds(get_args(kind), given, key)
+        if form is tuple:
+            return self._list(get_args(kind)[0], given, key, filled)
+        if form is Mapping:
+            return self._mapping(get_args(kind)[1], given, key, filled)
+        if kind in CHECKS:
+            return CHECKS[kind](given, self.where(key))
+        return given  # of any kind
+
+    def noted(self, kind: Any, note: Any, given: Any, key: str) -> Any:
+        """Read a value with a note: its limits, `FILLED`, or a function of the value and its place that checks it."""
+        if note is FILLED:
+            return self.read(kind, given, key, filled=True)
+        if not isinstance(note, Limits):
+            return note(given, self.where(key))
+        unit = "" if note.unit == "1" else note.unit
+        if kind is int:
+            return checks.whole(given, self.where(key), int(note.low), int(note.high), unit)
+        return checks.number(given, self.where(key), note.low, note.high, unit)
+
+    def part(
+        self, kind: Any, given: Any, key: str = "", only: Iterable[str] = (), others: Iterable[str] = (), **known: Any
+    ) -> Any:
+        """Read a dataclass.
+
+        `only`: its keys, if not all fields have one; `others`: keys that the caller reads; `known`: fields that are no keys.
+        """
+        wanted = [f for f in fields_of(kind) if f.name not in known and (not only or f.name in only)]
+        required = [f.name for f in wanted if f.required]
+        self.keys(given, key, required, [*(f.name for f in wanted if not f.required), *others])
+        for field in wanted:
+            if field.name in given:
+                known[field.name] = self.read(field.kind, given[field.name], self.below(key, field.name))
+                if field.name == "name" and key.endswith("]"):
+                    key = self.below(key.rpartition("[")[0], known["name"])
+        return kind(**known)
+
+    def keys(self, given: Any, key: str, required: Iterable[str], optional: Iterable[str] = ()) -> None:
+        """Refuse anything but a mapping with all required keys and no unknown ones."""
+        allowed = [*required, *optional]
+        if not isinstance(given, Mapping):
+            raise InputError(self.where(key), given, f"a mapping with the keys {', '.join(allowed)}")
+        for name in given:
+            checks.one_of(name, self.where(self.below(key, name)), allowed)
+        for name in required:
+            if name not in given:
+                raise InputError(self.where(self.below(key, name)), "nothing", "this key is required")
+
+    def _choice(self, allowed: tuple[Any, ...], given: Any, key: str) -> Any:
+        words = [word for word in allowed if isinstance(word, str) and word]
+        if words:
+            return checks.one_of(given, self.where(key), words)
+        if given not in allowed:
+            raise InputError(self.where(key), given, ", ".join(map(str, allowed)))
+        return given
+
+    def _list(self, kind: Any, given: Any, key: str, filled: bool) -> tuple[Any, ...]:
+        if not isinstance(given, list | tuple) or (filled and not given):
+            raise InputError(self.where(key), given, "a list with at least one entry" if filled else "a list")
+        return tuple(self.read(kind, entry, f"{key}[{i}]") for i, entry in enumerate(given))
+
+    def _mapping(self, kind: Any, given: Any, key: str, filled: bool) -> dict[str, Any]:
+        if not isinstance(given, Mapping) or (filled and not given):
+            raise InputError(self.where(key), given, "a mapping with at least one entry" if filled else "a mapping")
+        if is_dataclass(kind) and any(field.name == "name" for field in fields_of(kind)):
+            return {str(name): self.part(kind, entry, self.below(key, name), name=str(name)) for name, entry in given.items()}
+        return {str(name): self.read(kind, entry, self.below(key, name)) for name, entry in given.items()}
+
+    def _one_of_kinds(self, kinds: tuple[Any, ...], given: Any, key: str) -> Any:
+        """The first kind that a value has the form of; of several dataclasses the one that the key ``form`` names."""
+        parts = {kind.form: kind for kind in kinds if is_dataclass(kind) and hasattr(kind, "form")}
+        if parts:
+            form = given.get("form") if isinstance(given, Mapping) else None
+            if form is None:
+                raise InputError(self.where(key), given, f"a mapping with a form, one of {', '.join(parts)}")
+            form = checks.one_of(form, self.where(self.below(key, "form")), parts)
+            return self.part(parts[form], given, key, others=("form",))
+        kind = next((kind for kind in kinds if _has_form(kind, given)), None)
+        if kind is None:
+            forms = [_form_of(kind)[1] for kind in kinds if kind is not NoneType]
+            raise InputError(self.where(key), given, " or ".join(forms))
+        return None if kind is NoneType else self.read(kind, given, key)
+
+
+CHECKS = {str: checks.text, bool: checks.switch, float: checks.finite}
+FORMS: Mapping[Any, tuple[Any, str]] = {
+    str: (str, "a text"),
+    Literal: (str, "a word"),
+    bool: (bool, "true or false"),
+    int: (int, "a whole number"),
+    float: ((int, float), "a number"),
+    tuple: ((list, tuple), "a list"),
+    Mapping: (Mapping, "a mapping"),
+    NoneType: (NoneType, ""),
+}
+"""Plain data of each kind, and its name in messages."""
+
+
+def _form_of(kind: Any) -> tuple[Any, str]:
+    base = get_args(kind)[0] if notes_of(kind) else kind
+    if is_dataclass(base):
+        return Mapping, f"a mapping with the keys {', '.join(field.name for field in fields_of(base))}"
+    return FORMS[get_origin(base) or base]
+
+
+def _has_form(kind: Any, given: Any) -> bool:
+    plain = _form_of(kind)[0]
+    return isinstance(given, plain) and (plain is bool or not isinstance(given, bool))
