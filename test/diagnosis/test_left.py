@@ -18,8 +18,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.constants import spread
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.tasks.main import cli

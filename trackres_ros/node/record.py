@@ -35,7 +35,7 @@ from trackres_ros.node.transport import LAST_NS, InputTopic, Reasons, input_name
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.mcap import BEGINNING
 from trackres_ros.output.preview import ResultPreview, picture_columns
-from trackres_ros.recording.unfinished import SUFFIX
+from trackres_ros.recording.mcap import SUFFIX
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:

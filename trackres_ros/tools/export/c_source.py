@@ -19,8 +19,7 @@ from trackres_ros.estimator.records import LONGEST_STEP_S
 from trackres_ros.kernels.extension import filled, used_helpers
 from trackres_ros.kernels.functions import Instance
 from trackres_ros.kernels.kinds import INT, REAL, WIDE, ArrayOf, Record, safe
-from trackres_ros.recording.role_units import UNITS
-from trackres_ros.recording.roles import ROLES
+from trackres_ros.recording.roles import ROLES, UNITS
 from trackres_ros.tools.export.parts import Parts, StateArray
 
 TEMPLATES = Path(__file__).parent / "templates"
