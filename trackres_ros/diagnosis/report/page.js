@@ -35,7 +35,8 @@ async function start() {
     const cut = key === null ? -1 : key.lastIndexOf(":");
     const effect = key !== null && key.startsWith("effect:");
     const [of, letter] = key === null ? [null, ""] : effect ? [key, "0"] : [key.slice(0, cut), key.slice(cut + 1)];
-    const seconds = new Map();
+    let seconds = 0;
+    const counted = new Set();  // sessions
     for (const source of sources) {
       const [session, unit] = source.tags;
       const steps = data.steps[session];
@@ -44,19 +45,19 @@ async function start() {
       // On an edge a step is in two bins: "a" in 0 and 1, "b" in 1 and 2, and so on.
       const lit = new Set([letter, String.fromCharCode(97 + number), ...(number > 0 ? [String.fromCharCode(96 + number)] : [])]);
       const x0 = [], x1 = [];
-      seconds.set(session, 0);
       for (let i = 0; i < letters.length; i++) {
         if (!lit.has(letters[i])) continue;
         const first = i;
         while (lit.has(letters[i + 1])) i++;
         x0.push((steps.begin + steps.step * first) / unit);
         x1.push((steps.begin + steps.step * (i + 1)) / unit);
-        seconds.set(session, seconds.get(session) + steps.step * (i + 1 - first));
+        if (!counted.has(session)) seconds += steps.step * (i + 1 - first);
       }
+      counted.add(session);
       source.data = { x0, x1 };
     }
     for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.light === key));
-    document.getElementById("lit").textContent = key === null ? "" : `${Math.round([...seconds.values()].reduce((a, b) => a + b, 0))} s are highlighted.`;
+    document.getElementById("lit").textContent = key === null ? "" : `${Math.round(seconds)} s are highlighted.`;
   };
   for (const button of buttons) {
     button.addEventListener("click", () => window.trackresLight(button.getAttribute("aria-pressed") === "true" ? null : button.dataset.light));
