@@ -53,7 +53,7 @@ class BuildKernels(build_ext):
         path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
         env = {**os.environ, "PYTHONPATH": path, "TRACKRES_INTERPRETED": "1"}
         try:
-            subprocess.run([sys.executable, "-P", "-m", f"{PACKAGE}.building.kernel_source", str(source)], env=env, check=True)
+            subprocess.run([sys.executable, "-P", "-m", f"{PACKAGE}.building", str(source)], env=env, check=True)
             ext.sources = [str(source)]
             compiler = runpy.run_path(str(ROOT / PACKAGE / "kernels" / "compiler.py"))
             ext.extra_compile_args = ["-g0", *compiler["FLAGS"]]
@@ -184,7 +184,7 @@ setup(
     },
     zip_safe=False,
     entry_points={
-        "console_scripts": ["trackres = trackres_ros.cli.entry:main", "estimator = trackres_ros.node.ros.estimator:main"],
+        "console_scripts": ["trackres = trackres_ros.__main__:main", "estimator = trackres_ros.node.ros.estimator:main"],
         f"{PACKAGE}.commands": [f"{name} = {PACKAGE}.tools.{place}" for name, place in PLUG_INS.items()],
     },
 )

@@ -21,7 +21,7 @@ from trackres_ros.tools.engine import executor
 executor.engine = lambda *_: nullcontext()
 executor.done = lambda _client, function, work: ((piece, function(piece)) for piece in work)
 executor.dashboard = lambda _client: ""
-from trackres_ros.cli.entry import main
+from trackres_ros.__main__ import main
 main()
 """
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # as in a worker

@@ -30,7 +30,7 @@ from measuring import START_NS, alternated, median_ratio
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackres_ros.arrays import Array
-from trackres_ros.building.kernel_source import all_entries, built
+from trackres_ros.building import all_entries, built
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
 from trackres_ros.diagnosis.prepare import speed_smoothing
 from trackres_ros.errors import InputError

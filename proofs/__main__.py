@@ -4,7 +4,7 @@
 """Runs `python -m proofs` in a checkout."""
 
 from proofs.commands import proofs
-from trackres_ros.cli.main import main
+from trackres_ros.tasks.main import main
 
 if __name__ == "__main__":
     main(commands=proofs, program="python -m proofs")

@@ -3,23 +3,18 @@
 
 """The commands of `python -m proofs`, one for each proof, and one that draws the paper's figures."""
 
-import os
-import sys
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Commands, emit, needs, output_folder, progress
-from trackres_ros.cli.main import SETTINGS
-from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.file_sets import file_set
-from trackres_ros.files.interpreter import python
 from trackres_ros.files.own_files import write
+from trackres_ros.tasks import options
+from trackres_ros.tasks.main import SETTINGS
+from trackres_ros.tasks.terminal import Commands, emit, needs, output_folder, progress, watch
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0
@@ -28,15 +23,13 @@ REPORTED_SEED = 20261124
 GROOMERS = 6  # of each kind
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
 EXTRA = "proof", "matplotlib", "jinja2"
-SAME_OPTIONS = "an empty folder, or one of a run with the same options"
-FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "sealed")
+DIAGNOSIS = "sealed.diagnosing.answer"
 
 hostile_option = click.option(
     "--hostile", type=click.IntRange(0, 10_000), default=40, help="Number of vehicles with misleading disturbances."
 )
+first_option = click.option("--first", type=COUNT, metavar="N", help="Record, diagnose and score only N of the cases.")
 into_folder = options.folder("Folder for recordings and page.")
-Step = tuple[object, ...]
-"""A function of `proofs`, and its arguments."""
 
 
 @click.group(cls=Commands, context_settings=SETTINGS)
@@ -52,7 +45,7 @@ def proofs() -> None:
 @click.option("--cases", "count", type=COUNT, metavar="N", help="Number of cases of each level given without one.")
 @options.seed(REPORTED_SEED)
 @click.option("--quick", is_flag=True, help="Run 81 cases of shorter drives.")
-@click.option("--first", type=COUNT, metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
+@first_option
 @click.option(
     "--earlier", type=options.FOLDER, metavar="CHECKOUT", help="Have an earlier version of this tool diagnose the same cases."
 )
@@ -63,7 +56,7 @@ def proofs() -> None:
     help="Folder with bmw_i3 or ztbus: some vehicles drive with the speeds recorded there.",
 )
 @click.option("--fresh", is_flag=True, help="Start over instead of continuing with the results in the folder.")
-@click.option("-o", "--output", type=options.FOLDER, metavar="DIR", help="Folder for all results.")
+@into_folder
 @options.json
 def own_command(
     levels: tuple[str, ...],
@@ -74,7 +67,7 @@ def own_command(
     earlier: Path | None,
     profiles: Path | None,
     fresh: bool,
-    output: Path | None,
+    output: Path,
     as_json: bool,
 ) -> None:
     """Count right, wrong and rightly empty diagnoses on simulated drives.
@@ -88,44 +81,37 @@ def own_command(
     the last opens the labels and counts. An interrupted run continues where it stopped.
     """
     needs("python -m proofs own", *EXTRA, "sklearn", "pysindy")
+    from proofs.pipeline import prove
     from proofs.sealed.cases import LEVELS, QUICK
-    from proofs.sealed.profiles import profile_files
+    from proofs.sealed.drives import profile_files
 
     if profiles is not None:
         profile_files(profiles)
-    if output is None:
-        raise InputError("-o", "no folder", "a folder for cases, results and scores")
-    of = QUICK if quick else LEVELS
-    counts = dict(_kind_and_count("--level", level, of, count) for level in (levels or of))
-    output_folder(output)
-    minutes = QUICK_MINUTES if quick else MINUTES
-    drawn_by = [str(seed), f"{minutes:g}", *(f"{level}={n}" for level, n in counts.items())]
-    drawn_by += [f"profiles={profiles.resolve()}"] if profiles else []
-    settings = " ".join(drawn_by)
-    settings_file = output / "asked.txt"
-    if not settings_file.exists() and any((output / name).exists() for name in FOLDERS):
-        raise InputError("-o", str(output), f"its own folder; this one has {', '.join(FOLDERS)} that belong to no proof")
-    if settings_file.exists() and (fresh or settings_file.read_text(encoding="utf-8") != settings):
-        import shutil
-
-        for name in FOLDERS:
-            shutil.rmtree(output / name, ignore_errors=True)
-    settings_file.write_text(settings, encoding="utf-8")
-    cases, so_many = output / "cases", () if first is None else (first,)
-    steps: list[Step] = [("sealed.generate.main", output, *drawn_by), ("sealed.blind.main", cases, output / "results", *so_many)]
-    if earlier is not None:
-        steps.append(("sealed.earlier.main", cases, output / "results_earlier", earlier, *so_many))
-    steps.append(("sealed.follow.main", output, f"{minutes:g}", QUICK_FOLLOWED if quick else FOLLOWED, *so_many))
-    steps.append(("sealed.blind.main", output / "next", output / "results_next"))
-    _score(output, as_json, *steps, ("sealed.score.main", output, *so_many))
+    numbers = QUICK if quick else LEVELS
+    settings = {
+        "seed": seed,
+        "minutes": QUICK_MINUTES if quick else MINUTES,
+        "counts": _counts("--level", levels, numbers, count),
+        "profiles": profiles and str(profiles.resolve()),
+        "followed": QUICK_FOLLOWED if quick else FOLLOWED,
+    }
+    cases, following = output / "cases", ("pipeline.answer", DIAGNOSIS, output / "next", output / "results_next")
+    diagnosis = "pipeline.answer", DIAGNOSIS, cases, output / "results", first
+    by_earlier = [("sealed.own.earlier", cases, output / "results_earlier", earlier, first)] if earlier else []
+    steps = diagnosis, *by_earlier, ("sealed.own.follow", output, first), following
+    prove("own", output, settings, *steps, first=first, fresh=fresh, as_json=as_json)
 
 
-def _kind_and_count(option: str, given: str, of: Mapping[str, int], count: int | None) -> tuple[str, int]:
-    """A kind of cases and their number: the one given with it, else that of `--cases`, else that of a whole run."""
-    kind, equals, number = given.partition("=")
-    if kind not in of or (equals and not (number.isdecimal() and int(number))):
-        raise InputError(option, given, f"{', '.join(of)}, or one of them with a number of cases, as {list(of)[-1]}=18")
-    return kind, int(number) if equals else count or of[kind]
+def _counts(option: str, words: Iterable[str], numbers: Mapping[str, int], count: int | None) -> dict[str, int]:
+    """Number of cases of each kind: the one in its word, else that of `--cases`, else that of a whole run."""
+    counts = {}
+    for word in words or numbers:
+        kind, equals, number = word.partition("=")
+        if kind not in numbers or (equals and not (number.isdecimal() and int(number))):
+            allowed = f"{', '.join(numbers)}, or one of them with a number of cases, as {list(numbers)[-1]}=18"
+            raise InputError(option, word, allowed)
+        counts[kind] = int(number) if equals else count or numbers[kind]
+    return counts
 
 
 def _print(path: Path, text: str, as_json: bool) -> None:
@@ -133,60 +119,9 @@ def _print(path: Path, text: str, as_json: bool) -> None:
     emit({"written": str(path), "text": text}, as_json, lambda: text)
 
 
-def _settle(output: Path, settings: str, allowed: str, used: Iterable[str] = ()) -> None:
-    """Make the folder of a run, and note its settings; refuse a folder with results of others."""
-    output_folder(output)
-    asked = output / "asked.txt"
-    others = any((output / name).exists() for name in used) if used else any(output.iterdir())
-    same = asked.read_text(encoding="utf-8") == settings if asked.exists() else not others
-    if not same:
-        raise InputError("-o", str(output), allowed)
-    asked.write_text(settings, encoding="utf-8")
-
-
-def _score(output: Path, as_json: bool, *steps: Step) -> None:
-    """Run some steps, the last of which writes the scores; print these with `--json`."""
-    for step in steps:
-        _process(as_json, step)
-    if as_json:
-        click.echo((output / "scores.json").read_text(encoding="utf-8"))
-
-
-def _process(as_json: bool, step: Step) -> None:
-    """Run a step in a process of its own."""
-    # Every core works on a case of its own: threads within a case would only compete for cores.
-    alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    name, *words = map(str, step)
-    started = python("proofs.processes", name, *words, **alone)
-    _run(name.split(".")[-2], **started, stdout=sys.stderr if as_json else None)
-
-
-def _run(name: str, **how: Any) -> None:
-    """Run a process that ends with this one, and all that it starts too.
-
-    `name`: for messages; `how`: for `subprocess.Popen`.
-    """
-    import signal
-    import subprocess
-
-    running = subprocess.Popen(**how, process_group=0)
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    try:
-        code = running.wait()
-    except BaseException:
-        with suppress(ProcessLookupError):
-            os.killpg(running.pid, signal.SIGTERM)
-        running.wait()
-        raise
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    if code:
-        raise click.ClickException(f"{name} ended with exit code {code}; finished results are kept")
-
-
 @proofs.command("second")
 @click.argument("cases", type=options.FOLDER)
-@click.option("--first", type=COUNT, metavar="N", help="Diagnose and score only N of the cases.")
+@first_option
 @into_folder
 @options.json
 def second_command(cases: Path, first: int | None, output: Path, as_json: bool) -> None:
@@ -196,20 +131,19 @@ def second_command(cases: Path, first: int | None, output: Path, as_json: bool) 
     diagnosis runs in a process that sees only the recordings. An interrupted run continues where it stopped.
     """
     needs("python -m proofs second", *EXTRA, "sklearn", "pysindy")
+    from proofs.pipeline import prove
     from proofs.sealed.second import read_labels
 
     read_labels(cases)
-    _settle(output, f"second {cases.resolve()}", "an empty folder, or one of a run with the same cases")
-    so_many = () if first is None else (first,)
-    blind = ("sealed.blind.main", cases / "cases", output / "results", *so_many)
-    _score(output, as_json, blind, ("sealed.second.main", cases, output, *so_many))
+    diagnosis = "pipeline.answer", DIAGNOSIS, cases / "cases", output / "results", first
+    prove("second", output, {"source": str(cases.resolve())}, diagnosis, first=first, as_json=as_json)
 
 
 @proofs.command("groomer")
 @click.option("--hide", "kinds", multiple=True, metavar="KIND[=N]", help="Only N cases of this kind; may be repeated.")
 @click.option("--cases", "count", type=COUNT, default=GROOMERS, metavar="N", help="Cases of each kind given without a number.")
 @options.seed(REPORTED_SEED)
-@click.option("--first", type=COUNT, metavar="N", help="Diagnose and score only N of the cases.")
+@first_option
 @into_folder
 @options.json
 def groomer_command(kinds: tuple[str, ...], count: int, seed: int, first: int | None, output: Path, as_json: bool) -> None:
@@ -226,15 +160,12 @@ def groomer_command(kinds: tuple[str, ...], count: int, seed: int, first: int | 
     labels and counts. An interrupted run continues where it stopped.
     """
     needs("python -m proofs groomer", *EXTRA, "sklearn", "pysindy")
-    from proofs.sealed.groomer_cases import KINDS
+    from proofs.pipeline import prove
+    from proofs.sealed.groomer import KINDS
 
-    counts = [_kind_and_count("--hide", kind, dict.fromkeys(KINDS, count), None) for kind in (kinds or KINDS)]
-    drawn_by = [str(seed), *(f"{kind}={n}" for kind, n in dict(counts).items())]
-    _settle(output, f"groomer {' '.join(drawn_by)}", SAME_OPTIONS)
-    so_many = () if first is None else (first,)
-    blind = ("sealed.blind.main", output / "cases", output / "results", *so_many)
-    generate = ("sealed.groomer_cases.main", output, *drawn_by)
-    _score(output, as_json, generate, blind, ("sealed.second.main", output, output, *so_many))
+    settings = {"seed": seed, "counts": _counts("--hide", kinds, dict.fromkeys(KINDS, count), None)}
+    diagnosis = "pipeline.answer", DIAGNOSIS, output / "cases", output / "results", first
+    prove("groomer", output, settings, diagnosis, first=first, as_json=as_json)
 
 
 @proofs.command("real")
@@ -246,9 +177,8 @@ def groomer_command(kinds: tuple[str, ...], count: int, seed: int, first: int | 
 def real_command(data: Path, output: Path, as_json: bool) -> None:
     """Diagnose public recordings of real vehicles, with a measured channel concealed."""
     needs("python -m proofs real", *EXTRA)
-    from proofs.field.bus import try_bus
     from proofs.field.page import write_page
-    from proofs.field.run import try_all
+    from proofs.field.trials import try_all, try_bus
 
     output_folder(output)
     tried = try_all(data, output), try_bus(data)
@@ -262,7 +192,7 @@ def real_command(data: Path, output: Path, as_json: bool) -> None:
 @options.seed(REPORTED_SEED)
 @click.option("--vehicles", type=click.IntRange(0, 10_000), default=60, help="Number of vehicles with wrong files.")
 @hostile_option
-@click.option("--first", type=COUNT, metavar="N", help="Only N of the sealed vehicles, by drawn names.")
+@first_option
 @click.option("--hours", type=options.Number(0.0, 1e6), default=200.0, help="Hours of an ageing run; 0: none.")
 @into_folder
 @options.json
@@ -275,11 +205,11 @@ def learning_command(
     A folder serves one seed and one number of cases; an interrupted run continues where it stopped.
     """
     needs("python -m proofs learning", *EXTRA)
-    allowed = "a folder of its own for each seed and number of cases"
-    _settle(output, f"learning {seed} {vehicles} {hostile}", allowed, FOLDERS)
-    so_many = () if first is None else (first,)
-    generate = ("learned.generate.main", output, seed, f"{MINUTES:g}", vehicles, hostile, *so_many)
-    _score(output, as_json, generate, ("learned.blind.main", output, *so_many), ("learned.score.main", output, f"{hours:g}"))
+    from proofs.pipeline import prove
+
+    settings = {"seed": seed, "minutes": MINUTES, "vehicles": vehicles, "hostile": hostile}
+    learning = "pipeline.answer", "learning.learn_and_fit", output / "cases", output / "results", first
+    prove("learning", output, settings, learning, ("learning.grow_old", output, hours), first=first, as_json=as_json)
 
 
 @proofs.command("delay")
@@ -297,9 +227,10 @@ def delay_command(seed: int, vehicles: int, hostile: int, minutes: float, output
     One process draws, seals and records; a second learns from the recordings alone; the last opens the seal and compares.
     """
     needs("python -m proofs delay", *EXTRA)
-    _settle(output, f"delay {seed} {vehicles} {hostile} {minutes:g}", SAME_OPTIONS)
-    generate = ("learned.delay.generate", output, seed, f"{minutes:g}", vehicles, hostile)
-    _score(output, as_json, generate, ("learned.delay.find", output), ("learned.delay.score", output))
+    from proofs.pipeline import prove
+
+    settings = {"seed": seed, "minutes": minutes, "vehicles": vehicles, "hostile": hostile}
+    prove("delay", output, settings, ("pipeline.answer", "delay.learn", output / "cases", output / "results"), as_json=as_json)
 
 
 @proofs.command("paper")
@@ -308,10 +239,10 @@ def delay_command(seed: int, vehicles: int, hostile: int, minutes: float, output
 def paper_command(output: Path, as_json: bool) -> None:
     """Diagnose the paper's own test: circular laps on a tilted site, with torque computed from the engine torque."""
     needs("python -m proofs paper", *EXTRA)
-    from proofs.paper import diagnose_all, page
+    from proofs.unsealed import diagnose_all, paper_page
 
     output_folder(output)
-    text = page(diagnose_all(output))
+    text = paper_page(diagnose_all(output))
     write(output / "paper-test.md", text.encode())
     _print(output / "paper-test.md", text, as_json)
 
@@ -322,13 +253,13 @@ def paper_command(output: Path, as_json: bool) -> None:
 def loop_command(output: Path, as_json: bool) -> None:
     """Compare the feed-forward before and after a diagnosis, on an unused drive."""
     needs("python -m proofs loop", *EXTRA)
-    from proofs.closed_loop import close_loop, draw, page
+    from proofs.unsealed import close_loop, draw_loop, loop_page
 
     output_folder(output)
     loop = close_loop(output)
     with file_set():
-        draw(loop, output / "loop.png")
-        text = page(loop, "loop.png")
+        draw_loop(loop, output / "loop.png")
+        text = loop_page(loop, "loop.png")
         write(output / "loop.md", text.encode())
     _print(output / "loop.md", text, as_json)
 
@@ -347,14 +278,10 @@ def fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: 
     One process draws, seals and records; trackres fleet sees recordings and fleet.yaml; the last opens the seal and counts.
     """
     needs("python -m proofs fleet", "fleet", "distributed", "pyarrow", "fsspec", "jinja2")
-    drawn_by = (seed, vehicles, days, f"{every:g}", f"{minutes:g}")
-    _settle(output, f"fleet {' '.join(map(str, drawn_by))}", SAME_OPTIONS)
-    _process(as_json, ("fleet.prove.generate", output, *drawn_by))
-    words = ["fleet", output / "fleet" / "recordings", "--vehicles", output / "fleet" / "fleet.yaml"]
-    words += ["--period", "none", "-o", output / "results", "--json"]
-    with (output / "found.json").open("w", encoding="utf-8") as into:
-        _run("trackres fleet", **python("trackres_ros", *words), stdout=into)
-    _score(output, as_json, ("fleet.prove.score", output))
+    from proofs.pipeline import prove
+
+    settings = {"seed": seed, "vehicles": vehicles, "days": days, "every": every, "minutes": minutes}
+    prove("fleet", output, settings, ("fleet.analyse", output), as_json=as_json)
 
 
 @proofs.command("reproduce")

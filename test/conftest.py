@@ -182,7 +182,7 @@ def refused():
 
 def _trackres(*words, cwd=None):
     """The command line of the package, or of `python -m proofs` where `proofs` is the first word."""
-    from trackres_ros.cli.main import cli, main
+    from trackres_ros.tasks.main import cli, main
 
     commands, program = cli, "trackres"
     if words[:1] == ("proofs",):

@@ -103,14 +103,12 @@ def test_an_effect_is_one_file(steps, package, tmp_path, good):
 
 
 def test_a_command_is_one_file_and_its_entry(steps, package, tmp_path):
-    (package / "trackres_ros" / "cli" / "stops.py").write_text(steps["A command"][0])
-    main = package / "trackres_ros" / "cli" / "main.py"
-    before, commands = "from trackres_ros.errors import one_line\n", "for command in (\n"
-    text = main.read_text()
-    assert before in text
+    code, line = steps["A command"]
+    (package / "trackres_ros" / "tasks" / "stops.py").write_text(code)
+    main = package / "trackres_ros" / "tasks" / "main.py"
+    text, commands = main.read_text(), "COMMANDS = {\n"
     assert commands in text
-    text = text.replace(before, f"from trackres_ros.cli.stops import stops_command\n{before}")
-    main.write_text(text.replace(commands, f"{commands}    stops_command,\n"))
+    main.write_text(text.replace(commands, f"{commands}{line}"))
     (tmp_path / "drive.csv").write_text("time_s,speed_mps\n0,1\n1,0\n2,2\n3,0\n")
     run = ("-m", "trackres_ros", "stops", "drive.csv")
     assert in_a_process([package], *run, cwd=tmp_path) == "The vehicle stops 2 times."

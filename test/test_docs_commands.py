@@ -25,10 +25,10 @@ from interrupted import interrupted
 
 import trackres_ros as tr
 from proofs.commands import proofs
-from trackres_ros.cli.main import cli
 from trackres_ros.files.resources import config_dir
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tasks.main import cli
 from trackres_ros.tools.fleet.dataset import FleetDataset
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,14 +45,9 @@ PROGRAMS = {"trackres": cli, "proofs": proofs}
 BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
 RUN_ELSEWHERE = ("export", "first-controller", "first-designer", "first-tester", "own-effect")
 LONGEST_S = 0.15
-IMPORTED = (
-    "tools.design.compare",
-    "tools.coastdown.fitted",
-    "diagnosis.pipeline",
-    "tools.fleet.run",
-    "output.plots",
-    "results.replay",
-)
+TOOLS = "design.compare", "coastdown.fitted", "fleet.run"
+TASKS = "diagnose", "replay", "simulate", "vehicle"
+IMPORTED = "diagnosis.pipeline", "output.plots", *(f"tools.{name}" for name in TOOLS), *(f"tasks.{name}" for name in TASKS)
 ELSEWHERE = ("://", "CHECKOUT", "DATA", "CASES")
 """What only another machine or an earlier version has."""
 

@@ -32,7 +32,7 @@ def room_of(module: str) -> str:
     """The room a module lies in; `front` is the front door itself."""
     parts = module.split(".")
     if parts[0] in ("", "__main__"):
-        return "front" if parts[0] == "" else "cli"
+        return "front" if parts[0] == "" else "tasks"
     if parts[0] in DIVIDED and len(parts) > 2:
         return ".".join(parts[:2])
     return parts[0]

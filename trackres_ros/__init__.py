@@ -22,22 +22,19 @@ from trackres_ros.version import __version__
 TYPE_CHECKING = False  # as in typing, which takes longer to import than all else here
 if TYPE_CHECKING:
     from trackres_ros import effects
-    from trackres_ros.api.diagnosing import diagnose
-    from trackres_ros.api.recordings import read, record_sample, recover
-    from trackres_ros.api.replaying import replay
-    from trackres_ros.api.simulating import explain, simulate
-    from trackres_ros.api.vehicles import check_vehicle, load_vehicle
     from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.errors import InputError, MissingExtraError
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.offline.sample import Sample
     from trackres_ros.recording.recording import Recording
     from trackres_ros.recording.unfinished import Recovered
-    from trackres_ros.results.diagnosis import DiagnosisResult
-    from trackres_ros.results.operating_point import OperatingPoint
-    from trackres_ros.results.replay import ReplayResult
-    from trackres_ros.results.simulation import SimulationResult
-    from trackres_ros.results.vehicle_check import VehicleCheck
+    from trackres_ros.tasks.arguments import load_vehicle
+    from trackres_ros.tasks.diagnose import DiagnosisResult, diagnose
+    from trackres_ros.tasks.explain import OperatingPoint, explain
+    from trackres_ros.tasks.record_sample import Sample, record_sample
+    from trackres_ros.tasks.recordings import read, recover
+    from trackres_ros.tasks.replay import ReplayResult, replay
+    from trackres_ros.tasks.simulate import SimulationResult, simulate
+    from trackres_ros.tasks.vehicle import VehicleCheck, check_vehicle
     from trackres_ros.tools.coastdown.result import CoastdownResult
     from trackres_ros.tools.coastdown.task import coastdown
     from trackres_ros.vehicle import Vehicle
@@ -72,32 +69,24 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CoastdownResult": "tools.coastdown.result",
-    "DiagnosisResult": "results.diagnosis",
-    "Estimator": "estimator.estimator",
-    "InputError": "errors",
-    "MissingExtraError": "errors",
-    "OperatingPoint": "results.operating_point",
-    "OwnModel": "diagnosis.base.own",
-    "Recording": "recording.recording",
-    "Recovered": "recording.unfinished",
-    "ReplayResult": "results.replay",
-    "Sample": "offline.sample",
-    "SimulationResult": "results.simulation",
-    "Vehicle": "vehicle",
-    "VehicleCheck": "results.vehicle_check",
-    "check_vehicle": "api.vehicles",
-    "coastdown": "tools.coastdown.task",
-    "diagnose": "api.diagnosing",
-    "explain": "api.simulating",
-    "load_vehicle": "api.vehicles",
-    "read": "api.recordings",
-    "record_sample": "api.recordings",
-    "recover": "api.recordings",
-    "replay": "api.replaying",
-    "simulate": "api.simulating",
+    "diagnosis.base.own": ("OwnModel",),
+    "errors": ("InputError", "MissingExtraError"),
+    "estimator.estimator": ("Estimator",),
+    "recording.recording": ("Recording",),
+    "recording.unfinished": ("Recovered",),
+    "tasks.arguments": ("load_vehicle",),
+    "tasks.diagnose": ("DiagnosisResult", "diagnose"),
+    "tasks.explain": ("OperatingPoint", "explain"),
+    "tasks.record_sample": ("Sample", "record_sample"),
+    "tasks.recordings": ("read", "recover"),
+    "tasks.replay": ("ReplayResult", "replay"),
+    "tasks.simulate": ("SimulationResult", "simulate"),
+    "tasks.vehicle": ("VehicleCheck", "check_vehicle"),
+    "tools.coastdown.result": ("CoastdownResult",),
+    "tools.coastdown.task": ("coastdown",),
+    "vehicle": ("Vehicle",),
 }
-"""The module where a name is at home; `effects` is a package itself."""
+"""The names at home in each module; `effects` is a package itself."""
 
 
 def _read_only(content: dict[object, object]) -> MappingProxyType[object, object]:
@@ -113,7 +102,8 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "effects":
         return import_module("trackres_ros.effects")
-    value: object = getattr(import_module(f"trackres_ros.{_HOMES[name]}"), name)
+    home = next(module for module, names in _HOMES.items() if name in names)
+    value: object = getattr(import_module(f"trackres_ros.{home}"), name)
     globals()[name] = value
     return value
 

@@ -19,19 +19,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from proofs.field import bus
-from proofs.field.data import Array, car, robot, trips
-from proofs.processes import run_command
-from trackres_ros.estimator.estimate import Steps
+from proofs.field.trials import BUS, BUS_TOPICS, car, missions, robot, trips
+from proofs.pipeline import run_command
+from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.estimator.records import Steps
+from trackres_ros.estimator.settings import settings_for
 from trackres_ros.learning.learner import Learner
 from trackres_ros.node.parameters import make_parameters
-from trackres_ros.offline.replay import replay
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.text.numbers import figures
+from trackres_ros.tasks.replay_run import replay
+from trackres_ros.text import figures
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, load_any
 from trackres_ros.vehicle.surroundings import with_surroundings
@@ -64,9 +64,9 @@ class LiveError:
 
 def all_drives(data: Path, folder: Path) -> Iterator[Drives]:
     """Of the bus, the car and a robot, as far as their recordings are there; tables go to `folder`."""
-    for mission in bus.missions(data):
+    for mission in missions(data):
         first, rest = parted(gzip.decompress(mission.read_bytes()).decode(), folder, "mission")
-        yield Drives("the trolley bus, one mission", bus.VEHICLE, bus.TOPICS, (first,), (rest,))
+        yield Drives("the trolley bus, one mission", BUS, BUS_TOPICS, (first,), (rest,))
     if (data / "bmw_i3" / "trips.csv").is_file():
         winter = [car(data, name, folder) for name in trips(data) if name.startswith("TripB")]
         yield Drives("the car, winter trips in turn", "bmw_i3", "default", tuple(winter[::2]), tuple(winter[1::2]))
@@ -180,15 +180,15 @@ def of_car(data: Path, folder: Path) -> Iterator[Taught]:
 
 def of_bus(data: Path, folder: Path) -> Iterator[Taught]:
     """Either half of a mission teaches, the other is looked at."""
-    for mission in bus.missions(data):
+    for mission in missions(data):
         files = parted(gzip.decompress(mission.read_bytes()).decode(), folder, "half", 0.5)
         for name, first, other in (("first", files[0], files[1]), ("second", files[1], files[0])):
             what = f"the trolley bus, one mission: the {name} half"
-            yield taught(what, load_any(bus.VEHICLE), bus.TOPICS, [first], [other])
+            yield taught(what, load_any(BUS), BUS_TOPICS, [first], [other])
             report = folder / name
-            run_command("diagnose", first, "--vehicle", bus.VEHICLE, "--topics", bus.TOPICS, "-o", report)
+            run_command("diagnose", first, "--vehicle", BUS, "--topics", BUS_TOPICS, "-o", report)
             vehicle = with_surroundings(load_any(report / "vehicle.yaml"), report / "surroundings.yaml")
-            yield taught(f"{what}, on the road that its diagnosis found", vehicle, bus.TOPICS, [first], [other])
+            yield taught(f"{what}, on the road that its diagnosis found", vehicle, BUS_TOPICS, [first], [other])
 
 
 def taught(what: str, vehicle: AnyVehicle, topics_name: str, first: Sequence[Path], other: Sequence[Path]) -> Taught:

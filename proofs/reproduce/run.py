@@ -11,15 +11,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from proofs.reproduce.ambients import AMBIENTS_DEGC, ambients
-from proofs.reproduce.bench import COMBINATIONS, Bench
-from proofs.reproduce.compound import compound
-from proofs.reproduce.indentation import indentation
-from proofs.reproduce.section import Section
-from proofs.reproduce.spectrum import spectrum
-from proofs.reproduce.speeds import SPEEDS_KMH, speeds
+from proofs.reproduce.bench import COMBINATIONS, Bench, Section
+from proofs.reproduce.strain import compound, indentation, spectrum
+from proofs.reproduce.studies import AMBIENTS_DEGC, SPEEDS_KMH, WEIGHTS_KN, ambients, speeds, weights
 from proofs.reproduce.trials import TRIALS, trials
-from proofs.reproduce.weights import WEIGHTS_KN, weights
 from trackres_ros.errors import InputError
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.own_files import write

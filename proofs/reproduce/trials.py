@@ -14,20 +14,25 @@ from pathlib import Path
 
 import numpy as np
 
-from proofs.reproduce.bench import COMBINATIONS, Array, Bench, Runs, Series, at_times
-from proofs.reproduce.section import (
+from proofs.reproduce.bench import (
+    COMBINATIONS,
     HOLDS,
     IN_PART,
     OPEN,
+    Bench,
     Claim,
     Figure,
+    Runs,
     Section,
+    Series,
     Table,
+    at_times,
     percent,
     percents,
     write_csv,
 )
-from trackres_ros.offline.simulate import SimulatedDrive, laps, simulate, through_points
+from trackres_ros.arrays import Array
+from trackres_ros.estimator.drives import SimulatedDrive, laps, simulate, through_points
 from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import KMH_PER_MPS

@@ -1,18 +1,24 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Draws the concealed physics of each case: levels, sizes, builds of the vehicle, all from one seed."""
+"""Draws the concealed physics of each case: levels, sizes, builds of the vehicle, all from one seed.
+
+A hidden program is scaled to the drawn detectability, within physical limits.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from proofs.sealed.programs import PROGRAM, TURNS, draw_program
-from proofs.sealed.sensors import Sensors, drawn_sensors
+from proofs.sealed.drives import SealedDrive
+from proofs.sealed.phenomena import ENTRIES, PROGRAM, TURNS, draw_program
+from proofs.sealed.truth import Build, Sensors, drawn_sensors, simulate_truth
+from trackres_ros.arrays import Array
 
 Values = dict[str, float]
 Draw = Callable[[np.random.Generator, float], Values]
@@ -46,7 +52,7 @@ class Case:
     belt_measured: bool
     seed: int  # of drives and sensors
     source: str = "course"  # of its drives, of `SOURCES`; a dull case and a case in a town have their own
-    program: dict[str, Any] = field(default_factory=dict)  # see `programs.Program.description`; empty without
+    program: dict[str, Any] = field(default_factory=dict)  # see `phenomena.Program.description`; empty without
 
     @property
     def title(self) -> str:
@@ -120,11 +126,11 @@ STREET: dict[str, Draw] = {
     "stretch_load": lambda g, _s: {"share": g.uniform(0.1, 0.2), "bulk": float(g.random() < 0.5), "seed": _seed(g)},
     "street_ground": lambda g, _s: {"torque": g.uniform(300.0, 900.0), "seed": _seed(g)},
 }  # fmt: skip
-"""Hidden physics in a town, drawn as often as none; the functions are in `street`."""
+"""Hidden physics in a town, drawn as often as none; the functions are in `phenomena`."""
 
 
 RIGHT_FORMS = {"street_slope": "place", "stretch_load": "payload", "street_ground": "place"}
-"""Of each phenomenon of a town the form that describes it. For a program the hidden torque decides, see `statements`."""
+"""Of each phenomenon of a town the form that describes it. For a program the hidden torque decides, see `own.is_true`."""
 RIGHT_NAMES: dict[str, tuple[str, ...]] = {"street_slope": ("grade",)}
 """Equivalent names of a right form: a slope by place is a grade."""
 
@@ -135,11 +141,6 @@ def draw_cases(counts: Mapping[str, int], seed: int, sources: Sequence[str] = SO
     cases = [_case(level, i, rng, sources) for level, count in counts.items() for i in range(count)]
     rng.shuffle(cases)
     return cases
-
-
-def first_by_name(cases: Sequence[Case], first: int | None) -> list[Case]:
-    """So many cases in the order of their random names; all without a number."""
-    return sorted(cases, key=lambda case: case.name)[:first]
 
 
 def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) -> Case:
@@ -235,3 +236,50 @@ def streets_of(case: Case) -> TownDrives:
     if kind == 1:
         return TownDrives(steepest, LOADS, None, True)
     return TownDrives(steepest, (1.0, 1.0, 1.0), {key: float(x) for key, x in load.items()}, True)
+
+
+ROAD_NM, ROAD_S, WHITE_NM = 50.0, 6.0, 15.0  # a torque's noise over a second: a road that no one measured, and white
+CHANGE = 0.03  # of each value of the build, to find the part absorbed by a re-fit
+ROUNDS, TRIES, TRIES_OF_KIND = 3, 20, 5
+LEAST = 20.0  # of d'
+
+
+def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
+    """The case with the size of its program and its detectability; an undetectable program is replaced by another, if possible
+    of its kind.
+    """
+    if PROGRAM not in case.hidden:
+        return case
+    build, wanted = Build(**case.build), case.hidden[PROGRAM]["d_prime"]
+    plain = whitened([run.shown for run in simulate_truth(sheet, build, {}, drives)], drives)
+    others = [replace(build, **{name: (1.0 + CHANGE) * value}) for name, value in case.build.items()]
+    base = [whitened([run.shown for run in simulate_truth(sheet, other, {}, drives)], drives) - plain for other in others]
+    taken = np.linalg.qr(np.column_stack([*base, plain]))[0]
+
+    def seen(seed: float, size: float) -> float:
+        runs = simulate_truth(sheet, build, {PROGRAM: {"seed": seed, "size": size}}, drives)
+        added = whitened([run.added[PROGRAM] for run in runs], drives)
+        return float(np.linalg.norm(added - taken @ (taken.T @ added)))
+
+    # Drives without a long stop show no parking brake, whatever its size: then the next kind has its turn.
+    others_of_kind = len(TURNS) * np.arange(TRIES_OF_KIND)
+    for seed in case.hidden[PROGRAM]["seed"] + np.append(others_of_kind, np.arange(1, TRIES)):
+        program, size = draw_program(int(seed)), 1.0
+        for _ in range(ROUNDS):
+            most = ENTRIES[program.entry].largest
+            size = float(np.clip(size * wanted / max(seen(float(seed), size), 1e-6), 1e-3, most))
+        d_prime = seen(float(seed), size)
+        if d_prime >= LEAST:
+            break
+    hidden = {PROGRAM: {"seed": float(seed), "size": size, "d_prime": d_prime}}
+    return replace(case, hidden=hidden, program=program.description)
+
+
+def whitened(series: Sequence[Array], drives: Sequence[SealedDrive]) -> Array:
+    """Torques over seconds, over the noise in them that cannot be known from the second before."""
+    keep, parts = np.exp(-1.0 / ROAD_S), list[Array]()
+    for torque, one in zip(series, drives, strict=True):
+        n = round(1.0 / one.step)
+        second = torque[: len(torque) // n * n].reshape(-1, n).mean(axis=1)
+        parts.append(second - keep * np.append(0.0, second[:-1]))
+    return np.asarray(np.concatenate(parts) / np.hypot(ROAD_NM * np.sqrt(1.0 - keep**2), WHITE_NM * np.sqrt(1.0 + keep**2)))

@@ -8,14 +8,20 @@ Its physics shares no code with the other truths, which it shares the drivers wi
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
-from proofs.sealed.drives import Array, SealedDrive, drive, trapezoids
-from proofs.sealed.phenomenon import CREEP_MPS
+from proofs.sealed.cases import whitened
+from proofs.sealed.drives import SealedDrive, drive, trapezoids
+from proofs.sealed.phenomena import CREEP_MPS
+from trackres_ros.arrays import Array
+from trackres_ros.files.documents import read_yaml
+from trackres_ros.files.resources import config_dir
 
 MINUTES, FASTEST_MPS = 25.0, 6.0
 RATIO, RADIUS_M = 38.0, 0.38  # of the gearbox; of the sprockets
@@ -55,6 +61,7 @@ class Groomer:
     gear: float  # efficiency from the motor, where the torque is measured, to the sprockets
     masses: tuple[float, ...]  # of each drive [t]
     seed: int
+    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +138,74 @@ def write_table(path: Path, snow: Snow, mass: float, rng: np.random.Generator) -
         noisy(one.ambient, AIR_NOISE_K),
     )  # fmt: skip
     rows = (";".join(f"{x:.1f}" for x in row).replace(".", ",") for row in np.column_stack(columns))
-    part = path.with_suffix(".part")
-    part.write_text("\n".join((HEADS, *rows)) + "\n", encoding="latin-1")
-    part.rename(path)
+    path.write_text("\n".join((HEADS, *rows)) + "\n", encoding="latin-1")
+
+
+VEHICLE = Path(__file__).with_name("groomer.yaml")
+NONE, GEARBOX = "none", "drivetrain_efficiency"
+KINDS = (NONE, *HIDDEN)
+SIZES_NM, AT_DEGC, GEARS, DRIVES = (250.0, 500.0), (-8.0, -2.0), (0.90, 0.97), (3, 5)
+DIRECT_SHARE = 0.2  # of the cases: the torque is measured behind the gearbox
+LIGHT_DRIVES_T, HEAVY_DRIVES_T = (8.8, 9.5), (9.8, 10.4)
+ABSOLUTE = 0.7979  # mean of the absolute value of a normal variable, over its standard deviation
+
+
+def draw_groomers(counts: Mapping[str, int], seed: int) -> list[Groomer]:
+    """Groomers with so many cases of each kind, and names that say nothing; each has light and heavy drives."""
+    rng = np.random.default_rng(seed)
+    drawn = [_drawn(kind, rng) for kind, count in counts.items() for _ in range(count)]
+    numbers = np.random.default_rng([seed, *b"names"]).permutation(len(drawn))
+    return [replace(g, name=f"case{number:03d}") for number, g in zip(numbers.tolist(), drawn, strict=True)]
+
+
+def _drawn(kind: str, rng: np.random.Generator) -> Groomer:
+    count = int(rng.integers(DRIVES[0], DRIVES[1] + 1))
+    heavy = int(rng.integers(1, count))
+    masses = [*rng.uniform(*HEAVY_DRIVES_T, heavy), *rng.uniform(*LIGHT_DRIVES_T, count - heavy)]
+    gear = 1.0 if rng.random() < DIRECT_SHARE else float(rng.uniform(*GEARS))
+    shown = tuple(round(float(mass), 1) for mass in rng.permutation(masses))
+    return Groomer(kind, float(rng.uniform(*SIZES_NM)), float(rng.uniform(*AT_DEGC)), gear, shown, int(rng.integers(2**31)))
+
+
+def label(g: Groomer) -> dict[str, Any]:
+    """The label of a groomer's case, as `second` reads it."""
+    effects: list[dict[str, Any]] = []
+    if g.hide != NONE:
+        numbers = {"threshold": g.at, "size_nm": g.size} if g.hide in ("cold", "cool") else {}
+        effects = [{"name": g.hide, "d_prime": detectability(snow_drives(g)), "acceptable": [], **numbers}]
+    one_s = ABSOLUTE * RATIO * MOTOR_NOISE_NM / np.sqrt(10.0)
+    return {
+        "case": g.name, "level": "outside" if effects else NONE, "effects": effects, "identifiable": False, "given": [],
+        "driving": "snow", "tolerated": [] if g.gear == 1.0 else [GEARBOX], "noise_mae": [{"one_s": float(one_s)}],
+        "gear": g.gear, "masses": g.masses,
+    }  # fmt: skip
+
+
+def detectability(drives: list[Snow]) -> float:
+    """Detectability d' of the hidden torque after a re-fit: without the part that load, belt
+    temperature, speed and driving torque explain.
+    """
+
+    def white(of: list[Array]) -> Array:
+        return whitened(of, [s.drive for s in drives])
+
+    way = [np.sign(s.drive.speed) for s in drives]
+    weights = [w * s.drive.weight for w, s in zip(way, drives, strict=True)]
+    absorbed = [
+        way, weights, [w * s.belt for w, s in zip(weights, drives, strict=True)],
+        [s.drive.speed**2 for s in drives], [np.abs(s.torque) for s in drives], [s.drive.accel * s.drive.weight for s in drives],
+    ]  # fmt: skip
+    taken, added = np.linalg.qr(np.column_stack([white(of) for of in absorbed]))[0], white([s.hidden for s in drives])
+    return float(np.linalg.norm(added - taken @ (taken.T @ added)))
+
+
+def record_groomer(into: Path, g: Groomer) -> None:
+    """Write the folder of a case: a table of each drive, and the files of vehicle and topics."""
+    into.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng([g.seed, *b"sensors"])
+    for number, (snow, mass) in enumerate(zip(snow_drives(g), g.masses, strict=True), start=1):
+        write_table(into / f"session{number}.csv", snow, mass, rng)
+    content = read_yaml(VEHICLE)
+    content["rubber"]["file"] = str(config_dir() / content["rubber"]["file"])
+    (into / "vehicle.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    (into / "topics.yaml").write_text(TOPICS, encoding="utf-8")

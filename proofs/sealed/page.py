@@ -15,16 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from proofs.processes import write_scores
-from proofs.sealed.answers import BASELINES, DESCRIBED, Answer, error_left
-from proofs.sealed.blind import diagnosed
 from proofs.sealed.cases import NOT_IN_CATALOGUE
-from proofs.sealed.discrepancy import BASE
-from proofs.sealed.scored import NO_WORSE, OURS, Scored, own_shares, shares, sizes, wilson
+from proofs.sealed.diagnosing import BASE, diagnosed
+from proofs.sealed.scoring import (
+    BASELINES,
+    DESCRIBED,
+    NO_WORSE,
+    OURS,
+    Answer,
+    Scored,
+    error_left,
+    own_shares,
+    shares,
+    sizes,
+    wilson,
+)
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.page import glance, write_page
 from trackres_ros.diagnosis.report.pictures import draw_all
-from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.own_files import write
 from trackres_ros.output.style import picture
 
@@ -53,9 +61,10 @@ CONFUSION = "confusion.png"
 UNITLESS = "(median)", "(mean)"  # how the names of scores end that are no shares
 
 
-@file_set()
-def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, drawn: int, cases: Path | None = None) -> None:
-    """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md, and print the last."""
+def scores_and_page(
+    folder: Path, scored: Sequence[Scored], seal: str, seed: int, drawn: int, cases: Path | None = None
+) -> tuple[dict[str, Any], str]:
+    """Content of scores.json and of proof.md; writes cases.csv, confusion.png and a page of one mistake of each kind."""
     kinds = mistakes(scored)
     for kind, of in kinds.items():
         write_case(folder, cases or folder / "cases", of[0], folder / f"{file_name(kind)}.html")
@@ -95,7 +104,7 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
             mistake_table(kinds),
         )
     )
-    write_scores(folder, kept, "proof.md", text + "\n")
+    return kept, text + "\n"
 
 
 def _of(count: int, drawn: int) -> str:

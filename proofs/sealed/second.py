@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scores cases that another simulator made, or the groomer's: a folder with labels.json and cases/NAME/session*.csv.
+"""The proofs on cases that another simulator made, and on the groomer's: labels, and cases/NAME/session*.csv.
 
 The scores have the names and targets of the project's own cases. Scores that need more than the labels (where an effect acts)
 are omitted.
@@ -10,21 +10,33 @@ are omitted.
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from proofs.processes import each, read_json
-from proofs.sealed.answers import ABOUT, BASELINES, CONFIRMED, DESCRIBED, SURE, of_names, of_report, words
+from proofs.pipeline import Proof, each, read_json
 from proofs.sealed.cases import CATALOGUE, Case
-from proofs.sealed.oracle import OracleAnswer, fit_truth
-from proofs.sealed.page import write_all
-from proofs.sealed.scored import OURS, Scored
+from proofs.sealed.groomer import Groomer, draw_groomers, label, record_groomer
+from proofs.sealed.page import scores_and_page
+from proofs.sealed.scoring import (
+    ABOUT,
+    BASELINES,
+    CONFIRMED,
+    DESCRIBED,
+    OURS,
+    SURE,
+    OracleAnswer,
+    Scored,
+    fit_truth,
+    of_names,
+    of_report,
+    words,
+)
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 
@@ -46,13 +58,70 @@ HINGE_K = 10.0  # a drag that grows in the cold has its size so far below its th
 ENDS = 4  # parts of the points of a term: its first and its last are the ends of a switch
 
 
-def main(source: Path, folder: Path, first: int | None = None) -> None:
-    """Score the cases of a source, whose results of `blind` are in folder/results."""
-    labels = read_labels(source)
-    chosen = sorted(labels["cases"], key=lambda label: label["case"])[:first]
-    scored = each(partial(_read_and_scored, source / "cases", folder / "results"), chosen)
-    seal = hashlib.sha256((source / "labels.json").read_bytes()).hexdigest()
-    write_all(folder, scored, seal, labels["seed"], len(labels["cases"]), source / "cases")
+class Label(dict[str, Any]):
+    """What is known of a case."""
+
+    @property
+    def name(self) -> str:
+        """Uninformative."""
+        return str(self["case"])
+
+
+class SecondProof(Proof):
+    """Cases of a folder, whose recordings and labels are not drawn here."""
+
+    @property
+    def case_folder(self) -> Path:
+        """Folder of the recordings."""
+        return Path(self.settings["source"]) / "cases"
+
+    def draw(self) -> list[Groomer]:
+        """None."""
+        return []
+
+    def labels(self, _cases: Sequence[Groomer]) -> str:
+        """The labels of the folder, word for word."""
+        return (Path(self.settings["source"]) / "labels.json").read_bytes().decode()
+
+    def seal(self, labels: str) -> str:
+        """SHA-256 of the file of the labels."""
+        return hashlib.sha256(labels.encode()).hexdigest()
+
+    def cases(self, labels: Mapping[str, Any]) -> list[Label]:
+        """The labels of the cases, which have no parameters of hidden physics."""
+        return sorted(map(Label, labels["cases"]), key=lambda label: label.name)
+
+    def scores(self, cases: Sequence[Label]) -> list[Scored]:
+        """See `Proof`."""
+        return each(self._score, cases)
+
+    def _score(self, label: Label) -> Scored:
+        return scored(self.case_folder, label, self.result(label.name))
+
+    def report(self, scores: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
+        """See `Proof`."""
+        return scores_and_page(self.folder, scores, seal, labels["seed"], len(labels["cases"]), self.case_folder)
+
+
+class GroomerProof(SecondProof):
+    """Cases of `groomer`."""
+
+    @property
+    def case_folder(self) -> Path:
+        """Folder of the recordings."""
+        return self.folder / "cases"
+
+    def draw(self) -> list[Groomer]:
+        """See `Proof`."""
+        return draw_groomers(self.settings["counts"], self.settings["seed"])
+
+    def labels(self, cases: Sequence[Groomer]) -> str:
+        """See `Proof`."""
+        return json.dumps({"seed": self.settings["seed"], "cases": each(label, cases)}, indent=1)
+
+    def record(self, case: Groomer) -> None:
+        """See `Proof`."""
+        record_groomer(self.case_folder / case.name, case)
 
 
 def read_labels(source: Path) -> dict[str, Any]:
@@ -74,11 +143,8 @@ def read_labels(source: Path) -> dict[str, Any]:
     return labels
 
 
-def _read_and_scored(cases: Path, results: Path, label: Mapping[str, Any]) -> Scored:
-    return _scored(cases, label, read_json(results / f"{label['case']}.json"))
-
-
-def _scored(cases: Path, label: Mapping[str, Any], result: Mapping[str, Any]) -> Scored:
+def scored(cases: Path, label: Mapping[str, Any], result: Mapping[str, Any]) -> Scored:
+    """Score the answer to a case by its label."""
     report, effects = result["report"], label["effects"]
     level = {"parameters_off": "none"}.get(label["level"], label["level"])
     names = [e["name"] for e in effects]

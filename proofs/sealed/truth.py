@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simulates a vehicle by a second model, with any phenomena for the diagnosis to find.
+"""Simulates a vehicle by a second model, with any phenomena to be found, and records it as imperfect sensors show it.
 
 Each phenomenon has another form here than in the catalogue of the diagnosis, as in nature.
 """
@@ -15,16 +15,28 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from proofs.native import native
-from proofs.sealed import street
-from proofs.sealed.belt_heat import KELVIN, LAYERS, roll
-from proofs.sealed.belt_loss import LOAD_SHARES, LOG_SPEEDS, BeltLoss, belt_loss
-from proofs.sealed.data_sheet import DataSheet, read_data_sheet
-from proofs.sealed.drives import Array, SealedDrive
-from proofs.sealed.material import BELOW_TG_K, SHIFT_ABOVE_TG_K, Material, fit_material
-from proofs.sealed.phenomenon import Adds, Journey
-from proofs.sealed.programs import PROGRAM, Seen, acting
+from proofs.sealed.belt import (
+    BELOW_TG_K,
+    KELVIN,
+    LAYERS,
+    LOAD_SHARES,
+    LOG_SPEEDS,
+    SHIFT_ABOVE_TG_K,
+    BeltLoss,
+    DataSheet,
+    Material,
+    belt_loss,
+    fit_material,
+    native,
+    read_data_sheet,
+    roll,
+)
+from proofs.sealed.drives import OnStreet, SealedDrive
+from proofs.sealed.phenomena import LOAD, PROGRAM, TOWN_PHENOMENA, Adds, Journey, Seen, acting, loaded
+from trackres_ros.arrays import Array
 
 Hidden = Mapping[str, Mapping[str, float]]
 """Phenomena that are switched on, by the catalogue's names, with the values of their parameters here."""
@@ -52,7 +64,6 @@ class TruthRun:
     torque: Array  # at the sprockets [Nm]
     shown: Array  # at the sensor [Nm]
     belt: Array  # mean temperature [degC]
-    surface: Array  # temperature outside [degC]
     added: dict[str, Array]  # torque of each phenomenon [Nm]; for a program, or with friction brakes: at the sensor
     weight: Array  # including the load [N]
 
@@ -93,23 +104,23 @@ def _without(hidden: Hidden, name: str) -> Hidden:
 
 
 def _with_load(hidden: Hidden, drive: SealedDrive, driven: float) -> SealedDrive:
-    return street.loaded(drive, hidden[street.LOAD], driven) if street.LOAD in hidden else drive
+    return loaded(drive, hidden[LOAD], driven) if LOAD in hidden else drive
 
 
-def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driven: float) -> tuple[Array, Array, Array, Array]:
+def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driven: float) -> tuple[Array, Array, Array]:
     sheet = design.sheet
     drive = _with_load(hidden, drive, driven)
     at = Journey(sheet, drive, driven)
     acts: dict[str, Array] = {}
     if PROGRAM in hidden:  # it follows the torque and the belt as they are without it
-        torque, _, belt, _ = _one(design, build, _without(hidden, PROGRAM), drive, driven)
+        torque, _, belt = _one(design, build, _without(hidden, PROGRAM), drive, driven)
         acts = acting(hidden, Seen(at, belt, torque))
     rub = _run(design, build, hidden, at, np.ones(len(drive)), acts)
     if "tension_torque" in hidden:  # the torque stretches the belt, which changes the torque: once round is near enough
         pull = np.abs(_resistance(sheet, build, hidden, at, rub[0])) / (sheet.assemblies * sheet["track.sprocket_radius"])
         more = np.sqrt(1.0 + 2.0 * hidden["tension_torque"]["share"] * pull / sheet["track.belt.pretension"])
         rub = _run(design, build, hidden, at, more, acts)
-    force, belt, surface = rub
+    force, belt = rub
     torque = _resistance(sheet, build, hidden, at, force)
     torque = torque * (1.0 + acts.get("gain", 0.0)) + acts.get("torque", 0.0) * at.direction
     if "drivetrain_efficiency" in hidden:
@@ -118,13 +129,13 @@ def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driv
         torque = torque + losses * at.direction
     if "drivetrain_drag" in hidden:
         torque = torque + hidden["drivetrain_drag"]["drag"] * (1.0 + 0.01 * at.travel) * at.direction
-    return torque, _sensor(torque, hidden, at) + acts.get("sensor", 0.0), belt, surface
+    return torque, _sensor(torque, hidden, at) + acts.get("sensor", 0.0), belt
 
 
 def _run(
     design: _Design, build: Build, hidden: Hidden, at: Journey, more: Array, acts: Mapping[str, Array]
-) -> tuple[Array, Array, Array]:
-    """Loss per metre of one belt [N], mean and outer temperature [degC]."""
+) -> tuple[Array, Array]:
+    """Loss per metre of one belt [N], and mean temperature [degC]."""
     drive, n, sheet, material = at.drive, len(at.drive), design.sheet, design.material
     belt = _belt(sheet)
     rubber = belt["width"] * belt["thickness"] - belt["cord_section"] + belt["lug_section"]
@@ -134,7 +145,7 @@ def _run(
     )  # fmt: skip
     area = belt["exposed_share"] * 2.0 * (belt["width"] + belt["thickness"]) * belt["loop_length"]
     heights = (np.arange(LAYERS) + 0.5) / LAYERS * belt["thickness"] - belt["cord_height"]
-    force, mean, surface = np.empty(n), np.empty(n), np.empty(n)
+    force, mean = np.empty(n), np.empty(n)
     row = np.interp(at.load, LOAD_SHARES, np.arange(len(LOAD_SHARES)))
     sun = hidden.get("solar", {}).get("flux", 0.0) + acts.get("heat", np.zeros(n))
     ground = hidden.get("ground_conduction", {}).get("conductance", 0.0)
@@ -161,9 +172,8 @@ def _run(
         np.empty(LAYERS),
         force,
         mean,
-        surface,
     )
-    return force, mean, surface
+    return force, mean
 
 
 def _belt(sheet: DataSheet) -> dict[str, float]:
@@ -204,7 +214,7 @@ def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: Journey, for
     weight = drive.weight
     drag = 0.5 * sheet["chassis.air_density"] * build.drag * sheet["chassis.drag_coefficient"] * sheet["chassis.frontal_area"]
     turning = sheet["chassis.rotating_mass_factor"] - 1.0 + hidden.get("rotating_inertia", {}).get("more", 0.0)
-    turns = sheet["weight"] if street.LOAD in hidden else weight  # people and goods do not turn with the wheels
+    turns = sheet["weight"] if LOAD in hidden else weight  # people and goods do not turn with the wheels
     total = radius * (
         sheet.assemblies * force * at.direction
         + build.bearing * sheet["chassis.bearing_friction"] * weight * at.direction
@@ -290,6 +300,153 @@ PHENOMENA: dict[str, Adds] = {
     "vibration": lambda at, p, _: p["torque"] * np.exp(-0.5 * ((at.travel - p["speed"]) / p["width"]) ** 2) * at.direction,
     "warmup": _warmup,
     "lug_friction": _lug_friction,
-    **street.PHENOMENA,
+    **TOWN_PHENOMENA,
 }
 """Additional torques; the others act in the belt, on the drive train or in a sensor."""
+
+
+POSITION = ("latitude_deg", "longitude_deg")
+RESTING_MPS = 1e-3  # a standing encoder gives no counts
+HEAVY_TAILS = 5.0  # degrees of freedom of the torque's white noise
+EARTH_M, LATITUDE_DEG, LONGITUDE_DEG = 6_371_000.0, 48.0, 9.0  # radius, and where the towns are
+SECOND_S, MINUTE_S = 1.0, 60.0  # between positions; correlation length of their error
+# Errors of any instrument, which are no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
+SPEED_STEPS_MPS = (0.02, 0.05)
+MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005
+LOST_S, SEEN_S = (20.0, 60.0), 900.0  # how long narrow streets hide the satellites, and for how long they are seen in the mean
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Quality of the instruments, recorded channels, and roughness of the road."""
+
+    torque_nm: float = 30.0
+    torque_share: float = 0.01  # of the torque
+    torque_step_nm: float = 5.0
+    road: float = 0.0005  # slope that no one measured, standard deviation
+    road_m: float = 30.0  # over which it changes
+    torque_lag_s: float = 0.0  # of first order, as of a filter
+    torque_offset_nm: float = 0.0
+    torque_gain: float = 1.0
+    speed_mps: float = 0.01
+    speed_step_mps: float = 0.02
+    dropouts: float = 0.002  # share of samples, in bursts
+    ambient_off_k: float = 0.0  # of the air's temperature: sun, exhaust
+    belt_measured: bool = True
+    load_measured: bool = True
+    every_s: float = 0.0  # between rows; as often as is simulated where it is less than that
+    position_m: float = 5.0  # standard deviation of the slowly varying error; in towns
+    position_white_m: float = 1.0
+    altitude_m: float = 4.0
+    altitude_white_m: float = 0.5
+
+
+def drawn_sensors(rng: np.random.Generator, belt_measured: bool = False) -> Sensors:
+    """Good instruments, each with a lag, an offset and a gain of its own."""
+    return Sensors(
+        belt_measured=belt_measured,
+        speed_step_mps=float(rng.uniform(*SPEED_STEPS_MPS)),
+        torque_lag_s=float(rng.uniform(0.0, MOST_LAG_S)),
+        torque_offset_nm=float(rng.uniform(-MOST_OFFSET_NM, MOST_OFFSET_NM)),
+        torque_gain=float(1.0 + rng.uniform(-MOST_GAIN, MOST_GAIN)),
+    )
+
+
+def record(
+    path: Path, drive: SealedDrive, truth: TruthRun, sensors: Sensors, radius: float, start_s: float, rng: np.random.Generator
+) -> None:
+    """Write one recording."""
+    n = len(drive)
+    white = rng.standard_t(HEAVY_TAILS, n) * np.sqrt((HEAVY_TAILS - 2.0) / HEAVY_TAILS)
+    torque = truth.shown + road_slopes(drive, sensors, rng) * drive.weight * radius
+    torque = sensors.torque_gain * lagging(torque, sensors.torque_lag_s, drive.step) + sensors.torque_offset_nm
+    torque = torque + white * (sensors.torque_nm + sensors.torque_share * np.abs(truth.shown) + 20.0 * np.abs(drive.accel))
+    torque = np.round(torque / sensors.torque_step_nm) * sensors.torque_step_nm
+    speed = drive.speed + rng.normal(0.0, sensors.speed_mps, n)
+    speed = np.round(speed / sensors.speed_step_mps) * sensors.speed_step_mps
+    speed = np.where(np.abs(drive.speed) < RESTING_MPS, 0.0, speed)
+    columns: dict[str, Array] = {
+        "time_s": np.asarray(start_s + np.arange(n) * drive.step),
+        "speed_mps": speed,
+        "weight_n": drive.weight,
+        "ambient_degc": np.round(drive.ambient + sensors.ambient_off_k, 1),
+        "yaw_rate_radps": drive.yaw_rate + rng.normal(0.0, 0.003, n),
+        "heading_rad": drive.heading,
+        "torque_nm": np.where(_bursts(n, sensors.dropouts, rng), np.nan, torque),
+    }
+    if drive.slope is not None:
+        columns["grade"] = drive.slope
+    if sensors.belt_measured:
+        columns["belt_degc"] = truth.belt + rng.normal(0.0, 0.4, n)
+    if not sensors.load_measured:
+        del columns["weight_n"]
+    if drive.street is not None:
+        del columns["heading_rad"]  # a compass among cars and tracks is useless
+        columns |= _in_town(drive.street, drive.step, sensors, rng)
+    every = max(1, round(sensors.every_s / drive.step))
+    rows = np.column_stack(list(columns.values()))[::every]
+    with path.open("w", encoding="utf-8") as file:
+        file.write(",".join(columns) + "\n")
+        np.savetxt(file, rows, delimiter=",", fmt=["%.8f" if name in POSITION else "%.5f" for name in columns])
+
+
+def _in_town(street: OnStreet, step: float, sensors: Sensors, rng: np.random.Generator) -> dict[str, Array]:
+    """Samples of a satellite receiver, one per second, and of a brake switch."""
+    n, per_sample = len(street.x), round(SECOND_S / step)
+    known = (np.arange(n) % per_sample == 0) & ~street.covered & ~_lost(n, step, rng)
+
+    def shown(series: Array, drift: float, white: float) -> Array:
+        return np.where(known, series + wandering(n, step, drift, rng) + rng.normal(0.0, white, n), np.nan)
+
+    x, y = (shown(series, sensors.position_m, sensors.position_white_m) for series in (street.x, street.y))
+    parallel_m = EARTH_M * np.cos(np.radians(LATITUDE_DEG))
+    return {
+        POSITION[0]: LATITUDE_DEG + np.degrees(y / EARTH_M),
+        POSITION[1]: LONGITUDE_DEG + np.degrees(x / parallel_m),
+        "altitude_m": shown(400.0 + street.height, sensors.altitude_m, sensors.altitude_white_m),
+        "brake_on": (street.brakes > 0.0).astype(float),
+    }
+
+
+def wandering(n: int, step: float, std: float, rng: np.random.Generator) -> Array:
+    """An error that varies within a minute."""
+    keep = np.exp(-step / MINUTE_S)
+    shocks = rng.normal(0.0, std * np.sqrt(1.0 - keep**2), n)
+    return np.asarray(lfilter([1.0], [1.0, -keep], shocks, zi=[keep * rng.normal(0.0, std)])[0])
+
+
+def _lost(n: int, step: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    out, i = np.zeros(n, dtype=bool), int(rng.exponential(SEEN_S) / step)
+    while i < n:
+        held = int(rng.uniform(*LOST_S) / step)
+        out[i : i + held] = True
+        i += held + int(rng.exponential(SEEN_S) / step)
+    return out
+
+
+def lagging(series: Array, seconds: float, step: float) -> Array:
+    """Output of a first-order filter for a piecewise linear series; it starts settled."""
+    if seconds < 1e-3 * step:
+        return series
+    keep = np.exp(-step / seconds)
+    new = 1.0 - seconds / step * (1.0 - keep)  # of the newest sample; the rest is of the one before
+    out, _ = lfilter([new, 1.0 - keep - new], [1.0, -keep], series, zi=[(1.0 - new) * series[0]])
+    return np.asarray(out)
+
+
+def road_slopes(drive: SealedDrive, sensors: Sensors, rng: np.random.Generator) -> Array:
+    """Slope over distance that comes and goes."""
+    keep = np.exp(-np.abs(drive.speed) * drive.step / sensors.road_m)
+    shocks = rng.normal(0.0, 1.0, len(drive)) * np.sqrt(1.0 - keep**2)
+    out, now = np.empty(len(drive)), rng.normal()
+    for i in range(len(drive)):
+        now = keep[i] * now + shocks[i]
+        out[i] = now
+    return sensors.road * out
+
+
+def _bursts(n: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    out = np.zeros(n, dtype=bool)
+    for begin in rng.integers(0, n, rng.poisson(share * n / 10.0)):
+        out[begin : begin + rng.integers(3, 18)] = True
+    return out

@@ -265,7 +265,7 @@ def test_an_environment_it_cannot_start_in_is_said_in_one_line(command, start):
 
 @pytest.mark.parametrize("missing", ["cyclonedds", "rosbags"])
 def test_what_is_not_installed_is_said_with_how_to_install_it(environment, missing):
-    program = f"import sys; sys.modules[{missing!r}] = None; from trackres_ros.cli.main import main; main(sys.argv[1:])"
+    program = f"import sys; sys.modules[{missing!r}] = None; from trackres_ros.tasks.main import main; main(sys.argv[1:])"
     done = subprocess.run(
         [sys.executable, "-c", program, "live", "--transport", "dds", "--vehicle", "xgd24d"],
         env=environment,

@@ -13,12 +13,12 @@ from worlds import judging
 
 import trackres_ros as tr
 import trackres_ros.diagnosis.report
-from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.fitting import with_levels
 from trackres_ros.diagnosis.search import explanations
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active, catalogue
+from trackres_ros.tasks.main import cli
 
 
 @pytest.fixture(scope="session")

@@ -398,7 +398,7 @@ def test_the_page_says_where_it_comes_from(scrubbed, recorded, tmp_path):
 
 
 def test_without_bokeh_the_page_says_how_to_install_it(diagnoses, scrubbed, tmp_path, monkeypatch):
-    from trackres_ros.results.diagnosis import _plots
+    from trackres_ros.tasks.diagnose import _plots
 
     monkeypatch.setitem(sys.modules, "bokeh", None)
     why = _plots(diagnoses("turning_scrub"))

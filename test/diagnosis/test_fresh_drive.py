@@ -10,7 +10,7 @@ import pytest
 
 import trackres_ros as tr
 from proofs.sealed.drives import drive
-from proofs.sealed.generate import (
+from proofs.sealed.recordings import (
     APART_S,
     FASTEST_MPS,
     START_S,
@@ -19,8 +19,7 @@ from proofs.sealed.generate import (
     weight_and_radius,
     write_vehicle,
 )
-from proofs.sealed.sensors import Sensors, record
-from proofs.sealed.truth import Build, simulate_truth
+from proofs.sealed.truth import Build, Sensors, record, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
 MINUTES, SECOND = 8.0, 10  # of a drive; samples

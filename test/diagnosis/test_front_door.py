@@ -176,7 +176,7 @@ def test_a_full_disk_leaves_the_previous_diagnosis(found, tmp_path, monkeypatch)
         return [Picture(folder / "believed.svg", "believed", "as believed")]
 
     monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", drawn)
-    monkeypatch.setattr("trackres_ros.results.diagnosis._plots", lambda _: "not drawn")
+    monkeypatch.setattr("trackres_ros.tasks.diagnose._plots", lambda _: "not drawn")
     folder = found.report(tmp_path / "report")
     before = dict.fromkeys([name for name in contents(folder) if not name.startswith("rubber/")], b"of the run before")
     before |= {"report.html": b"<title>Diagnosis of the run before</title>", "effect_before.svg": b"of the run before"}

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from proofs.sealed.cases import CATALOGUE, OUTSIDE, Case
-from proofs.sealed.generate import make_case
+from proofs.sealed.recordings import make_case
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.preparation import prepared
 from trackres_ros.diagnosis.prepare.checks import Course, same_drive

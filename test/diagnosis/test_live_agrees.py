@@ -18,8 +18,8 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.learning.parameters import learnables
-from trackres_ros.offline.replay import replay
 from trackres_ros.recording.samples import SampleBlock
+from trackres_ros.tasks.replay_run import replay
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval

@@ -35,8 +35,8 @@ from trackres_ros.diagnosis.selection.locate import (
     torque_residuals,
 )
 from trackres_ros.effects.learned import DRIVES, SidedGain
-from trackres_ros.results.diagnosis import PICTURES
-from trackres_ros.text.numbers import figures
+from trackres_ros.tasks.diagnose import PICTURES
+from trackres_ros.text import figures
 
 pytest.importorskip("matplotlib")
 NAMED = Verdict("named", "confirmed", "")

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import trackres_ros as tr
-from proofs.field.data import car, robot
-from proofs.field.run import BUT_WHEELS, SHOWS_TURNING
+from proofs.field.trials import BUT_WHEELS, SHOWS_TURNING, car, robot
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
 from trackres_ros.diagnosis.preparation import prepared

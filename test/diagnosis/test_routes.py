@@ -26,8 +26,8 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.results.diagnosis import PICTURES
 from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
+from trackres_ros.tasks.diagnose import PICTURES
 from trackres_ros.vehicle import load_any, with_surroundings
 from trackres_ros.vehicle.surroundings import load_route
 

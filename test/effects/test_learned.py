@@ -11,7 +11,6 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
 from trackres_ros.effects import Active, catalogue, check_effects
 from trackres_ros.effects.calls import is_compiled
@@ -45,7 +44,8 @@ from trackres_ros.effects.learned import (
 )
 from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
+from trackres_ros.tasks.main import cli
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.writing.changes import FileChanges

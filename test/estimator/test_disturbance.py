@@ -22,8 +22,8 @@ from trackres_ros.estimator.disturbance import (
     seen_level,
     seen_there,
 )
-from trackres_ros.estimator.estimate import Steps
-from trackres_ros.offline.disturbance import DisturbanceColumns
+from trackres_ros.estimator.records import Steps
+from trackres_ros.tasks.replay_run import DisturbanceColumns
 from trackres_ros.vehicle import Drift, Spells
 
 START_NS = 1_700_000_000_000_000_000

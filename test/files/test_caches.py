@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.files import cache
-from trackres_ros.files import cached_arrays as cached_arrays_module
-from trackres_ros.files.cached_arrays import cached_arrays
+from trackres_ros.files.cache import cached_arrays
 
 SHAPES = {"a": (3, 4), "b": (), "c": (5,)}
 ARRAYS = {"a": np.arange(12.0).reshape(3, 4), "b": np.array(-1.5), "c": np.linspace(0, 1, 5)}
@@ -62,7 +61,7 @@ def test_the_cache_keeps_the_newest_tables_up_to_its_limit(tmp_path, monkeypatch
     size = (tmp_path / "first.arrays").stat().st_size
     os.utime(tmp_path / "first.arrays", ns=(0, 0))
     (tmp_path / "of_others").write_bytes(bytes(10 * size))
-    monkeypatch.setattr(cached_arrays_module, "MOST_KEPT", 3 * size)
+    monkeypatch.setattr(cache, "MOST_KEPT", 3 * size)
     for count in range(1, 6):
         found = cached_arrays(f"key{count}", SHAPES, lambda: ARRAYS, tmp_path)
         os.utime(tmp_path / f"key{count}.arrays", ns=(count, count))

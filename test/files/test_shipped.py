@@ -12,11 +12,11 @@ import click
 import pytest
 
 import trackres_ros as tr
-from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.node.parameters import make_parameters, read_setup
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tasks.main import cli
 from trackres_ros.tools.fleet.vehicles import one_vehicle, read_fleet
 
 NAMES = {"topics": shipped_topics(), "vehicle": shipped_vehicles() | shipped_road_vehicles()}

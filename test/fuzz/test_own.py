@@ -21,7 +21,7 @@ from mutator import mutations
 from user_files import OTHERS
 
 from trackres_ros.errors import InputError
-from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.documents import parse_json
 from trackres_ros.tools.fleet.compare import compare, compare_text
 from trackres_ros.tools.fleet.dataset import FleetDataset
 from trackres_ros.tools.fleet.periods import DIAGNOSES, INPUTS, verdicts

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from mutator import mutations
 from user_files import YAMLS
 
-from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
+from trackres_ros.files.documents import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
 from trackres_ros.files.resources import config_dir
-from trackres_ros.files.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
 from trackres_ros.node.parameters import make_parameters, read_parameters
+from trackres_ros.tasks.main import cli
 
 SPOILT_OF_EACH, MORE = 30, 100
 LONGEST_LINE = 3000  # characters

@@ -14,9 +14,9 @@ from trackres_ros.diagnosis import load_base
 from trackres_ros.effects.effect import VehicleKind
 from trackres_ros.files.resources import config_dir
 from trackres_ros.node.parameters import read_parameters
-from trackres_ros.offline.profile import read_profile
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.table import read_route
+from trackres_ros.tasks.simulate import read_profile
 from trackres_ros.tools.compound.reading import read_sweep
 from trackres_ros.tools.fleet.vehicles import read_fleet
 from trackres_ros.vehicle.loading import read_rubber_sweep

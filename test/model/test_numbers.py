@@ -10,9 +10,9 @@ from functools import cache
 
 import pytest
 
+from trackres_ros.estimator.drives import ramp_and_hold, simulate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.track import with_methods
-from trackres_ros.offline.simulate import ramp_and_hold, simulate
 from trackres_ros.vehicle import load
 
 TORQUE, TEMPERATURE_K = 0.03, 2.0

@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from trackres_ros.estimator.columns import Belt
+from trackres_ros.estimator.drives import ramp_and_hold, simulate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import (
@@ -27,9 +28,7 @@ from trackres_ros.model.thermal import (
     surface_temperature,
     thermal_network,
 )
-from trackres_ros.model.track import track_model, with_methods
-from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.simulate import ramp_and_hold, simulate
+from trackres_ros.model.track import track_model, vehicle_constants, with_methods
 from trackres_ros.vehicle import load
 
 NETWORKS = ("lumped", "core_surface")

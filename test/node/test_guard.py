@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 
 import trackres_ros
-from trackres_ros.cli.live import recording_picture
 from trackres_ros.files.resources import shipped_topics
 from trackres_ros.node import record
 from trackres_ros.node.record import MB, Recorder, RecordLimits
 from trackres_ros.node.transport import Level
 from trackres_ros.output import mcap
+from trackres_ros.tasks.live import recording_picture
 
 pytest.importorskip("rosbags")
 

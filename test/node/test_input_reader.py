@@ -11,8 +11,8 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.node.inputs import InputReader
 from trackres_ros.node.transport import Level, full_name, input_name, input_topics
-from trackres_ros.offline.replay import channel_indices
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.tasks.replay_run import channel_indices
 
 CHANNELS = ("speed", "load", "torque", "ambient", "load/front")
 JOINTS = {"topic": "/drive", "type": "sensor_msgs/msg/JointState"}

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from trackres_ros.cli.live_table import line, table
+from trackres_ros.tasks.live_display import line, table
 
 
 @pytest.mark.parametrize("value", [-0.0, -0.04, -1e-9, 0.04])

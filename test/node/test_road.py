@@ -8,8 +8,8 @@ import math
 import pytest
 from rich.console import Console
 
-from trackres_ros.cli.live_table import line, table
 from trackres_ros.estimator import columns as at
+from trackres_ros.tasks.live_display import line, table
 
 BUS = "ztbus_hess19"
 

@@ -11,11 +11,11 @@ import time
 import pytest
 from waiting import exit_code, wait_for
 
-from trackres_ros.api.recordings import read
 from trackres_ros.node.record import MB
+from trackres_ros.tasks.recordings import read
 
 RATE = 4000.0  # Nm/s: so slow that the fade is seen
-RUN = "from trackres_ros.cli.main import main; import sys; main(sys.argv[1:])"
+RUN = "from trackres_ros.tasks.main import main; import sys; main(sys.argv[1:])"
 WAIT_FAILS = f"""
 from pathlib import Path
 def failing(wait):

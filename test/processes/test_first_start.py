@@ -118,7 +118,7 @@ import pwd
 def unknown(_uid):
     raise KeyError("nobody knows this user")
 pwd.getpwuid = unknown
-from trackres_ros.cli.entry import main
+from trackres_ros.__main__ import main
 main()
 """
 

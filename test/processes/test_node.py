@@ -22,16 +22,15 @@ from waiting import exit_code
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Belt
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.settings import Settings, settings_for
 from trackres_ros.estimator.snapshot import after_time_off
-from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.offline.replay import replay
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.route.track import Frame
+from trackres_ros.tasks.replay_run import replay
 from trackres_ros.vehicle import load, load_any, with_surroundings
 
 SECOND_NS = 1_000_000_000

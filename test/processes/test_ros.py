@@ -113,10 +113,10 @@ def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
 @pytest.mark.long
 def test_a_bag_played_live_gives_the_offline_replays_numbers(cyclone, repository, wire):
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.offline.replay import replay
-    from trackres_ros.offline.sample import write_sample
     from trackres_ros.recording.bindings import Topics
     from trackres_ros.recording.opening import open_source
+    from trackres_ros.tasks.record_sample import write_sample
+    from trackres_ros.tasks.replay_run import replay
     from trackres_ros.vehicle import load
 
     bag, topics = cyclone.folder / "laps.mcap", repository / "config" / "topics" / "sample.yaml"

@@ -3,7 +3,7 @@
 
 import pytest
 
-from proofs.sealed.data_sheet import read_data_sheet
+from proofs.sealed.belt import read_data_sheet
 from trackres_ros.files.resources import find_vehicle
 
 

@@ -4,21 +4,43 @@
 """The groomer, a third truth: what it hides, what its logger writes, and when a statement on it is true."""
 
 import hashlib
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import trackres_ros as tr
-from proofs import commands
+from proofs import pipeline
 from proofs.sealed import second
-from proofs.sealed.blind import opened
+from proofs.sealed.diagnosing import opened
 from proofs.sealed.drives import SealedDrive
-from proofs.sealed.groomer import HEAVY_T, HIDDEN, LATE_S, RATIO, Groomer, _simulated, snow_drives
-from proofs.sealed.groomer_cases import AT_DEGC, DRIVES, GEARBOX, GEARS, KINDS, SIZES_NM, VEHICLE, draw_groomers
-from proofs.sealed.groomer_cases import label as label_of
-from proofs.sealed.groomer_cases import main as generate
+from proofs.sealed.groomer import (
+    AT_DEGC,
+    DRIVES,
+    GEARBOX,
+    GEARS,
+    HEAVY_T,
+    HIDDEN,
+    KINDS,
+    LATE_S,
+    RATIO,
+    SIZES_NM,
+    VEHICLE,
+    Groomer,
+    _simulated,
+    draw_groomers,
+    snow_drives,
+)
+from proofs.sealed.groomer import label as label_of
 from proofs.sealed.second import CLEAR, SIZE_SHARE, THRESHOLD_K, threshold_and_size
+
+
+def generate(folder, seed, **counts):
+    """Draw, seal and record."""
+    pipeline.begin("groomer", folder, {"seed": seed, "counts": counts})
+    pipeline.draw(folder)
+
 
 GROOMER = Groomer("none", 350.0, -5.0, 0.93, (9.4, 10.2), 100)
 
@@ -100,7 +122,7 @@ def test_draws_vary_and_stay_in_their_ranges():
 
 
 def test_its_vehicle_file_is_valid_and_says_why_each_value(tmp_path):
-    generate(tmp_path, 5, "none=1")
+    generate(tmp_path, 5, none=1)
     (folder,) = (tmp_path / "cases").iterdir()
     assert tr.load_vehicle(folder / "vehicle.yaml").title
     text = VEHICLE.read_text()
@@ -108,10 +130,10 @@ def test_its_vehicle_file_is_valid_and_says_why_each_value(tmp_path):
 
 
 def test_the_seal_is_of_labels_that_no_recording_shows(tmp_path, capsys):
-    generate(tmp_path, 7, "none=1", "cold=1")
-    seal = hashlib.sha256((tmp_path / "labels.json").read_bytes()).hexdigest()
-    assert seal in capsys.readouterr().out
-    labels = second.read_labels(tmp_path)["cases"]
+    generate(tmp_path, 7, none=1, cold=1)
+    sealed = tmp_path / "sealed" / "labels.json"
+    assert hashlib.sha256(sealed.read_bytes()).hexdigest() in capsys.readouterr().out
+    labels = json.loads(sealed.read_text())["cases"]
     assert {one["level"] for one in labels} == {"none", "outside"}
     for one in labels:
         files = {path.name for path in (tmp_path / "cases" / one["case"]).iterdir()}
@@ -122,7 +144,7 @@ def test_the_seal_is_of_labels_that_no_recording_shows(tmp_path, capsys):
 
 
 def test_the_loggers_tables_hold_what_was_driven(tmp_path):
-    generate(tmp_path, 7, "cold=1")
+    generate(tmp_path, 7, cold=1)
     (folder,) = (tmp_path / "cases").iterdir()
     (g,) = draw_groomers({"cold": 1}, 7)
     _, recordings, loaded = opened(folder)
@@ -172,8 +194,7 @@ def answered(status, effects=(), described=()):
 
 def test_a_gearbox_may_be_named_and_counts_for_nothing():
     def wrong(kind, gear, result):
-        one = {"case": "c", **label_of(replace(GROOMER, hide=kind, gear=gear))}
-        return second._scored(None, one, result).wrong
+        return second.scored(None, label_of(replace(GROOMER, hide=kind, gear=gear)), result).wrong
 
     late = {"form": "step", "name": "b", "variable": "time since start", "gate": None, "grade": "confirmed"}
     assert wrong("late", 0.93, answered("named", [GEARBOX], [late])) == ""
@@ -184,9 +205,10 @@ def test_a_gearbox_may_be_named_and_counts_for_nothing():
 
 def test_the_command_draws_kinds_and_refuses_others(good, refused, tmp_path, monkeypatch):
     started = []
-    monkeypatch.setattr(commands, "_process", lambda _as_json, step: started.append(tuple(map(str, step))))
+    monkeypatch.setattr(pipeline, "run_step", lambda step, _as_json: started.append(step))
     good("proofs", "groomer", "--hide", "cold=3", "--hide", "none", "--cases", "2", "--seed", "5", "-o", tmp_path / "out")
-    assert started[0] == ("sealed.groomer_cases.main", str(tmp_path / "out"), "5", "cold=3", "none=2")
-    assert [step[0] for step in started[1:]] == ["sealed.blind.main", "sealed.second.main"]
+    settings = json.loads((tmp_path / "out" / "settings.json").read_text())
+    assert (settings["seed"], settings["counts"]) == (5, {"cold": 3, "none": 2})
+    assert [step[0] for step in started] == ["pipeline.draw", "pipeline.answer", "pipeline.score"]
     for given in ("warm", "cold=0"):
         assert given in refused("proofs", "groomer", "--hide", given, "-o", tmp_path / "other")

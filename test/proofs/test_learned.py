@@ -8,24 +8,23 @@ import json
 import numpy as np
 import pytest
 
-from proofs import commands
-from proofs.learned import delay
-from proofs.learned.cases import (
+from proofs import pipeline
+from proofs.delay import LONGEST_S, _sampled, draw, page
+from proofs.learning import (
     KINDS,
     OFF,
     SENSORS,
     LearningCase,
+    _of_hostile,
+    _of_mass,
     added_torque,
+    age,
     draw_cases,
     misled,
     weight_shares,
 )
-from proofs.learned.delay import LONGEST_S, _sampled, draw, page, score
-from proofs.learned.page import _of_hostile, _of_mass
-from proofs.learned.score import age
-from proofs.processes import call
 from proofs.sealed.drives import SealedDrive, drive
-from proofs.sealed.generate import START_S
+from proofs.sealed.recordings import START_S
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 
@@ -103,8 +102,8 @@ def test_delays_are_drawn_of_a_seed():
 
 def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch):
     # Its processes in this one.
-    monkeypatch.setattr(commands, "_process", lambda _as_json, step: call(*map(str, step)))
-    monkeypatch.setattr(delay, "each", lambda work, tasks, _word: [work(task) for task in tasks])
+    monkeypatch.setattr(pipeline, "run_step", lambda step, _: pipeline.call(*(str(word) for word in step if word is not None)))
+    monkeypatch.setattr(pipeline, "each", lambda work, tasks, _word: [work(task) for task in tasks])
     asked = ("proofs", "delay", "--seed", 21, "--vehicles", 1, "--hostile", 1, "--minutes", 6, "-o", tmp_path)
     good(*asked)
     scores = json.loads((tmp_path / "scores.json").read_text())
@@ -117,7 +116,7 @@ def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path,
     opened["drawn"][0]["delay_s"] = 0.1234
     labels.write_text(json.dumps(opened))
     with pytest.raises(InputError, match="sealed"):
-        score(tmp_path)
+        pipeline.score(tmp_path)
 
 
 def test_the_clock_of_a_drawn_sensor_runs_as_the_drive_does():

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from proofs.field.data import car, trips
 from proofs.field.live import taught
+from proofs.field.trials import car, trips
 from trackres_ros.vehicle import load_any
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from proofs.sealed.cases import Case, sensors_of
-from proofs.sealed.generate import make_case
-from proofs.sealed.oracle import LEAST_GAIN, fit_truth
-from proofs.sealed.programs import PROGRAM
+from proofs.sealed.phenomena import PROGRAM
+from proofs.sealed.recordings import make_case
+from proofs.sealed.scoring import LEAST_GAIN, fit_truth
 
 MINUTES = 12.0  # of each drive
 

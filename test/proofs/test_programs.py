@@ -12,17 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proofs.sealed.cases import CATALOGUE, D_PRIME, RECORDED, SOURCES, Case, draw_cases, sensors_of
-from proofs.sealed.drives import HARDEST_MPS2, SealedDrive, drive, recorded, trapezoids
-from proofs.sealed.generate import AIRS_DEGC, EVERY, _drives, _kept, means
-from proofs.sealed.kinds import KINDS, WINDING_S
-from proofs.sealed.phenomenon import Journey
-from proofs.sealed.profiles import read_profiles
-from proofs.sealed.programs import ENTRIES, FUNCTIONS, MEMORIES, PROGRAM, TURNS, VARIABLES, Seen, draw_program
-from proofs.sealed.sensors import MOST_GAIN, MOST_LAG_S, MOST_OFFSET_NM, Sensors, lagging, record
-from proofs.sealed.size import LEAST, sized
-from proofs.sealed.statements import is_true
-from proofs.sealed.truth import Build, TruthRun, simulate_truth
+from proofs.sealed.cases import CATALOGUE, D_PRIME, LEAST, RECORDED, SOURCES, Case, draw_cases, sensors_of, sized
+from proofs.sealed.drives import HARDEST_MPS2, SealedDrive, drive, read_profiles, recorded, trapezoids
+from proofs.sealed.own import is_true
+from proofs.sealed.phenomena import (
+    ENTRIES,
+    FUNCTIONS,
+    KINDS,
+    MEMORIES,
+    PROGRAM,
+    TURNS,
+    VARIABLES,
+    WINDING_S,
+    Journey,
+    Seen,
+    draw_program,
+)
+from proofs.sealed.recordings import AIRS_DEGC, EVERY, _drives, _kept, means
+from proofs.sealed.truth import MOST_GAIN, MOST_LAG_S, MOST_OFFSET_NM, Build, Sensors, TruthRun, lagging, record, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
@@ -210,7 +217,7 @@ def test_the_recording_has_the_instruments_gain_and_offset(sheet, tmp_path):
     still = np.full(len(one), 15.0)
     good = {"torque_nm": 0.0, "torque_share": 0.0, "torque_step_nm": 0.01, "road": 0.0, "dropouts": 0.0}
     sensors = Sensors(**good, torque_lag_s=0.05, torque_offset_nm=12.0, torque_gain=1.004)
-    run = TruthRun(shown, shown, still, still, {}, one.weight)
+    run = TruthRun(shown, shown, still, {}, one.weight)
     record(tmp_path / "a.csv", one, run, sensors, 0.36, 1.7e9, np.random.default_rng(1))
     torque = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True)["torque_nm"]
     even = one.accel == 0.0  # the sensor's noise grows with the acceleration

@@ -9,21 +9,16 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from proofs import commands
-from proofs.learned import cases as learned
-from proofs.learned import generate as learned_generate
-from proofs.learned import score as learned_score
-from proofs.processes import call, each, show_count, write_sealed
-from proofs.sealed import earlier, score
-from proofs.sealed.cases import draw_cases
-from proofs.sealed.oracle import LEAST_GAIN
-from proofs.sealed.scored import wilson
+from proofs import pipeline
+from proofs.pipeline import begin, each, show_count
+from proofs.sealed import own
+from proofs.sealed.scoring import LEAST_GAIN, wilson
 from trackres_ros.errors import InputError
 from trackres_ros.files.interpreter import python
 
@@ -35,30 +30,32 @@ out, drive = sys.argv[sys.argv.index("-o") + 1], pathlib.Path(sys.argv[2])
 """Stands for the checkout of an earlier version: a command line whose report is already there."""
 
 
-def process(module, *arguments):
-    words = [f"sealed.{module}.main", *map(str, arguments)]
-    return subprocess.run(**python("proofs.processes", *words), capture_output=True, text=True, check=True).stdout
+def settings(**counts):
+    """Settings of a run on the project's own cases."""
+    return {"seed": 7, "minutes": 5.0, "counts": counts, "profiles": None, "followed": 8}
 
 
 @pytest.mark.long
 def test_the_labels_are_opened_only_by_the_score(tmp_path, capsys):
-    said = process("generate", tmp_path, 7, 5, "outside=1")
+    begin("own", tmp_path, settings(outside=1))
+    words = python("proofs.pipeline", "pipeline.draw", tmp_path)
+    said = subprocess.run(**words, capture_output=True, text=True, check=True).stdout
     seal = (tmp_path / "seal.txt").read_text().strip()
     assert seal in said
     (case,) = (tmp_path / "cases").iterdir()
     assert {p.suffix for p in case.iterdir()} == {".csv", ".yaml"}
     away = tmp_path.parent / "away"
     (tmp_path / "sealed").rename(away)  # the diagnosis does without
-    call("sealed.blind.main", str(tmp_path / "cases"), str(tmp_path / "results"))
+    pipeline.call("pipeline.answer", "sealed.diagnosing.answer", str(tmp_path / "cases"), str(tmp_path / "results"))
     (result,) = (tmp_path / "results").iterdir()
     assert result.stem == case.name
     (tmp_path / "report.json").write_text(json.dumps(json.loads(result.read_text())["report"]))
     (tmp_path / "checkout" / "trackres_ros").mkdir(parents=True)
     for name, text in (("__init__.py", ""), ("__main__.py", EARLIER)):
         (tmp_path / "checkout" / "trackres_ros" / name).write_text(text)
-    earlier.main(*(tmp_path / name for name in ("cases", "results_earlier", "checkout")))
+    own.earlier(*(tmp_path / name for name in ("cases", "results_earlier", "checkout")))
     away.rename(tmp_path / "sealed")
-    call("sealed.score.main", str(tmp_path))
+    pipeline.score(tmp_path)
     assert seal in capsys.readouterr().out
     (scores,) = json.loads((tmp_path / "scores.json").read_text())["cases"]
     assert scores["case"]["level"] == "outside"
@@ -76,26 +73,59 @@ def test_a_failed_task_stops_those_not_begun(tmp_path):
     assert len(list(tmp_path.iterdir())) < 10 * os.cpu_count()
 
 
-@pytest.mark.parametrize(
-    ("cases", "hidden", "score"),
-    [
-        (draw_cases({"none": 2, "single": 2}, 5), lambda drawn: {"seed": 5, "cases": drawn}, score.main),
-        (learned.draw_cases(5, 1, 1), lambda drawn: [5, drawn], lambda folder: learned_score.main(folder, 0.0)),
-    ],
-)
-def test_labels_unlike_the_seal_are_refused(tmp_path, cases, hidden, score):
-    drawn = list(map(asdict, cases))
-    for seed, told in ((5, [*drawn[:-1], {**drawn[-1], "seed": 1}]), (5, drawn[::-1]), (6, drawn)):
-        write_sealed(tmp_path, "cases", hidden(drawn), {"seed": seed, "cases": told})
+LEARNING = {"seed": 5, "minutes": 1.0, "vehicles": 2, "hostile": 1}
+
+
+@pytest.mark.parametrize(("proof", "options"), [("own", settings(none=2, single=2)), ("learning", LEARNING)])
+def test_labels_unlike_the_seal_are_refused(tmp_path, proof, options):
+    begin(proof, tmp_path, options)
+    pipeline.draw(tmp_path, 0)
+    labels = tmp_path / "sealed" / "labels.json"
+    sealed = json.loads(labels.read_text())
+    drawn = sealed["cases"]
+    for other in ({"cases": [*drawn[:-1], {**drawn[-1], "seed": 1}]}, {"cases": drawn[::-1]}, {"seed": 6}):
+        labels.write_text(json.dumps({**sealed, **other}))
         with pytest.raises(InputError, match="not those that were sealed"):
-            score(tmp_path)
+            pipeline.score(tmp_path)
     assert not (tmp_path / "scores.json").exists()
 
 
 def test_labels_as_they_were_sealed_are_scored(tmp_path):
-    learned_generate.main(tmp_path, 5, 1.0, 2, 1, first=0)
-    learned_score.main(tmp_path, 0.0)
+    begin("learning", tmp_path, LEARNING)
+    pipeline.draw(tmp_path, 0)
+    pipeline.score(tmp_path, 0)
     assert json.loads((tmp_path / "scores.json").read_text())["sealed"] == 3
+
+
+def test_a_recording_that_was_interrupted_is_made_again(tmp_path):
+    begin("groomer", tmp_path, {"seed": 7, "counts": {"none": 2}})
+    pipeline.draw(tmp_path)
+    broken, finished = (case / "session1.csv" for case in sorted((tmp_path / "cases").iterdir()))
+    whole = broken.read_bytes()
+    (tmp_path / "sealed" / f"{broken.parent.name}.recorded").unlink()
+    for table in (broken, finished):
+        table.write_text("half")
+    pipeline.draw(tmp_path)
+    assert broken.read_bytes() == whole
+    assert finished.read_text() == "half"
+
+
+def length(folder):
+    """Stands for an answer: what is in the folder of a case, and an array."""
+    return {"files": len(list(folder.iterdir()))}, {"numbers": np.arange(3.0)}
+
+
+def test_the_first_cases_without_an_answer_get_one(tmp_path):
+    for name in "abcd":
+        (tmp_path / "cases" / name).mkdir(parents=True)
+    results = tmp_path / "results"
+    results.mkdir()
+    (results / "b.json").write_text("kept")
+    pipeline.answer_all(length, tmp_path / "cases", results, 3)
+    assert {path.name for path in results.iterdir()} == {"a.json", "a.npz", "b.json", "c.json", "c.npz"}
+    assert (results / "b.json").read_text() == "kept"
+    assert json.loads((results / "c.json").read_text()) == {"files": 0}
+    assert np.load(results / "c.npz")["numbers"].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_wilson():
@@ -113,15 +143,20 @@ def test_a_level_or_folder_of_speeds_that_is_none_is_refused(refused, tmp_path, 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(good, tmp_path, monkeypatch):
+def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(good, trackres, tmp_path, monkeypatch):
     started = []
-    monkeypatch.setattr(commands, "_process", lambda _as_json, step: started.append(tuple(map(str, step))))
+    monkeypatch.setattr(pipeline, "run_step", lambda step, _as_json: started.append(step))
     begun = "proofs", "own", "--level", "outside=18", "--level", "none", "--cases", "6", "--seed", "31", "-o", tmp_path
     good(*begun)
-    assert started[0] == ("sealed.generate.main", str(tmp_path), "31", "15", "outside=18", "none=6")
+    assert [step[0] for step in started] == [
+        "pipeline.draw", "pipeline.answer", "sealed.own.follow", "pipeline.answer", "pipeline.score",
+    ]  # fmt: skip
+    noted = json.loads((tmp_path / "settings.json").read_text())
+    assert (noted["seed"], noted["minutes"], noted["counts"]) == (31, 15.0, {"outside": 18, "none": 6})
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "one.json").touch()
     good(*begun)
+    assert trackres(*begun, "--quick").returncode == 2
     assert (tmp_path / "results" / "one.json").exists()
     good(*begun, "--fresh")
     assert not (tmp_path / "results").exists()
@@ -156,8 +191,10 @@ def until(holds, patience_s=20.0):
 
 def test_ended_by_a_signal_it_leaves_no_process(repository, tmp_path):
     (tmp_path / "working.py").write_text(WORKING)
-    begin = "import sys; from proofs.commands import _run; _run('work', args=[sys.executable, 'working.py', 'workers'])"
-    command = subprocess.Popen([sys.executable, "-c", begin], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(repository)})
+    code = (
+        "import sys; from proofs.pipeline import run_process; run_process('work', args=[sys.executable, 'working.py', 'workers'])"
+    )
+    command = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(repository)})
     until(lambda: (tmp_path / "workers").exists() and (tmp_path / "workers").read_text().count(" "))
     workers = (tmp_path / "workers").read_text().split()
     command.terminate()
@@ -167,7 +204,7 @@ def test_ended_by_a_signal_it_leaves_no_process(repository, tmp_path):
 
 def test_an_earlier_version_is_a_checkout(tmp_path):
     with pytest.raises(InputError, match="--earlier"):
-        earlier.main(tmp_path, tmp_path / "results", tmp_path)
+        own.earlier(tmp_path, tmp_path / "results", tmp_path)
 
 
 def test_a_folder_of_something_else_is_refused(trackres, tmp_path):

@@ -9,10 +9,20 @@ import numpy as np
 import pytest
 
 from proofs.field import live
-from proofs.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
-from proofs.field.data import car
 from proofs.field.live import all_drives, live_errors
-from proofs.field.run import NOTHING, TWICE, UPHILL, FieldTrial, twice
+from proofs.field.trials import (
+    BUS,
+    BUS_TOPICS,
+    LONG_STRETCH_S,
+    NOTHING,
+    TWICE,
+    UPHILL,
+    FieldTrial,
+    car,
+    mass_of_joined,
+    missions,
+    twice,
+)
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.recording.bindings import Topics
 
@@ -35,9 +45,9 @@ def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
 @pytest.mark.long
 @pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
 def test_without_altitude_a_bus_diagnosis_names_only_the_slope():
-    topics = Topics.load(TOPICS)
+    topics = Topics.load(BUS_TOPICS)
     recordings = read_recordings(missions(DATA), topics)
-    found = diagnose(recordings, load_base(VEHICLE).with_topics(topics), DiagnosisOptions(hide=["altitude"], quick=True))
+    found = diagnose(recordings, load_base(BUS).with_topics(topics), DiagnosisOptions(hide=["altitude"], quick=True))
     assert found.verdict.status == "named"
     assert [f.name for f in found.found] == ["grade"]
     assert not found.described

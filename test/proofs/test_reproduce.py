@@ -13,16 +13,24 @@ import numpy as np
 import pytest
 
 from proofs.reproduce import reproduce
-from proofs.reproduce.ambients import _warmer_is_larger_later
-from proofs.reproduce.bench import COMBINATIONS, Bench, Stable
-from proofs.reproduce.families import Family, falls, same_stable
-from proofs.reproduce.indentation import indentation, search_error
+from proofs.reproduce.bench import (
+    COMBINATIONS,
+    FAILS,
+    HOLDS,
+    IN_PART,
+    OPEN,
+    UNEXPLAINED,
+    Bench,
+    Claim,
+    Family,
+    Stable,
+    falls,
+    same_stable,
+)
 from proofs.reproduce.run import page_of
-from proofs.reproduce.section import FAILS, HOLDS, IN_PART, OPEN, UNEXPLAINED, Claim
-from proofs.reproduce.spectrum import spectrum
-from proofs.reproduce.speeds import _order_from
+from proofs.reproduce.strain import indentation, search_error, spectrum
+from proofs.reproduce.studies import _order_from, _warmer_is_larger_later, weights
 from proofs.reproduce.trials import ACCELERATION, TRIALS
-from proofs.reproduce.weights import weights
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle import load
 

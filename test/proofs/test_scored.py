@@ -8,16 +8,18 @@ import json
 import numpy as np
 import pytest
 
-from proofs.sealed.answers import error_left, of_report
-from proofs.sealed.cases import RIGHT_FORMS, Case, first_by_name, sensors_of
-from proofs.sealed.oracle import OracleAnswer
-from proofs.sealed.page import TARGETS, learned_table, outside_table, side_by_side, write_all
-from proofs.sealed.scored import (
+from proofs.sealed.cases import RIGHT_FORMS, Case, sensors_of
+from proofs.sealed.own import OwnProof
+from proofs.sealed.page import TARGETS, learned_table, outside_table, scores_and_page, side_by_side
+from proofs.sealed.scoring import (
     OURS,
     MassError,
+    OracleAnswer,
     Scored,
     comparable,
+    error_left,
     mass_errors,
+    of_report,
     own_shares,
     shares,
     sizes,
@@ -125,13 +127,18 @@ def test_scores_of_what_is_outside():
     assert "| a sine | town | yes | no | -50% | delay |" in by_kind
 
 
+def written(folder, of, seed, drawn):
+    """Scores, as their file has them, and page."""
+    kept, text = scores_and_page(folder, of, "seal", seed, drawn)
+    return json.loads(json.dumps(kept)), text
+
+
 def test_two_truths_side_by_side(tmp_path):
     of = [scored("none", [], report("none"), oracle_error=200.0), scored("single", ["delay"], report("named", ["delay"]))]
     runs = {}
     for name, kept in (("own", of), ("other", of[:1])):
         (tmp_path / name).mkdir()
-        write_all(tmp_path / name, kept, "seal", 1, 2)
-        runs[name] = json.loads((tmp_path / name / "scores.json").read_text())
+        runs[name] = written(tmp_path / name, kept, 1, 2)[0]
     lines = side_by_side(runs).splitlines()
     assert lines[0] == "| Score | Target | own | other |"
     assert "| none: false alarm | at most 3% | 0% (0 of 1; 0% to 79%), met | 0% (0 of 1; 0% to 79%), met |" in lines
@@ -195,20 +202,17 @@ def test_the_page_of_a_run_of_towns_alone(tmp_path):
         scored("street", [], report("none"), oracle_error=200.0),
         scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
     ]
-    write_all(tmp_path, of, "seal", 3, 4)
-    text = (tmp_path / "proof.md").read_text()
+    kept, text = written(tmp_path, of, 3, 4)
     assert "2 cases of the 4 that were sealed" in text
     assert "| street_slope | town | yes | yes | 80% | grade |" in text
     assert (tmp_path / "cases.csv").read_text().count("street") == 3  # two levels, one name
     assert (tmp_path / "confusion.png").stat().st_size > 1000
-    kept = json.loads((tmp_path / "scores.json").read_text())
     assert [one["wrong"] for one in kept["cases"]] == ["", ""]
 
 
 def test_a_run_of_pairs_alone_has_no_confusion_picture(tmp_path):
     both = scored("two", ["delay", "mullins"], report("named", ["delay", "mullins"]))
-    write_all(tmp_path, [both], "seal", 7, 1)
-    text = (tmp_path / "proof.md").read_text()
+    _, text = written(tmp_path, [both], 7, 1)
     assert "confusion.png" not in text
     assert not (tmp_path / "confusion.png").exists()
     assert "| two: both | 100% (1 of 1) |" in text
@@ -240,9 +244,10 @@ def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():
     assert covers == [True]
 
 
-def test_the_first_cases_are_the_first_by_name_of_any_level():
+def test_the_first_cases_are_the_first_by_name_of_any_level(tmp_path):
     named = [
         Case(name, level, {}, {}, False, False, False, True, 1) for name, level in (("c", "none"), ("a", "two"), ("b", "outside"))
     ]
-    assert [one.name for one in first_by_name(named, 2)] == ["a", "b"]
-    assert {one.name for one in first_by_name(named, None)} == {"a", "b", "c"}
+    proof = OwnProof(tmp_path, {})
+    assert [one.name for one in proof.choice(named, 2)] == ["a", "b"]
+    assert proof.choice(named, None) == named

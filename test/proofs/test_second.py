@@ -7,7 +7,8 @@ import json
 
 import pytest
 
-from proofs.sealed.second import _accepted, _by_place, _comparable, _stated, main, read_labels
+from proofs import pipeline
+from proofs.sealed.second import _accepted, _by_place, _comparable, _stated, read_labels
 
 
 def label(name, kind, level="outside", d_prime=40.0):
@@ -58,11 +59,14 @@ def answered(status, described=(), effects=()):
 
 
 def score_them(tmp_path, labels, results):
-    written(tmp_path / "truth", labels)
-    (tmp_path / "out" / "results").mkdir(parents=True)
+    source, out = written(tmp_path / "truth", labels), tmp_path / "out"
+    pipeline.begin("second", out, {"source": str(source)})
+    pipeline.draw(out)
+    assert (out / "sealed" / "labels.json").read_bytes() == (source / "labels.json").read_bytes()
+    (out / "results").mkdir()
     for one, result in zip(labels, results, strict=True):
-        (tmp_path / "out" / "results" / f"{one['case']}.json").write_text(json.dumps(result))
-    main(tmp_path / "truth", tmp_path / "out")
+        (out / "results" / f"{one['case']}.json").write_text(json.dumps(result))
+    pipeline.score(out)
 
 
 def test_cases_of_another_simulator_get_the_same_scores(tmp_path):

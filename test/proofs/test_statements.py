@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from proofs.sealed.cases import Case
-from proofs.sealed.generate import _drives, _kept
-from proofs.sealed.statements import is_true
+from proofs.sealed.own import is_true
+from proofs.sealed.recordings import _drives, _kept
 from proofs.sealed.truth import Build, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 

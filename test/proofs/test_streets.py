@@ -22,13 +22,10 @@ from proofs.sealed.cases import (
     sensors_of,
     streets_of,
 )
-from proofs.sealed.generate import make_case
-from proofs.sealed.phenomenon import Journey
-from proofs.sealed.sensors import EARTH_M, LATITUDE_DEG, LONGITUDE_DEG, Sensors, record, wandering
-from proofs.sealed.street import LOAD, PHENOMENA, loaded
-from proofs.sealed.street_drives import RIGHT_M, SIDEWAYS_MPS2, street_drive
-from proofs.sealed.town import BLOCKS_M, draw_town
-from proofs.sealed.truth import Build, TruthRun, simulate_truth
+from proofs.sealed.drives import BLOCKS_M, RIGHT_M, SIDEWAYS_MPS2, draw_town, street_drive
+from proofs.sealed.phenomena import LOAD, TOWN_PHENOMENA, Journey, loaded
+from proofs.sealed.recordings import make_case
+from proofs.sealed.truth import EARTH_M, LATITUDE_DEG, LONGITUDE_DEG, Build, Sensors, TruthRun, record, simulate_truth, wandering
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.files.resources import find_vehicle
@@ -198,12 +195,12 @@ def test_a_hidden_load_weighs_and_is_not_in_what_is_known(one):
 def test_ground_takes_the_same_either_way_and_slopes_do_not(sheet, one):
     back = replace(one, speed=-one.speed)
     values = {"torque": 500.0, "seed": 2.0}
-    ahead, reverse = (PHENOMENA["street_ground"](Journey(sheet, d, 0.0), values, one.speed) for d in (one, back))
+    ahead, reverse = (TOWN_PHENOMENA["street_ground"](Journey(sheet, d, 0.0), values, one.speed) for d in (one, back))
     np.testing.assert_allclose(ahead, -reverse)  # a resistance: against the way it moves
     assert (ahead >= 0.0).all()
     np.testing.assert_array_equal(ahead[one.speed == 0.0], 0.0)
     assert ahead[one.street.softness < 1e-3].max() < 2.0
-    up = PHENOMENA["street_slope"](Journey(sheet, one, 0.0), {}, one.speed)
+    up = TOWN_PHENOMENA["street_slope"](Journey(sheet, one, 0.0), {}, one.speed)
     assert np.corrcoef(up, one.street.slope)[0, 1] > 0.9999
     assert np.abs(up).max() == pytest.approx(WEIGHT_N * sheet["track.sprocket_radius"] * np.abs(one.street.slope).max(), rel=1e-2)
 
@@ -223,7 +220,7 @@ def test_brakes_take_part_of_hard_braking_and_hold_at_standstill():
 def recorded(folder, one, sensors, seed=1):
     still = np.full(len(one), 15.0)
     torque = np.where(one.speed > 0.0, 2000.0, 0.0)
-    run = TruthRun(torque, torque, still, still, {}, one.weight)
+    run = TruthRun(torque, torque, still, {}, one.weight)
     record(folder / "a.csv", one, run, sensors, 0.36, 1.7e9, np.random.default_rng(seed))
     return np.genfromtxt(folder / "a.csv", delimiter=",", names=True)
 

@@ -6,15 +6,11 @@
 import numpy as np
 import pytest
 
-from proofs.native import native
-from proofs.sealed.belt_heat import LAYERS, roll
-from proofs.sealed.belt_loss import LOG_SPEEDS, belt_loss
+from proofs.sealed.belt import LAYERS, LOG_SPEEDS, belt_loss, fit_material, native, roll
 from proofs.sealed.cases import CATALOGUE, LEVELS, draw_cases
 from proofs.sealed.drives import drive
-from proofs.sealed.generate import write_vehicle
-from proofs.sealed.material import fit_material
-from proofs.sealed.sensors import Sensors, record
-from proofs.sealed.truth import Build, simulate_truth
+from proofs.sealed.recordings import write_vehicle
+from proofs.sealed.truth import Build, Sensors, record, simulate_truth
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.empirical.term import MODEL_ERROR
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
@@ -58,14 +54,14 @@ def test_heat_is_neither_made_nor_lost(tables, material):
     series = {
         name: np.full(n, value) for name, value in (("speed", 8.0), ("row", 3.0), ("air", 20.0), ("one", 1.0), ("none", 0.0))
     }
-    force, mean, surface = np.empty(n), np.empty(n), np.empty(n)
+    force, mean = np.empty(n), np.empty(n)
     end = np.full(LAYERS, 20.0)
     native(roll)(
         step, series["speed"], series["row"], series["air"], series["one"], series["none"], series["none"], series["none"],
         float(LOG_SPEEDS[0]), float(LOG_SPEEDS[1] - LOG_SPEEDS[0]), tables.indentation, tables.bending,
         np.full(LAYERS, 1.0 / LAYERS),
         np.array([material.glass_transition, material.c1, material.c2, 50.0, 40.0]), 0.0, capacity, 6.0, 300.0,
-        end, np.empty(LAYERS), force, mean, surface,
+        end, np.empty(LAYERS), force, mean,
     )  # fmt: skip
     assert end.mean() - 20.0 == pytest.approx(float((force * 8.0).sum()) * step / capacity, rel=1e-9)
     assert (np.diff(force) <= 1e-9).all()  # the warm belt loses less

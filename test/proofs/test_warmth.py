@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from proofs.field.warmth import Starts, pool, start_states
+from proofs.field.page import Starts, pool, start_states
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
 from trackres_ros.diagnosis.synthetic import drives

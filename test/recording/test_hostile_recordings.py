@@ -21,8 +21,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
-from trackres_ros.offline import summary as replay_report
-from trackres_ros.offline.summary import KeptSource
 from trackres_ros.output.table import write_table
 from trackres_ros.recording import unpacking
 from trackres_ros.recording.bindings import Topics
@@ -31,6 +29,8 @@ from trackres_ros.recording.readers.csv_table import MAX_ROW_BYTES
 from trackres_ros.recording.reading import OWN_FAULT, reading
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import SampleBlock
+from trackres_ros.tasks import replay_run
+from trackres_ros.tasks.replay_run import KeptSource
 
 pytest.importorskip("rosbags")
 pytest.importorskip("mcap")
@@ -461,7 +461,7 @@ def test_what_is_too_long_to_be_looked_at_is_said_and_not_kept(tmp_path, monkeyp
     path = tmp_path / "run.csv"
     path.write_text("time_s,speed_mps\n" + "".join(f"{row},1\n" for row in range(30_000)))
     for most, dropped in ((30_000, False), (29_999, True)):
-        monkeypatch.setattr(replay_report, "MOST_KEPT", most)
+        monkeypatch.setattr(replay_run, "MOST_KEPT", most)
         source = KeptSource(open_source([path]), keep=True)
         assert sum(map(len, source.blocks())) == 30_000
         assert any(finding.kind == "too_long" for finding in source.all_findings()) is dropped

@@ -106,7 +106,7 @@ def test_a_jump_of_the_stamps_is_no_gap() -> None:
 
 def test_findings_have_the_time_of_the_output(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which begins at the first speed that is not refused, though the clock is set back later, or lags behind the log."""
-    monkeypatch.setattr("trackres_ros.offline.replay.BLOCK_ROWS", 100)
+    monkeypatch.setattr("trackres_ros.tasks.replay_run.BLOCK_ROWS", 100)
     time, speed = smooth(400)
     speed[[100, 350]] = 0.0
     set_back = np.where(np.arange(400) >= 300, time - 50.0, time)

@@ -8,7 +8,7 @@ from pathlib import PurePath
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.text.names import told_apart
+from trackres_ros.text import told_apart
 
 PATHS = st.lists(st.sampled_from(["a", "b", "drive.csv"]), min_size=1, max_size=4).map("/".join)
 

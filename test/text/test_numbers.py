@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.text.numbers import alike, decimals, figures, number_of, rising
+from trackres_ros.text import alike, decimals, figures, number_of, rising
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 BELOW_A_MILLION = st.floats(-999_499.0, 999_499.0)

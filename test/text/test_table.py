@@ -5,7 +5,7 @@
 
 import pytest
 
-from trackres_ros.text.table import table
+from trackres_ros.text import table
 
 
 @pytest.mark.parametrize("variables", [{}, {"COLUMNS": "20", "FORCE_COLOR": "1"}, {"TERM": "dumb"}])

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from trackres_ros.errors import InputError
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import config_dir
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.vehicle import load
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # in a tenth of the time

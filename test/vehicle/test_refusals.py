@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from trackres_ros.effects import catalogue
 from trackres_ros.errors import InputError
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import config_dir
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.vehicle import load, load_any
 from trackres_ros.vehicle.loading import build

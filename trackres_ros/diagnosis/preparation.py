@@ -28,7 +28,7 @@ from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.slopes import runs_of
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import STANDSTILL_MPS
 
 

@@ -1,12 +1,17 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Starts this Python again as a process of its own, which finds the modules of this one and none in the current folder."""
+"""Keeps code and settings in the current folder, such as among unpacked recordings, from being used.
+
+A process started here finds the modules of this one and none in the current folder; libraries do not read settings there.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,3 +33,21 @@ def python(module: str, *words: object, **variables: str) -> dict[str, Any]:
         "args": [sys.executable, "-P", "-m", module, *map(str, words)],
         "env": {**os.environ, "PYTHONPATH": path, **variables},
     }
+
+
+@contextmanager
+def unread(name: str) -> Iterator[None]:
+    """Import a library that reads a file of this name in the current folder, from the root folder if there is one.
+
+    An older matplotlib can be made to run code by such a file. It has no option to leave it out.
+    """
+    if not os.path.lexists(name):
+        yield
+        return
+    here = os.open(".", os.O_PATH)
+    os.chdir("/")
+    try:
+        yield
+    finally:
+        os.fchdir(here)
+        os.close(here)

@@ -1,23 +1,28 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads files of bounded size, and writes the program's own: none of them is trusted for its name alone.
+"""Reads files of bounded size, writes and locks the program's own: none of them is trusted for its name alone.
 
 A disk may fill up, power may fail, another program or user may write there. So only regular files of a bounded
 size are read, a new file replaces the old one in one step, and a seal over the content shows whether it is unchanged.
 """
 
 import errno
+import fcntl
 import hashlib
 import os
 import secrets
+import socket
 import stat
 import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import TextIO
 
 from trackres_ros.files.file_sets import Member, open_set, settle, write_new
 
 PART = ".part"
+MOST_READ = 1000  # characters of the holder of a lock
 OF_ALL, PRIVATE = 0o666, 0o600  # permissions of a new file, the first less the umask
 SEAL = hashlib.sha256
 KINDS = {
@@ -123,3 +128,54 @@ def unsealed(name: str, data: bytes) -> bytes | None:
 
 def _digest(name: str, payload: bytes) -> bytes:
     return SEAL(name.encode() + b"\0" + payload).digest()
+
+
+class FileLock:
+    """A lock between processes by a file at a path.
+
+    The file is gone after `release`. The system frees the lock when its holder ends, however it ends.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file: TextIO | None = None
+
+    def take(self) -> str:
+        """Try to take the lock. Return its holder if another process or object has it; empty if it is ours now.
+
+        Where the file system has no locks, it is ours: nobody can tell. Raises OSError if the file cannot be made.
+        """
+        while self._file is None:
+            file = self.path.open("a+", encoding="utf-8", errors="replace")
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                file.seek(0)
+                with file:
+                    return file.read(MOST_READ).strip() or "a process of unknown number"
+            except OSError:
+                pass
+            if not self._is_there(file):  # its last holder has just removed it
+                file.close()
+                continue
+            self._file = file
+            with suppress(OSError):  # a full disk: the holder is only for messages
+                file.truncate(0)
+                file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+                file.flush()
+        return ""
+
+    def release(self) -> None:
+        """Give the lock back, if it is ours."""
+        if self._file is not None:
+            with suppress(OSError):
+                self.path.unlink()
+            with suppress(OSError):
+                self._file.close()
+            self._file = None
+
+    def _is_there(self, file: TextIO) -> bool:
+        try:
+            return os.path.samestat(os.fstat(file.fileno()), self.path.stat())
+        except OSError:
+            return False

@@ -20,11 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
-from trackres_ros.files.cached_arrays import cached_arrays
+from trackres_ros.files.cache import cached_arrays
 from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
-from trackres_ros.model.interpolation import cubic_weights, thinned
-from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.rubber import RubberModel, cubic_weights, thinned
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
 from trackres_ros.vehicle import Vehicle
 
@@ -101,7 +100,7 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
     Parameters
     ----------
     cache
-        Folder of the cache, see `trackres_ros.files.cached_arrays`.
+        Folder of the cache, see `trackres_ros.files.cache`.
     """
 
     def compute() -> dict[str, Array]:

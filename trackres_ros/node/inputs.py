@@ -21,7 +21,7 @@ import numpy as np
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LATEST_S
-from trackres_ros.estimator.plausible_speed import SHARE
+from trackres_ros.estimator.plausible import SHARE
 from trackres_ros.node.notices import Guard
 from trackres_ros.node.transport import InputTopic, KeepMessage, Transport, is_usable, nearest_usable, stamp_ns
 from trackres_ros.recording.binding import TopicBinding

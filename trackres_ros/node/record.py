@@ -24,8 +24,8 @@ import numpy as np
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.snapshot import is_other_kind, state_file
 from trackres_ros.files import own_files
 from trackres_ros.learning.columns import column_names

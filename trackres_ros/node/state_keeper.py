@@ -33,7 +33,7 @@ from trackres_ros.estimator.snapshot import (
     set_aside,
 )
 from trackres_ros.files import own_files
-from trackres_ros.files.file_lock import FileLock
+from trackres_ros.files.own_files import FileLock
 from trackres_ros.node.measured_torque import LiveLearning
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.process import Background, steady_ns

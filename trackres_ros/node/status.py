@@ -15,13 +15,13 @@ from trackres_ros.arrays import IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.topic_settings import longest_age_s
+from trackres_ros.estimator.settings import longest_age_s
 from trackres_ros.node.inputs import InputReader
 from trackres_ros.node.measured_torque import Mismatch
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
 from trackres_ros.node.transport import InputTopic, Level, Peer, Status
 from trackres_ros.output.topics import TOTALS, sign_of
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import NANOSECOND
 
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 from trackres_ros.arrays import Array
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.interpreter import unread
 from trackres_ros.files.own_files import write
-from trackres_ros.files.settings_here import unread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

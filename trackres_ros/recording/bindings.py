@@ -15,8 +15,8 @@ from typing import Any
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.dataclass_reader import DataReader
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_topics
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import IN_DEGREES, Numbers, TopicBinding
 from trackres_ros.recording.directions import STANDARDS, WAYS, Ways, standard_of
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion

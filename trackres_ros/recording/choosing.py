@@ -16,8 +16,7 @@ from trackres_ros.recording.directions import STANDARDS, Ways, named_ways, stand
 from trackres_ros.recording.guess import guess_channels, note_of_parts, topics_line
 from trackres_ros.recording.role_units import UNITS, conversion, is_quantity
 from trackres_ros.recording.roles import POSITION, ROLES, base_role, names_a_part
-from trackres_ros.text.names import words
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of, words
 
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")

@@ -20,7 +20,7 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.directions import NEUTRAL
 from trackres_ros.recording.samples import Finding, SampleBlock
 from trackres_ros.recording.sums import Reading
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of
 
 HOLD_S = 2.0
 """Longest age of the last direction, or validity, of another message [s]; `max_age_s` replaces it. Ours: buses repeat both ten

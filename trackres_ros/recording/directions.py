@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.text.names import words
+from trackres_ros.text import words
 
 FORWARD, REVERSE, NEUTRAL = 1.0, -1.0, 0.0
 WAYS = ("forward", "reverse", "neutral")

@@ -18,7 +18,7 @@ from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.directions import STANDARDS, as_said, named_ways, standard_of
 from trackres_ros.recording.role_units import UNITS, Conversion, conversion
 from trackres_ros.recording.roles import POSITION, ROLES, Role, base_role
-from trackres_ros.text.names import words
+from trackres_ros.text import words
 
 NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|req|requests?|requested|demands?|demanded|dmd|target|desired|set ?point|soll|reference|ref|goal|"

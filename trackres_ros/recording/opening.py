@@ -16,7 +16,7 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.file_kind import GROUP, BagKind, FileKind
 from trackres_ros.recording.reading import check_there, reading
 from trackres_ros.recording.samples import BoundSource
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of
 
 MOST_NAMED = 3
 AMBIGUOUS = (".log", ".part")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, Series, set_stamps
-from trackres_ros.text.numbers import figures, number_of
+from trackres_ros.text import figures, number_of
 
 MOVING_MPS, DROP_SAMPLES = 0.5, 3
 """A short drop to 0 is a dropout where the samples on both sides are faster [m/s]; assumed: above the noise of a

@@ -18,8 +18,7 @@ from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source, first_valid, set_stamps
 from trackres_ros.recording.wheels import wheel_notes
-from trackres_ros.text.html import listed, panel, table
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures, html_table, listed, panel
 
 if TYPE_CHECKING:
     from trackres_ros.recording.binding import TopicBinding
@@ -176,7 +175,7 @@ class Recording:
         notes = [f"{role}: {text}" if role else text for role, text in self._findings()]
         return panel(
             f"Recording {self.name}",
-            table(("role", "samples", "rate [Hz]", "least", "greatest", "unit"), rows),
+            html_table(("role", "samples", "rate [Hz]", "least", "greatest", "unit"), rows),
             listed("Found", notes),
             listed("Notes", [*self.notes, *self.wheel_notes()], folded=True),
         )

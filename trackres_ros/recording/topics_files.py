@@ -12,7 +12,7 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.guess import NOT_GUESSED, in_a_line, topics_line
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.roles import base_role
-from trackres_ros.text.table import table
+from trackres_ros.text import table
 
 ALSO = "also possible: "
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from trackres_ros.recording.choosing import listed_names
 from trackres_ros.recording.guess import NOT_MEASURED, SCALARS
 from trackres_ros.recording.roles import base_role
-from trackres_ros.text.names import words
+from trackres_ros.text import words
 
 TORQUE_LIKE = re.compile(r"torque|moment|effort|couple|\bk?n ?m\b|tractive|traction force|zugkraft")
 """Words and units in the name of a column or topic that may hold a torque, or a force that is one by a radius."""

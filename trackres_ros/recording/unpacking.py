@@ -18,7 +18,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, BinaryIO, Protocol
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 MAX_CHUNK_BYTES = 2**28
 """Of a chunk's content; recorders write chunks of 1 to 4 MB, or of one message. Reading it takes twice that in memory."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from trackres_ros.checks import number
 from trackres_ros.errors import InputError
+from trackres_ros.files.documents import read_text
 from trackres_ros.files.own_files import write
-from trackres_ros.files.small_files import read_text
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap, followed_in, frame_of, of_kind
 from trackres_ros.route.lookup import CELL_M, END, FIRST, Array
 from trackres_ros.route.track import FARTHEST_M

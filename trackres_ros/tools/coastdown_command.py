@@ -9,9 +9,8 @@ from typing import Any
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, needs, progress, with_written
-from trackres_ros.cli.partial_output import watch
+from trackres_ros.tasks import options
+from trackres_ros.tasks.terminal import Command, emit, needs, progress, watch, with_written
 
 
 @click.command("coastdown", cls=Command)

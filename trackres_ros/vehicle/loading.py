@@ -24,10 +24,9 @@ from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.dataclass_reader import DataReader, Limits
+from trackres_ros.files.documents import is_there, read_text, read_yaml
 from trackres_ros.files.resources import config_dir, find_vehicle
-from trackres_ros.files.small_files import is_there, read_text
-from trackres_ros.files.yamls import read_yaml
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.vehicle.belt_bulk import arc_length
 from trackres_ros.vehicle.description import (
     CHASSIS,

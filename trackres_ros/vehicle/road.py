@@ -20,10 +20,10 @@ from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficie
 from trackres_ros.effects.vehicle.viscous_friction import ViscousFriction
 from trackres_ros.errors import InputError
 from trackres_ros.files.dataclass_reader import ABSENT, Limits, limits_of
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Drift, Quantity, Spells, Vehicle
 from trackres_ros.vehicle.loading import VehicleReader, build, checked_disturbance, listed_effects

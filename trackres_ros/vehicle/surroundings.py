@@ -18,10 +18,10 @@ import numpy as np
 from trackres_ros import checks
 from trackres_ros.effects.effect import Active, VehicleKind
 from trackres_ros.errors import InputError
-from trackres_ros.files.yamls import read_yaml
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.route.learned import TORQUE, RouteMap, of_kind
 from trackres_ros.route.table import read_route
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.vehicle.loading import VehicleReader, listed_effects
 from trackres_ros.vehicle.road import AnyVehicle
 

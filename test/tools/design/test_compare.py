@@ -15,8 +15,8 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.effects.registry import catalogue
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.operating_point import explain, explain_road
 from trackres_ros.model.track import belt_network, with_methods
 from trackres_ros.tools.design.compare import asked_of, compare_designs, shown_names

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from proofs.fleet.draw import write_recording
+from proofs.fleet import write_recording
 from trackres_ros.tools.fleet.sample import draw_fleet
 
 

@@ -22,7 +22,7 @@ from waiting import wait_for
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
-from proofs.fleet.draw import write_recording
+from proofs.fleet import write_recording
 from trackres_ros.diagnosis import load_base
 from trackres_ros.errors import InputError
 from trackres_ros.tools.fleet.alerts import COLUMNS, alerts, checked_url

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proofs.fleet.draw import FASTEST_MPS
-from proofs.sealed.data_sheet import read_data_sheet
+from proofs.fleet import FASTEST_MPS
+from proofs.sealed.belt import read_data_sheet
 from proofs.sealed.drives import drive
-from proofs.sealed.sensors import Sensors, record
-from proofs.sealed.truth import Build, simulate_truth
+from proofs.sealed.truth import Build, Sensors, record, simulate_truth
 from trackres_ros import read
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.files.resources import find_vehicle

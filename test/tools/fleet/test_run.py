@@ -22,7 +22,7 @@ pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
 from trackres_ros.diagnosis.report import pictures
-from trackres_ros.results import diagnosis
+from trackres_ros.tasks import diagnose as diagnosis
 from trackres_ros.tools import engine as executor
 from trackres_ros.tools.engine import dashboard, done, engine, why
 from trackres_ros.tools.fleet import periods
@@ -218,7 +218,7 @@ def test_an_interrupt_while_workers_start_leaves_no_traceback(recordings):
     program = """if __name__ == "__main__":
         import os, signal, sys
         from distributed import Nanny
-        from trackres_ros.cli.main import main
+        from trackres_ros.tasks.main import main
         start = Nanny.start_unsafe
         def interrupted(self):
             os.kill(os.getpid(), signal.SIGINT)
@@ -285,7 +285,7 @@ def test_what_is_not_there_is_one_line(refused, command, tmp_path):
 
 def test_the_live_node_imports_none_of_it():
     program = (
-        "import sys, trackres_ros.node.application, trackres_ros.estimator.estimator, trackres_ros.cli.live; "
+        "import sys, trackres_ros.node.application, trackres_ros.estimator.estimator, trackres_ros.tasks.live; "
         "print([m for m in sys.modules if m.startswith(('trackres_ros.tools', 'dask', 'distributed', 'fsspec', 'pyarrow'))])"
     )
     assert subprocess.check_output([sys.executable, "-c", program], text=True).strip() == "[]"

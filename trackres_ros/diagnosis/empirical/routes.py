@@ -28,7 +28,7 @@ from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.route.matching import Matched, Places, matched, neighbours, places_of
 from trackres_ros.route.track import Frame, track_of
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.vehicle.writing.changes import BY_PLACE
 
 SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place includes

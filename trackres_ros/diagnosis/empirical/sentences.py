@@ -20,7 +20,7 @@ from trackres_ros.diagnosis.prepare.session import Array
 from trackres_ros.diagnosis.selection.visibility import FORM_ERROR
 from trackres_ros.effects import learned
 from trackres_ros.effects.learned import Corner, Curve, Latch, SidedGain
-from trackres_ros.text.numbers import figures, on_scale
+from trackres_ros.text import figures, on_scale
 
 
 class OfVehicle(str):

@@ -27,7 +27,7 @@ from trackres_ros.effects import learned
 from trackres_ros.effects.effect import Active, Effect
 from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.route.learned import RouteMap
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text import alike, figures
 from trackres_ros.vehicle.writing.changes import Interval
 
 LEAST_SHARE = 0.005  # of the torque, root mean square: a smaller effect hardly matters

@@ -43,7 +43,7 @@ from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.selection.as_used import far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.diagnosis.selection.locate import Bin, RegimeMap, SlowResidual
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text import alike, figures
 from trackres_ros.vehicle.writing.changes import Interval
 
 LACK_OF_FIT_P = 0.01

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SMALL_SHARE, HeldOut
 from trackres_ros.diagnosis.selection.locate import Bin, SlowResidual, in_nm
 from trackres_ros.effects.effect import Active
-from trackres_ros.text.numbers import figures, from_to
+from trackres_ros.text import figures, from_to
 
 MOST_CERTAIN = 20.0  # in log-likelihood: upper limit of a stated certainty
 LEAST_SHARE = 0.05  # of the probability: less likely options are not listed

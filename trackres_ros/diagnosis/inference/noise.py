@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dgeev, dposv, dtbtrs
 from scipy.special import gammaln
 
 from trackres_ros.diagnosis.prepare.session import MOST_LAGS, Array, Mask, whole_past
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import MAD_TO_STD
 
 LARGEST_ROOT = 0.995  # of the autoregression: a larger one would treat a constant as noise

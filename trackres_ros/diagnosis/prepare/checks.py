@@ -37,7 +37,7 @@ from trackres_ros.recording.role_units import UNITS, Conversion
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.torque_candidates import remedy_of
-from trackres_ros.text.numbers import some_of
+from trackres_ros.text import some_of
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
 
 SAME_S, SAME_MPS, SAME_NM = 1e-3, 1e-4, 0.1  # a table rounds by less, and two drives differ by more

@@ -18,7 +18,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.roles import PASSENGER_KG
 from trackres_ros.recording.slopes import runs_of
-from trackres_ros.text.names import told_apart
+from trackres_ros.text import told_apart
 from trackres_ros.units import MAD_TO_STD, STANDSTILL_MPS
 
 Array = NDArray[np.float64]

@@ -29,9 +29,7 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPEC
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.files.file_sets import present
 from trackres_ros.files.own_files import write
-from trackres_ros.text.names import told_apart
-from trackres_ros.text.numbers import alike, decimals, figures
-from trackres_ros.text.templates import templates
+from trackres_ros.text import alike, decimals, figures, templates, told_apart
 from trackres_ros.vehicle.writing.sensor_lines import replaced
 from trackres_ros.version import __version__
 

@@ -62,7 +62,7 @@ from trackres_ros.diagnosis.selection.locate import (
 from trackres_ros.output.style import BLUE, GREY, SKY, VERMILION, shortened
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
-from trackres_ros.text.numbers import alike, figures, from_to, rising
+from trackres_ros.text import alike, figures, from_to, rising
 
 SHOWN_BINS = 24
 OFF_NM = 1e-6  # a term whose gate is closed adds no more

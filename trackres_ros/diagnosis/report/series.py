@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.selection.as_used import NORMAL_95
 from trackres_ros.diagnosis.selection.locate import Bin, against_travel, regime_map, smoothed, within
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 NOWHERE, IN_TWO = ".", "a"
 SEED = 1  # of the test of the last fit in the bins of the base

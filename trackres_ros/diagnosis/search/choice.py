@@ -30,7 +30,7 @@ from trackres_ros.diagnosis.selection.as_used import ON_BOUND, AsUsed
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.locate import against_travel
 from trackres_ros.diagnosis.selection.visibility import FORM_ERROR
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 MOST_JUDGED = 5  # explanations, those with the highest worth
 MOST_NAMED = 2  # explanations by names alone: forms bend to the data

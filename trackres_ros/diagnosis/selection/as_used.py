@@ -30,7 +30,7 @@ from trackres_ros.diagnosis.selection.visibility import FORM_ERROR, base_columns
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.progress import counted
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 ON_BOUND = 1e-3  # of the span between the bounds

@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
-from trackres_ros.text.numbers import figures, on_scale
+from trackres_ros.text import figures, on_scale
 from trackres_ros.units import GRAVITY
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from trackres_ros.effects.effect import Conditions, Effect, Lag, Parameter, Terms, Values
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 
 MOVING_MPS = 0.3
 GONE = 3.0  # time constants: then 5 % are left

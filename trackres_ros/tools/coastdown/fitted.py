@@ -35,7 +35,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import relative_std, relative_weight_std
 from trackres_ros.progress import counted
 from trackres_ros.recording.recording import Recording, stamped
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.tools.coastdown.coasting import CoastingBase
 from trackres_ros.tools.coastdown.stretches import Rollouts, rollouts
 from trackres_ros.units import GRAVITY

@@ -13,7 +13,7 @@ from typing import Any
 
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.output_files import not_an_input, output_file, picture_file
-from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text import alike, figures
 from trackres_ros.tools.coastdown.fitted import Coastdown, rollouts_of
 from trackres_ros.units import KMH_PER_MPS
 

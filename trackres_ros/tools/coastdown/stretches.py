@@ -27,7 +27,7 @@ from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.role_units import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.slopes import runs_of
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY
 
 NO_TORQUE_SHARE = 1e-3  # of weight times radius: a tenth of rolling resistance

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
-from trackres_ros.api.recordings import read
+from trackres_ros.tasks.arguments import StrPath, TopicsGiven, as_recordings, as_topics, input_files, paths_of
 
 if TYPE_CHECKING:
     from trackres_ros.recording.recording import Recording
@@ -69,6 +68,7 @@ def coastdown(
     from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.recording.recording import Recording, topics_in_use
+    from trackres_ros.tasks.recordings import read
     from trackres_ros.tools.coastdown.fitted import coastdown as run
     from trackres_ros.tools.coastdown.result import CoastdownResult
     from trackres_ros.tools.coastdown.stretches import in_driving_order

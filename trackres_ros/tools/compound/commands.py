@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, Commands, emit, needs, output_folder, progress
+from trackres_ros.tasks import options
+from trackres_ros.tasks.terminal import Command, Commands, emit, needs, output_folder, progress
 
 
 @click.group("compound", cls=Commands)

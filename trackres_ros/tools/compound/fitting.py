@@ -14,7 +14,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG
-from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.text import decimals, figures
 from trackres_ros.tools.compound.master import MasterCurve, master_curve
 from trackres_ros.tools.compound.prony import Prony, fit_prony
 from trackres_ros.tools.compound.reading import Array, Sweep

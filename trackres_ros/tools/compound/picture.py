@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILION, picture_with_legend, shortened
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text import decimals
 from trackres_ros.tools.compound.coverage import Need, is_covered
 from trackres_ros.tools.compound.fitting import KEPT, CompoundFit
 

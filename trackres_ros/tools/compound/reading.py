@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.dataclass_reader import Limits
-from trackres_ros.files.small_files import read_bytes
-from trackres_ros.text.numbers import figures
+from trackres_ros.files.documents import read_bytes
+from trackres_ros.text import figures
 from trackres_ros.tools.compound.columns import (
     FREQUENCY,
     LOSS,

@@ -13,8 +13,7 @@ from trackres_ros.errors import one_line
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.model.coverage import check_heat
 from trackres_ros.model.loss_table import loss_table
-from trackres_ros.text.numbers import alike, decimals, figures
-from trackres_ros.text.table import table
+from trackres_ros.text import alike, decimals, figures, table
 from trackres_ros.tools.compound.coverage import covered, need_of
 from trackres_ros.tools.compound.fitting import ARRHENIUS, KEPT, CompoundFit, fit_compound
 from trackres_ros.tools.compound.picture import draw_compound

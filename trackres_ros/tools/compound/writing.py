@@ -15,7 +15,7 @@ from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import not_an_input
 from trackres_ros.files.own_files import write
-from trackres_ros.text.numbers import figures
+from trackres_ros.text import figures
 from trackres_ros.tools.compound.fitting import ARRHENIUS, KEPT, CompoundFit
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.description import FITTED, RUBBER

@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from trackres_ros.cli import options
-from trackres_ros.cli.common import (
+from trackres_ros.errors import InputError
+from trackres_ros.files.file_sets import file_set
+from trackres_ros.files.output_files import not_an_input, output_file
+from trackres_ros.tasks import options
+from trackres_ros.tasks.terminal import (
     Command,
     emit,
     needs,
@@ -22,12 +25,9 @@ from trackres_ros.cli.common import (
     picture_if_possible,
     print_warnings,
     progress,
+    watch,
     with_written,
 )
-from trackres_ros.cli.partial_output import watch
-from trackres_ros.errors import InputError
-from trackres_ros.files.file_sets import file_set
-from trackres_ros.files.output_files import not_an_input, output_file
 from trackres_ros.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
     trackres compare xgd24d my_design.yaml --weight-kn 200,270,340 --cycle stages --cycle lap.mcap
     """
     from trackres_ros.files.output_files import output_folder as usable_folder
-    from trackres_ros.offline.vehicle_files import differences, differences_text
+    from trackres_ros.tasks.vehicle import differences, differences_text
     from trackres_ros.tools.design.compare import asked_of, compare_designs, wheels_compared, wheels_text
     from trackres_ros.tools.design.compare_text import designs_text, draw_designs
     from trackres_ros.tools.fleet.compare import compare, compare_text, draw_overlay

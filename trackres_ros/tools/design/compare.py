@@ -17,13 +17,12 @@ import numpy as np
 
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.coverage import OVERSPEED, beyond, beyond_data
 from trackres_ros.model.operating_point import INACTIVE, explain_road, left_out_at, vehicle_state
 from trackres_ros.model.track import track_models
-from trackres_ros.text.numbers import figures
-from trackres_ros.text.table import table
+from trackres_ros.text import figures, table
 from trackres_ros.tools.design.drives import STAGES, DriveCycle, check_weight, driven, left_out, read_cycle, with_factors
 from trackres_ros.tools.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, remarks_on, solver, steady
 from trackres_ros.tools.design.uncertain import LogDerivatives, difference_std, moved, slopes_of

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.text.numbers import alike, decimals, figures
-from trackres_ros.text.table import table
+from trackres_ros.text import alike, decimals, figures, table
 from trackres_ros.tools.design.compare import DRIVEN, STEADY, interval
 
 TABLES = ("Resistance [Nm]", "torque_nm", 1.0, 0), ("Resistance over weight [%]", "coefficient", 100.0, 2)

@@ -12,17 +12,16 @@ import numpy as np
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, work_space
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
+from trackres_ros.estimator.drives import SimulatedDrive, by_column, lap_drive, run_drive, through_points
+from trackres_ros.estimator.energy import taken
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
-from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.energy import taken
-from trackres_ros.offline.profile import along
-from trackres_ros.offline.sample import lap_drive
-from trackres_ros.offline.simulate import SimulatedDrive, by_column, run_drive, through_points
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.text.numbers import figures
+from trackres_ros.tasks.simulate import along
+from trackres_ros.text import figures
 from trackres_ros.tools.design.steady import Array, FileErrors, with_errors
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
@@ -102,7 +101,7 @@ def check_weight(vehicle: Vehicle, weight: float) -> None:
 def driven(
     estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None
 ) -> tuple[dict[str, float], dict[str, Array]]:
-    """A vehicle on a cycle from cold: totals, see `offline.energy.taken`, and columns of the estimator, each of shape (times,).
+    """A vehicle on a cycle from cold: totals, see `estimator.energy.taken`, and columns of the estimator, each of shape (times,).
 
     `weight`, `ambient`: whole weight [N] and air [degC]; by default as recorded, else those of the vehicle file. Raises
     InputError on a drive that is too fast, or a load that is implausible for the vehicle.
@@ -141,8 +140,7 @@ def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -
     ):
         assembly[own, column] *= factor
     changed.vehicle = vehicle = with_errors(estimator.vehicle, off)
-    facts = vehicle_constants(vehicle)
+    changed.facts = facts = vehicle_constants(vehicle)
     number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
-    work = work_space(facts, len(assembly))
-    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive, work=work)
+    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
     return changed

@@ -17,8 +17,7 @@ from trackres_ros import checks
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.model.operating_point import INACTIVE, left_out_at
-from trackres_ros.text.numbers import decimals, figures
-from trackres_ros.text.table import table
+from trackres_ros.text import decimals, figures, table
 from trackres_ros.tools.design.steady import ALONE, OUTCOMES, WARMEST_K, Array, remarks_on, steady
 from trackres_ros.tools.design.uncertain import absorbed
 from trackres_ros.tools.design.values import scalars, short

@@ -17,8 +17,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.model.coverage import beyond
 from trackres_ros.model.operating_point import INACTIVE, left_out_at
-from trackres_ros.text.numbers import decimals, figures
-from trackres_ros.text.table import table
+from trackres_ros.text import decimals, figures, table
 from trackres_ros.tools.design.drives import driven, left_out, read_cycle
 from trackres_ros.tools.design.steady import ALONE, OUTCOMES, Array, remarks_on, steady
 from trackres_ros.tools.design.values import Varied, short

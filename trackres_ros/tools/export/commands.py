@@ -8,9 +8,8 @@ from typing import Any
 
 import click
 
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, Commands, emit
-from trackres_ros.cli.partial_output import watch
+from trackres_ros.tasks import options
+from trackres_ros.tasks.terminal import Command, Commands, emit, watch
 
 
 def export_options(command: options.Decorated) -> options.Decorated:

@@ -10,12 +10,11 @@ from typing import Any
 
 import click
 
-from trackres_ros import InputError
-from trackres_ros.cli import options
-from trackres_ros.cli.common import Command, emit, needs, print_warnings, progress, to_nowhere, with_written
-from trackres_ros.cli.partial_output import watch
+from trackres_ros.errors import InputError
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import output_file
+from trackres_ros.tasks import options
+from trackres_ros.tasks.terminal import Command, emit, needs, print_warnings, progress, to_nowhere, watch, with_written
 
 EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
 CHANGED, NOT_SENT = 3, 4  # exit codes

@@ -13,12 +13,11 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.documents import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.output.style import picture
-from trackres_ros.text.numbers import alike, figures, some_of
-from trackres_ros.text.table import table
+from trackres_ros.text import alike, figures, some_of, table
 from trackres_ros.tools.fleet.dataset import OF_FILE, FleetDataset
 from trackres_ros.tools.fleet.pooling import Array, Vehicles, pool
 from trackres_ros.tools.fleet.recordings import ROWS

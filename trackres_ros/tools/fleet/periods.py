@@ -16,8 +16,8 @@ from urllib.parse import quote
 import numpy as np
 
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.documents import parse_json
 from trackres_ros.files.file_sets import file_set, settle
-from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, remove, write
 from trackres_ros.tools.engine import done, engine, why
 from trackres_ros.tools.fleet.dataset import FleetDataset

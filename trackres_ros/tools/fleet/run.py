@@ -16,7 +16,7 @@ from typing import Any
 
 from trackres_ros.checks import one_of
 from trackres_ros.errors import InputError
-from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.documents import parse_json
 from trackres_ros.files.own_files import read, write
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.tools.engine import LOCAL, dashboard, done, engine, why

@@ -20,7 +20,7 @@ import yaml
 from trackres_ros.diagnosis.base.loading import LoadedBase, load_base
 from trackres_ros.diagnosis.synthetic import drives, write_recording
 from trackres_ros.errors import InputError
-from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.documents import parse_json
 from trackres_ros.files.own_files import PART, read, write
 
 VEHICLE = "xgd24d"

@@ -12,7 +12,7 @@ import numpy as np
 
 from trackres_ros.checks import one_of
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.text.numbers import figures, number_of, some_of
+from trackres_ros.text import figures, number_of, some_of
 from trackres_ros.tools.fleet.changes import (
     DAY_S,
     FALSE_ALARMS,

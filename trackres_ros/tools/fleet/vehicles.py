@@ -14,9 +14,8 @@ from typing import Annotated, Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.dataclass_reader import FILLED, DataReader, Limits
+from trackres_ros.files.documents import MOST_BYTES, read_text, read_yaml
 from trackres_ros.files.resources import find_topics, find_vehicle
-from trackres_ros.files.small_files import read_text
-from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 
 ALLOWED = "vehicles: a name for each, with file, and if need be recordings, topics, limits"
 FORBIDDEN_IN_NAMES = "/\\=\0"  # a name becomes a folder of the dataset

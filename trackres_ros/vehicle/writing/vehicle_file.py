@@ -17,10 +17,9 @@ from typing import Any
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.dataclass_reader import Limits
+from trackres_ros.files.documents import MOST_BYTES, read_text, read_yaml
 from trackres_ros.files.file_sets import file_set, is_free, present
 from trackres_ros.files.own_files import remove, write
-from trackres_ros.files.small_files import read_text
-from trackres_ros.files.yamls import MOST_BYTES, read_yaml
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.vehicle import Quantity, RoadVehicle, Vehicle

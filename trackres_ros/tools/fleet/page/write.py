@@ -13,8 +13,7 @@ import numpy as np
 
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.own_files import remove, write
-from trackres_ros.text.numbers import alike, decimals, figures
-from trackres_ros.text.templates import templates
+from trackres_ros.text import alike, decimals, figures, templates
 from trackres_ros.tools.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.tools.fleet.periods import verdicts
 from trackres_ros.tools.fleet.task import NO_VEHICLE

@@ -1,0 +1,204 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Checks the arguments of the public functions, and converts them to vehicles, paths and topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
+from inspect import signature
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, Union
+
+from trackres_ros import checks
+from trackres_ros.errors import InputError
+from trackres_ros.text import figures
+
+if TYPE_CHECKING:
+    from trackres_ros.recording.bindings import Topics
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
+
+
+StrPath: TypeAlias = str | PathLike[str]
+VehicleGiven: TypeAlias = Union["Vehicle", "RoadVehicle", StrPath]
+TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPath]
+
+Limits: TypeAlias = tuple[float, float, str]
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+AMBIENT: Limits = (-60.0, 60.0, "degC")
+BELT: Limits = (-60.0, 150.0, "degC")
+SPEED: Limits = (-200.0, 200.0, "km/h")
+WEIGHT: Limits = (0.1, 1e5, "kN")
+LIMITS: dict[str, dict[str, Limits]] = {}
+"""Least and greatest value of numeric arguments, by function; of whole numbers the limits are whole. Options have the same."""
+
+
+def limited(**limits: Limits) -> Callable[[Callable[Given, Result]], Callable[Given, Result]]:
+    """Check numeric arguments of a public function before its call; None is allowed where it is the default."""
+
+    def decorate(function: Callable[Given, Result]) -> Callable[Given, Result]:
+        LIMITS[function.__name__] = limits
+        optional = {name for name, about in signature(function).parameters.items() if about.default is None}
+
+        @wraps(function)
+        def checked(*args: Given.args, **named: Given.kwargs) -> Result:
+            for name, (low, high, unit) in limits.items():
+                if name not in named or (named[name] is None and name in optional):
+                    continue
+                if isinstance(low, int) and isinstance(high, int):
+                    checks.whole(named[name], name, low, high, unit)
+                else:
+                    checks.number(named[name], name, low, high, unit)
+            return function(*args, **named)
+
+        return checked
+
+    return decorate
+
+
+def load_vehicle(
+    vehicle: StrPath, *, method: str | None = None, thermal: str | None = None, surroundings: StrPath | None = None
+) -> AnyVehicle:
+    """Load a vehicle file.
+
+    Parameters
+    ----------
+    vehicle
+        Path of a vehicle file, or the name of a shipped vehicle such as ``xgd24d``.
+    method
+        Way from strain to heat instead of the file's: ``rainflow``, the paper's count, or ``spectral``, exact.
+    thermal
+        Thermal model instead of the file's: ``lumped`` or ``core_surface``.
+    surroundings
+        File of the current site, weather and ground, as a diagnosis writes it.
+
+    Returns
+    -------
+    Vehicle or RoadVehicle
+        Frozen and checked; SI units, temperatures in degC. A file with a section `road_load` gives a `RoadVehicle`.
+
+    Raises
+    ------
+    InputError
+        On a missing, unknown or implausible value: file and key, what was given and what is allowed.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> vehicle = tr.load_vehicle("agri3t")
+    >>> round(vehicle.weight)
+    29400
+    >>> tr.load_vehicle("agri3t", thermal="lumpy")
+    Traceback (most recent call last):
+    trackres_ros.errors.InputError: thermal: given 'lumpy'; allowed: one of lumped, core_surface; did you mean lumped?
+    """
+    from trackres_ros.model.track import with_methods
+    from trackres_ros.vehicle import load_any, with_surroundings
+
+    return with_surroundings(with_methods(load_any(vehicle), method, thermal), surroundings)
+
+
+def as_vehicle(vehicle: VehicleGiven) -> AnyVehicle:
+    """A vehicle, from a `Vehicle` or its file."""
+    from trackres_ros.vehicle import RoadVehicle, Vehicle, load_any
+
+    if isinstance(vehicle, str | PathLike):
+        return load_any(vehicle)
+    if not isinstance(vehicle, Vehicle | RoadVehicle):
+        raise InputError("vehicle", vehicle, "a vehicle, its file, or its name")
+    return vehicle
+
+
+def as_track_vehicle(vehicle: VehicleGiven) -> Vehicle:
+    """The same, of a vehicle on tracks."""
+    from trackres_ros.vehicle import Vehicle
+
+    described = as_vehicle(vehicle)
+    if not isinstance(described, Vehicle):
+        raise InputError("vehicle", f"{described.name} of the base model road_load, which has no belts", "a track vehicle")
+    return described
+
+
+def check_weight(vehicle: AnyVehicle, weight_kn: float | None, least: float, largest: float) -> None:
+    """Check a weight [kN] by shares of the vehicle's own."""
+    low, own, high = (share * vehicle.weight / 1e3 for share in (least, 1.0, largest))
+    if weight_kn is not None and not low <= weight_kn <= high:
+        raise InputError("weight_kn", weight_kn, f"{figures(low)} to {figures(high)} kN for a vehicle of {figures(own)} kN")
+
+
+def as_path(given: Any, where: str, allowed: str = "a path, or what read gave") -> Path:
+    """The path of a recording; the error for data in memory says how to give them."""
+    if _is_data(given):
+        remedy = "write the data to a file first, such as a DataFrame with to_csv or to_parquet"
+        raise InputError(where, f"a {type(given).__name__}", allowed, remedy)
+    return checks.path(given, where, allowed)
+
+
+def as_paths(recording: Any) -> list[Path]:
+    """One path or several."""
+    several = _holds_paths(recording) or (isinstance(recording, Sequence) and not isinstance(recording, str | bytes))
+    return [
+        as_path(path, "recording", "a path, several paths, or what read gave") for path in (recording if several else [recording])
+    ]
+
+
+def as_recordings(recordings: Any) -> list[Any]:
+    """One recording or several, each read or a path."""
+    from trackres_ros.recording.recording import Recording
+
+    listed = [recordings] if _is_data(recordings) else _listed(recordings)
+    if not listed:
+        raise InputError("recordings", "none", "at least one")
+    return [r if isinstance(r, Recording) else as_path(r, "recordings", "paths, and what read gave") for r in listed]
+
+
+def _is_data(given: object) -> bool:
+    """Whether it is a table, an array, or columns by name."""
+    if isinstance(given, str | PathLike) or _holds_paths(given):
+        return False
+    return hasattr(given, "__array__") or isinstance(given, Mapping)
+
+
+def _holds_paths(given: Any) -> bool:
+    """Whether it is an array or a column of paths."""
+    shape: tuple[int, ...] = getattr(given, "shape", ())
+    return len(shape) == 1 and shape[0] > 0 and all(isinstance(one, str | PathLike) for one in given)
+
+
+def as_names(names: object, where: str) -> tuple[str, ...]:
+    """One name or several."""
+    listed = _listed(names)
+    if not all(isinstance(name, str) and name for name in listed):
+        raise InputError(where, names, "a name, or several")
+    return tuple(listed)
+
+
+def _listed(given: Any) -> list[Any]:
+    return list(given) if isinstance(given, Iterable) and not isinstance(given, str | bytes) else [given]
+
+
+def paths_of(recordings: Sequence[Recording]) -> list[Path]:
+    """Paths of recordings, or their names where they were made in memory."""
+    return [path for one in recordings for path in (one.paths or (Path(one.name),))]
+
+
+def input_files(topics: Topics | None, *others: object) -> list[Path]:
+    """The files of topics, and all paths among other arguments: no output may replace them."""
+    of_topics = [] if topics is None else [Path(topics.origin), *(file for _, file in topics.dbc)]
+    return [*of_topics, *(Path(one) for one in others if isinstance(one, str | PathLike))]
+
+
+def as_topics(topics: TopicsGiven | None) -> Topics | None:
+    """A topics file, its content as a mapping, or None."""
+    if topics is None:
+        return None
+    from trackres_ros.recording.bindings import Topics
+
+    if isinstance(topics, Topics):
+        return topics
+    return Topics.load(topics) if isinstance(topics, str | PathLike) else Topics.parse(topics)
