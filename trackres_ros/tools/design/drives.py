@@ -12,12 +12,12 @@ import numpy as np
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, work_space
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, lap_drive, run_drive, through_points
 from trackres_ros.estimator.energy import taken
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.tasks.simulate import along
@@ -140,8 +140,7 @@ def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -
     ):
         assembly[own, column] *= factor
     changed.vehicle = vehicle = with_errors(estimator.vehicle, off)
-    facts = vehicle_constants(vehicle)
+    changed.facts = facts = vehicle_constants(vehicle)
     number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
-    work = work_space(facts, len(assembly))
-    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive, work=work)
+    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
     return changed
