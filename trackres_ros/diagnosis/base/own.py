@@ -157,11 +157,11 @@ class OwnBase(Base):
         steady = [replace(s, accel=np.zeros(len(s))) for s in sessions]
 
         def torques(values: Values) -> tuple[Array, Array]:
-            whole, resisting = (
+            total, resisting = (
                 np.concatenate([p.torque[s.used] for p, s in zip(self.predict(group, values, ()), sessions, strict=True)])
                 for group in (sessions, steady)
             )
-            return whole, whole - resisting
+            return total, total - resisting
 
         nominal, low, high = torques(self.nominal), 1.0, 1.0
         for q in self.parameters:

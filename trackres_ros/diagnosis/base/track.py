@@ -117,7 +117,7 @@ class TrackBase(FileBase):
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
         k, belts = self._constants_with(values, acting, self._loads(sessions)), len(self._firsts)
-        cooling, by_speed = (values[FILM] * each for each in (self.facts.cooling, self.facts.cooling_by_speed))
+        cooling, by_speed = (values[FILM] * factors for factors in (self.facts.cooling, self.facts.cooling_by_speed))
         facts = self.facts._replace(drag_area=k.number.drag_area, cooling=cooling, cooling_by_speed=by_speed)
         return simulated(k, self._count, belts, facts, sessions, acting)
 

@@ -384,17 +384,17 @@ def _common_start(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
 Range = tuple[float, float]
 
 
-def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
+def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], sensor_scale: float = 1.0) -> LearnedDisturbance:
     """Spells of the final fit, with both levels relative to the written file's torque [Nm], of each session.
 
     The file may include the mean of the spells: then the rest level is negative. Live, the torque is that of the sessions
-    over `shown`.
+    over `sensor_scale`.
     """
     assert isinstance(term.pattern, Chain)
     chain = term.pattern
     spell_blocks = torque_blocks(final, residuals_without(final, term.name))
     probability = spell_probability(spell_blocks, chain)
-    b = _blocks_over(final, expected, shown)
+    b = _blocks_over(final, expected, sensor_scale)
     level, rest, noise = spell_levels(b, probability)
     spells = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _block_noise(noise, final))
     count = int(beginnings(b, probability).sum())
@@ -410,9 +410,9 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], shown: fl
     )
 
 
-def drift_to_watch(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
-    """Drift relative to the written file's torque [Nm], for each session; see `spells_to_watch` for `shown`."""
-    b = _blocks_over(final, expected, shown)
+def drift_to_watch(final: Fit, expected: Sequence[Array], sensor_scale: float = 1.0) -> LearnedDisturbance:
+    """Drift relative to the written file's torque [Nm], for each session; see `spells_to_watch` for `sensor_scale`."""
+    b = _blocks_over(final, expected, sensor_scale)
     drifting, _ = find_drifting_level(b)
     drift = Drift(drifting.size, drifting.seconds, _block_noise(drifting.noise, final))
     stretches = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
@@ -436,8 +436,8 @@ def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
     return laps.improvement(expected, [e + x for e, x in zip(expected, against_travel(sessions, shape), strict=True)])
 
 
-def _blocks_over(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> Blocks:
-    return torque_blocks(final, [(s.torque - e) / shown for s, e in zip(final.problem.sessions, expected, strict=True)])
+def _blocks_over(final: Fit, expected: Sequence[Array], sensor_scale: float = 1.0) -> Blocks:
+    return torque_blocks(final, [(s.torque - e) / sensor_scale for s, e in zip(final.problem.sessions, expected, strict=True)])
 
 
 def _block_noise(noise: float, final: Fit) -> float:

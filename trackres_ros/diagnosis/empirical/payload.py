@@ -95,7 +95,7 @@ class JointValues:
         """Both sets of values."""
         if other is None:
             return self
-        columns = tuple(sparse.hstack(both).tocsr() for both in zip(self.columns, other.columns, strict=True))
+        columns = tuple(sparse.hstack(pair).tocsr() for pair in zip(self.columns, other.columns, strict=True))
         adds = tuple(x + y for x, y in zip(self.adds, other.adds, strict=True))
         precision = sparse.block_diag((self.precision, other.precision)).tocsc()
         return JointValues(adds, columns, precision, np.concatenate([self.pull, other.pull]))
@@ -226,7 +226,9 @@ class _Samples:
         remainder = list(self.residuals)
         for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
             normal, others, settled, count = self._equations(masks, remainder, noise)
-            solutions = (normal.solved(size * self._mass, alike, MEAN * self._mass) for size in SIZES for alike in ALIKE)
+            solutions = (
+                normal.solved(size * self._mass, correlation, MEAN * self._mass) for size in SIZES for correlation in ALIKE
+            )
             best = max(solutions, key=lambda solution: solution.evidence)
             values = np.concatenate(best.masses)
             values = np.concatenate([values, others(values)])

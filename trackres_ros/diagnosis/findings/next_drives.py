@@ -208,18 +208,20 @@ def squared_distances(fits: Sequence[Fit], session: DriveSession) -> Array:
     `term.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
     """
     moving = np.abs(session.speed) > SLOWEST_MPS  # the gate excludes standstill
-    shown = [_torque(fit, fit.point, session) for fit in fits]
-    columns = [_refit_distances(rival, shown, torque, session, moving) for rival, torque in zip(fits, shown, strict=True)]
+    predictions = [_torque(fit, fit.point, session) for fit in fits]
+    columns = [
+        _refit_distances(rival, predictions, torque, session, moving) for rival, torque in zip(fits, predictions, strict=True)
+    ]
     squares = np.stack(columns, axis=1)
-    noise, torque = fits[-1].noise, float(np.sqrt(np.mean(shown[-1][moving] ** 2)))
+    noise, torque = fits[-1].noise, float(np.sqrt(np.mean(predictions[-1][moving] ** 2)))
     own = int(moving.sum()) * (MODEL_ERROR * torque * noise.dc_gain / noise.std) ** 2
     squares[-1] = squares[:, -1] = squares[:, -1] - own
     squares[-1, -1] = 0.0
     return squares
 
 
-def _refit_distances(rival: Fit, shown: Sequence[Array], expected: Array, session: DriveSession, moving: Mask) -> Array:
-    """Squared distances of predictions from one fit with free parameters, shape (shown,)."""
+def _refit_distances(rival: Fit, predictions: Sequence[Array], expected: Array, session: DriveSession, moving: Mask) -> Array:
+    """Squared distances of predictions from one fit with free parameters, shape (predictions,)."""
 
     def white(x: Array) -> Array:
         out = whitened(x, moving, rival.noise.phi) / rival.noise.std
@@ -228,7 +230,7 @@ def _refit_distances(rival: Fit, shown: Sequence[Array], expected: Array, sessio
     scale = np.array([f.scale for f in rival.free])  # parameters differ by many orders of magnitude
     columns = white(jacobian(lambda point: _torque(rival, point, session), rival.point, rival.free) * scale)
     precision = np.linalg.pinv(rival.covariance / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    differences = white(np.stack([torque - expected for torque in shown], axis=1))
+    differences = white(np.stack([torque - expected for torque in predictions], axis=1))
     projection = columns.T @ differences
     explained = np.einsum("ij,ij->j", projection, np.linalg.solve(precision + columns.T @ columns, projection))
     return np.asarray(np.maximum(np.einsum("ij,ij->j", differences, differences) - explained, 0.0))

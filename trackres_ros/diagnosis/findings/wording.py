@@ -63,15 +63,15 @@ def confirmed_terms(terms: Sequence[Term], held_out: HeldOut, listed: Possible, 
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
-    taken = [taken_from(t) for t in terms]
+    sources = [taken_from(t) for t in terms]
     if not large:
         lines = (line for t in small for line in _term_sentences(t, listed, sensors))
-        return ["The missing physics is small", worth, *taken, *lines]
+        return ["The missing physics is small", worth, *sources, *lines]
     gains = [(t, t.improvement.before - t.improvement.after) for t in small]
     return [
         *(line for t in large for line in _term_sentences(t, listed, sensors)),
         worth,
-        *taken,
+        *sources,
         *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
     ]
 
@@ -115,8 +115,8 @@ def differs(t: Term) -> str:
     """The difference that a term explains, without naming it."""
     if t.is_named:
         return seen(t)
-    where = f" {t.gate}" if t.gate else f", depending on the {t.variable}" if t.variable else " at times"
-    return f"The measured torque differs from the model by about {figures(t.size_nm, 2)} Nm{where}"
+    suffix = f" {t.gate}" if t.gate else f", depending on the {t.variable}" if t.variable else " at times"
+    return f"The measured torque differs from the model by about {figures(t.size_nm, 2)} Nm{suffix}"
 
 
 def look_for(mechanisms: Sequence[str]) -> str:
@@ -297,14 +297,14 @@ def range_of(b: Bin) -> str:
     return f"{b.variable} {from_to(b.low, b.high)} {b.unit}"
 
 
-def largest_of(left: Sequence[Bin]) -> Bin:
+def largest_of(bins: Sequence[Bin]) -> Bin:
     """The bin with the largest mean residual."""
-    return max(left, key=lambda b: abs(b.mean_residual))
+    return max(bins, key=lambda b: abs(b.mean_residual))
 
 
-def unexplained(left: Sequence[Bin], noun: str) -> str:
+def unexplained(bins: Sequence[Bin], noun: str) -> str:
     """Location and size of the largest difference between measured torque and model."""
-    first = largest_of(left)
+    first = largest_of(bins)
     way = "more" if first.mean_residual > 0 else "less"
     return f"At {range_of(first)} the {noun} needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
 

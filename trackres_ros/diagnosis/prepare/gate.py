@@ -290,12 +290,12 @@ def _drove(recording: Recording) -> bool:
 def _brake_note(session: DriveSession, is_braked: Mask, settings: GateSettings) -> str:
     """Note on the time that remains without friction brakes."""
     drives = np.abs(session.speed) >= settings.slowest
-    braked, driven, left, braking = (
+    braked, driven, rest, braking = (
         round(int(steps.sum()) * session.step)
         for steps in (drives & is_braked, drives, session.used, session.used & (session.torque * session.ahead < 0.0))
     )
     return (
-        f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s remain for comparison, {braking} of them with a "
+        f"{session.name}: brakes on in {braked} s of {driven} s driven; {rest} s remain for comparison, {braking} of them with a "
         "braking torque"
     )
 
