@@ -25,8 +25,8 @@ from trackres_ros.files.own_files import KINDS
 LEAST_BYTES, TIMES_FILE = 3 * 2**28, 32
 """Most memory that a step of reading may add: this, and so many times the size of the file. A file that it unpacks may be as
 long. Packed tables shrink to a tenth; a few bytes of an archive may request all of the memory."""
-LEAST_S, S_PER_BYTE = 30.0, 60e-6
-"""Most processor time of reading a file: half a minute, and a minute for each megabyte. The slowest format, a packed log of a
+LEAST_S, S_PER_BYTE = 10.0, 60e-6
+"""Most processor time of reading a file: ten seconds, and a minute for each megabyte. The slowest format, a packed log of a
 bus, takes some seconds for one."""
 OWN_FAULT = "a bug: please report it, with the file"
 HEAD_BYTES = 512
