@@ -113,7 +113,7 @@ def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
         "coulomb": ((COULOMB, "friction"), "N"),
         "offset": (("", "torque_offset"), "N"),
     }
-    bounds, values = intervals(dry), dry.at
+    bounds, values = intervals(dry), dry.estimates
     return [
         (f"{key}, alike both ways", PUBLISHED[key], f"{values[of]:.3g} [{bounds[of].low:.3g}, {bounds[of].high:.3g}] {unit}")
         for key, (of, unit) in at.items()
@@ -122,7 +122,7 @@ def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
 
 def _of_both(both: Fit) -> list[tuple[str, str, str]]:
     """Viscous friction forward and in reverse, and Coulomb friction, with different sides due to an offset of the force."""
-    bounds, values = intervals(both), both.at
+    bounds, values = intervals(both), both.estimates
     viscous, forward = ("", "viscous_friction"), (DIRECTION, "forward")
     keys = [f.key for f in both.free]
     i, j = keys.index(viscous), keys.index(forward)

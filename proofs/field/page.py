@@ -87,7 +87,7 @@ def warming(refitted: Fit) -> Fit:
     """A re-fitted base with a warm-up, whatever was named, and values by levels."""
     base = refitted.problem.base
     effect = WarmUp().for_size(base.facts.weight * base.facts.radius, not base.has_belt)
-    return with_levels(fit(refitted.problem, [effect], refitted.at))
+    return with_levels(fit(refitted.problem, [effect], refitted.estimates))
 
 
 def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:

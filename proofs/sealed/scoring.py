@@ -173,11 +173,13 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
     if added:
         assert isinstance(base, TrackBase)
         by_step = [means(one, round(s.step)) for one, s in zip(added, sessions, strict=True)]
-        found = fit(replace(before.problem, base=WithAddition(base.vehicle, by_step)), start=before.at, noises=before.noises)
+        found = fit(
+            replace(before.problem, base=WithAddition(base.vehicle, by_step)), start=before.estimates, noises=before.noises
+        )
         gain = found.log_likelihood - before.log_likelihood
         mae = error([p.torque for p in with_levels(found).predicted])
         gains = {
-            name: fit(before.problem, [effects[name]], before.at, before.noises).log_likelihood - before.log_likelihood
+            name: fit(before.problem, [effects[name]], before.estimates, before.noises).log_likelihood - before.log_likelihood
             for name in rivals
             if name in effects
         }
@@ -186,14 +188,15 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
     if not true:
         return OracleAnswer(0.0, (), False, False, mae_base, mae_base)
     wanted = [effects[name] for name in true]
-    found = fit(before.problem, wanted, before.at, before.noises)
+    found = fit(before.problem, wanted, before.estimates, before.noises)
     gain = found.log_likelihood - before.log_likelihood
     seen = separability(effects, before)
     alike = seen.alike(true[0]) if true[0] in seen.names else (true[0],)
     kept = max((s.kept for s in seen.visible if s.effect.name == true[0]), default=0.0)
     plain = gain > LEAST_GAIN and len(alike) == 1 and kept >= LEAST_KEPT
     both = len(wanted) > 1 and all(
-        found.log_likelihood - fit(before.problem, [e for e in wanted if e is not one], found.at, found.noises).log_likelihood
+        found.log_likelihood
+        - fit(before.problem, [e for e in wanted if e is not one], found.estimates, found.noises).log_likelihood
         > LEAST_GAIN
         for one in wanted
     )

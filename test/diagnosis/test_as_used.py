@@ -18,11 +18,11 @@ from trackres_ros.diagnosis.base.base import BaseParameter, RangedValue
 from trackres_ros.diagnosis.base.instrument import instrument, usual_offset
 from trackres_ros.diagnosis.base.patterns import WATCHED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
-from trackres_ros.diagnosis.preparation import LEAST_S, prepared, seconds_without_torque, without_an_offset
+from trackres_ros.diagnosis.preparation import LEAST_S, checked_sessions, remove_offset, seconds_without_torque
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.session import Cumulative, lap_name
 from trackres_ros.diagnosis.selection import as_used
-from trackres_ros.diagnosis.selection.as_used import AsUsed, _kept, _Option, choose_written, inside_ranges
+from trackres_ros.diagnosis.selection.as_used import AsUsed, _file_changes, _Option, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active, Effect, Terms, catalogue
@@ -115,7 +115,7 @@ def fitted_again(monkeypatch):
         return Fitted(1.0, *(a for a in found.effects if a.effect.name not in names), held=tuple(fixed or ()))
 
     monkeypatch.setattr(as_used, "with_levels", without)
-    monkeypatch.setattr(as_used, "_within", lambda found, free: found)
+    monkeypatch.setattr(as_used, "_limited_fit", lambda found, free: found)
     monkeypatch.setattr(as_used, "intervals", lambda found: {("", "rolling"): found.base_values["rolling"]})
 
 
@@ -307,7 +307,7 @@ def test_a_run_in_effect_is_written_as_after_the_recordings(driven, effects):
     for scale, word in ((8000.0, "mullins is written as it is after"), (500.0, "without mullins, which has faded")):
         final = replace(found, effects=(Active(effects["mullins"], {"excess": 0.2, "distance": scale}),))
         bounds = {("mullins", "excess"): Interval(0.1, 0.24, False), ("mullins", "distance"): Interval(scale, 20_000.0, False)}
-        kept = _kept(_Option(None, final.effects), final, ["mullins"], use, bounds, "")
+        kept = _file_changes(_Option(None, final.effects), final, ["mullins"], use, bounds, "")
         assert word in kept.text
         left = np.exp(-use.distance / scale)
         assert [a.values["excess"] for a in kept.effects] == pytest.approx([0.2 * left] if scale > 500.0 else [])
@@ -377,7 +377,7 @@ def resting(session, torque, seconds):
 def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects, reading, seconds, contradicted):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
     gated = Gated((resting(session, reading, seconds),), (), ())
-    after, base, may_be_found = without_an_offset(gated, loaded.base, effects)
+    after, base, may_be_found = remove_offset(gated, loaded.base, effects)
     assert ("torque_offset" not in may_be_found) == contradicted
     assert ("torque_offset" not in {effect.name for effect in instrument(base)}) == contradicted
     assert ("the sensor has no offset" in " ".join(after.notes)) == contradicted
@@ -399,7 +399,7 @@ def test_one_torque_at_all_stops_is_told_with_its_line(loaded, effects):
             of_half = copy.copy(loaded.base)
             of_half.torque_scale = 2.0  # the line is of what the sensor shows
             stops = [replace(resting(session, 0.5 * reading, 100.0), bindings=read) for reading in readings]
-            notes = " ".join(without_an_offset(Gated(tuple(stops), (), ()), of_half, effects)[0].notes)
+            notes = " ".join(remove_offset(Gated(tuple(stops), (), ()), of_half, effects)[0].notes)
             has = "torque: {..., offset: -60.0}"
             if line is not None:  # whatever converts the torque now, the line corrects the result
                 has = f"torque: {{column: T, scale: 1000.0, offset: {line.get('offset', 0.0) - 60.0}}}"
@@ -441,7 +441,7 @@ def file_with(folder, factors, warmer=0.0):
 def held_out_of(paths, file, report):
     """The recordings as the diagnosis prepares them, and their held-out samples."""
     loaded = load_base(file)
-    sessions = prepared(read_recordings(paths, None), loaded)[0].sessions
+    sessions = checked_sessions(read_recordings(paths, None), loaded)[0].sessions
     laps = set(report["heldout"]["laps"])
     return [(s, s.used & np.array([lap_name(s, b) in laps for b in s.block])) for s in sessions]
 

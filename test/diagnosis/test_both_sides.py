@@ -11,7 +11,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.prepare.gate import GIVEN, gate, with_acceleration
+from trackres_ros.diagnosis.prepare.gate import RECORDED_ACCELERATION, gate, with_acceleration
 from trackres_ros.diagnosis.prepare.resample import smoothed_motion
 
 RATE_HZ = 20.0
@@ -113,7 +113,7 @@ def test_other_messages_keep_their_order_and_number(tmp_path):
 def test_a_recorded_acceleration_is_kept_with_a_note(tmp_path, xgd24d):
     at, accel, shown = singer(0.01, 0.5, 3.0, np.random.default_rng(11), seconds=60.0)
     result = tr.replay(table(tmp_path, at, shown, accel_mps2=accel), xgd24d, both_sides=True)
-    assert GIVEN in result.notes
+    assert RECORDED_ACCELERATION in result.notes
     np.testing.assert_allclose(result["accel_mps2"], accel, atol=1e-6)
 
 
@@ -122,7 +122,7 @@ def test_a_role_without_a_sample_is_no_recorded_acceleration(tmp_path):
     empty = table(tmp_path, at, shown, accel_mps2=np.full(len(at), np.nan))
     found = with_acceleration(tr.read(empty), load_base("xgd24d").known)
     assert np.isfinite(found.series["accel"].value).sum() > 0.9 * len(at)
-    assert GIVEN not in found.notes
+    assert RECORDED_ACCELERATION not in found.notes
 
 
 def test_without_a_torque_it_says_why_no_error_is_compared(tmp_path, xgd24d):

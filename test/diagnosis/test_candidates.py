@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.base.patterns import ByPlace, ResidualPattern
-from trackres_ros.diagnosis.empirical.term import CLOCK, FORM, NAME, Round, Term, compared, rms, spurious_gain
+from trackres_ros.diagnosis.empirical.term import CLOCK, FORM, NAME, Round, Term, rms, spurious_gain, term_of_fit
 from trackres_ros.diagnosis.report.content import why as why_of
 from trackres_ros.effects.learned import SPEED, Curve
 
@@ -39,12 +39,12 @@ def fitted(torque=100.0, added=0.0, log_likelihood=0.0, log_evidence=0.0, dc_gai
     ("torque", "added", "share"), [(100.0, 5.0, 0.05), (1e-3, 1e-4, 0.1), (1e-3, 2e-3, 2.0), (0.0, 0.0, 0.0)]
 )
 def test_the_share_is_relative_to_the_measured_torque(torque, added, share):
-    assert compared(fitted(torque), fitted(torque, added), SimpleNamespace(name="a")).share == pytest.approx(share)
+    assert term_of_fit(fitted(torque), fitted(torque, added), SimpleNamespace(name="a")).share == pytest.approx(share)
 
 
 def test_a_gain_is_over_the_fit_without_and_its_evidence_costs():
     before, after = fitted(log_likelihood=-50.0, log_evidence=-60.0), fitted(log_likelihood=-40.0, log_evidence=-53.0)
-    one = compared(before, after, SimpleNamespace(name="a"), 3.0)
+    one = term_of_fit(before, after, SimpleNamespace(name="a"), 3.0)
     assert (one.gain, one.evidence) == (10.0, 4.0)
     assert math.isnan(one.level)  # no lap has judged it
 

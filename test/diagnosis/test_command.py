@@ -15,7 +15,7 @@ from csv_tables import changed, rewritten, written
 from scipy.integrate import cumulative_trapezoid
 
 from trackres_ros.diagnosis import pipeline, read_recordings
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import InputError
 
@@ -110,14 +110,14 @@ def test_a_channel_without_life_or_hidden_is_not_used(run, recorded, tmp_path):
 def test_a_channel_without_values_is_as_if_not_recorded(recorded, loaded, tmp_path):
     (path,) = recorded(count=1, minutes=5.0)
     empty = changed(path, tmp_path, ambient_degc=lambda x: np.nan * x)
-    given = [prepared(read_recordings([of], None), loaded)[0].sessions[0].given for of in (path, empty)]
+    given = [checked_sessions(read_recordings([of], None), loaded)[0].sessions[0].given for of in (path, empty)]
     assert given[0] - given[1] == {"ambient"}
 
 
 def test_recordings_of_two_vehicles_are_told(recorded, loaded, tmp_path):
     one, *others = recorded(count=3)
     recordings = read_recordings([changed(one, tmp_path, torque_nm=lambda x: x + 6000.0), *others], None)
-    checked, *_ = prepared(recordings, loaded)
+    checked, *_ = checked_sessions(recordings, loaded)
     (told,) = (note for note in checked.notes if "same vehicle" in note)
     assert told.startswith(f"{tmp_path / one.name}: ")
 
@@ -195,7 +195,7 @@ def test_one_speed_alone_shows_little_and_says_so(run, tmp_path):
 def test_a_clock_that_is_off_is_put_right(recorded, loaded, tmp_path):
     paths = recorded("turning_scrub")
     late = [changed(path, tmp_path, torque_nm=lambda x: np.roll(x, 25)) for path in paths]  # 5 s
-    right, moved = (prepared(read_recordings(of, None), loaded)[0] for of in (paths, late))
+    right, moved = (checked_sessions(read_recordings(of, None), loaded)[0] for of in (paths, late))
     assert sum("; corrected" in note for note in moved.notes) == 2
     for one, other in zip(right.sessions, moved.sessions, strict=True):
         both = one.used & other.used

@@ -59,7 +59,7 @@ def test_the_kept_file_is_never_worse_on_held_out_laps(diagnoses, loaded, names)
     laps = HeldOutLaps(found.sessions, masks, np.random.default_rng(1))
     values = found.kept.values or loaded.base.nominal
     written = found.base.predict(found.sessions, values, found.kept.effects)
-    error = np.abs(laps.measured - laps.of([p.torque for p in written])).mean()
+    error = np.abs(laps.measured - laps.samples([p.torque for p in written])).mean()
     # The driving torque that some effects look at is that of the last fit here.
     assert error <= found.held_out.mae["nominal"] * (1.0 + 1e-3)
     assert set(found.kept.intervals) == (

@@ -59,13 +59,13 @@ def test_what_is_expected_of_a_fold_is_that_of_a_fit_without_it(scaled, scores):
     """One Newton step, against fits of the other laps."""
     _, true, validation = scaled
     score, problem = scores[1], true.problem
-    whole, fold_of = validation._of([p.torque for p in true.predicted]), validation._of(validation._fold)
+    whole, fold_of = validation._samples([p.torque for p in true.predicted]), validation._samples(validation._fold)
     for fold in range(FOLDS):
         masks = tuple(m & (of != fold) for m, of in zip(problem.masks, validation._fold, strict=True))
         effects = [a.effect for a in true.effects]
-        refit = fit(replace(problem, masks=masks), effects, true.at, true.noises, largest_root=SHORT_ROOT)
+        refit = fit(replace(problem, masks=masks), effects, true.estimates, true.noises, largest_root=SHORT_ROOT)
         at = fold_of == fold
-        moved = validation._of([p.torque for p in refit.predicted])[at] - whole[at]
+        moved = validation._samples([p.torque for p in refit.predicted])[at] - whole[at]
         off = score.expected[at] - whole[at] - moved
         assert np.sqrt(np.mean(off**2)) < 0.3 * np.sqrt(np.mean(moved**2)) + 0.01 * NOISE_NM
     held_out = fold_of < 0
@@ -90,13 +90,13 @@ def test_a_step_without_laps_is_least_squares_in_the_bounds(gain):
     found = driven(gain, of=machine(), count=3)
     validation = validation_of(found)
     of_laps, recording = validation.rows(found.problem)
-    score, fold_of = validation.score(found), validation._of(validation._fold)
-    expected = validation._of([p.torque for p in found.predicted])
+    score, fold_of = validation.score(found), validation._samples(validation._fold)
+    expected = validation._samples([p.torque for p in found.predicted])
     for fold in range(FOLDS):
         at = fold_of == fold
-        expected[at] = validation._of(without(found, of_laps == fold))[at]
+        expected[at] = validation._samples(without(found, of_laps == fold))[at]
     np.testing.assert_allclose(score.expected, expected, rtol=1e-5)
-    unseen = validation._of([without(found, recording == i)[i] for i in range(3)])
+    unseen = validation._samples([without(found, recording == i)[i] for i in range(3)])
     assert score.unseen == pytest.approx(np.abs(validation.measured - unseen).mean(), rel=1e-5)
 
 
@@ -112,9 +112,9 @@ def test_a_series_is_known_to_a_fold_by_its_forecast():
     half.ahead = tuple(0.5 * x for x in term.ahead)
     with_half = replace(found, effects=tuple(replace(active, effect=half) for active in found.effects))
     whole, less = (validation.score(one).expected for one in (found, with_half))
-    adds = validation._of(found.contribution(term.name))
+    adds = validation._samples(found.contribution(term.name))
     assert np.abs(adds).max() > 0.9 * LEVEL_NM
-    fitted = validation._of(validation._fold) >= 0
+    fitted = validation._samples(validation._fold) >= 0
     np.testing.assert_allclose((whole - less)[fitted], 0.5 * adds[fitted], atol=0.01 * LEVEL_NM)  # the sensor's delay smooths it
     np.testing.assert_array_equal(whole[~fitted], less[~fitted])
 
@@ -161,7 +161,7 @@ def test_a_score_sums_what_is_left_of_each_piece(scaled, scores):
         assert score.square[number] == pytest.approx((of**2).sum())
         assert score.level[number] == pytest.approx(of.mean())
     assert validation.by_recording(score.error).sum() == pytest.approx(np.abs(left).sum())
-    sessions = validation._of([np.full(len(m), i) for i, m in enumerate(validation.scored)])
+    sessions = validation._samples([np.full(len(m), i) for i, m in enumerate(validation.scored)])
     np.testing.assert_allclose(validation.by_recording(score.error), [np.abs(left[sessions == i]).sum() for i in (0, 1)])
 
 
@@ -196,7 +196,7 @@ def test_unseen_recordings_are_predicted_by_fits_without_them():
     error = []
     for left_out in range(3):
         masks = tuple(m if i != left_out else np.zeros_like(m) for i, m in enumerate(problem.masks))
-        refit = fit(replace(problem, masks=masks), (), plain.at, plain.noises, rounds=1, largest_root=SHORT_ROOT)
+        refit = fit(replace(problem, masks=masks), (), plain.estimates, plain.noises, rounds=1, largest_root=SHORT_ROOT)
         session = problem.sessions[left_out]
         error.append(np.abs(session.torque - refit.predicted[left_out].torque)[session.used])
     expected, found = np.concatenate(error).mean(), validation.score(plain)
@@ -324,7 +324,7 @@ def test_beyond_a_base_nothing_of_its_parameters_is_left(scaled):
         own = np.split(column[: sum(lengths)], np.cumsum(lengths)[:-1])
         assert np.linalg.norm(rest(own)) < 1e-6 * np.linalg.norm(column) + 1e-9
     adds = true.contribution("torque_gain")
-    assert 0.0 < np.linalg.norm(rest(adds)) < np.linalg.norm(validation._of(adds))
+    assert 0.0 < np.linalg.norm(rest(adds)) < np.linalg.norm(validation._samples(adds))
 
 
 def test_a_parameter_without_influence_takes_nothing_away():

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from proofs.sealed.cases import CATALOGUE, OUTSIDE, Case
 from proofs.sealed.recordings import make_case
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.prepare.checks import Course, same_drive
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
@@ -28,7 +28,7 @@ from trackres_ros.recording.samples import Series
 
 
 def judged(paths, loaded):
-    return prepared(read_recordings(paths, None), loaded)[0]
+    return checked_sessions(read_recordings(paths, None), loaded)[0]
 
 
 @pytest.fixture
@@ -467,8 +467,8 @@ def test_header_stamps_an_hour_late_or_never_set_are_as_the_log(recorded, loaded
         stamps, third = series[role].stamp_ns, np.arange(len(series[role])) % 3 == 1
         off = {"late": stamps + 3_600_000_000_000, "never": 0 * stamps, "some": np.where(third, 0, stamps)}[change]
         series[role] = replace(series[role], stamp_ns=off)
-    found, *_ = prepared([replace(recording, series=series), other], loaded)
-    healthy, *_ = prepared([recording, other], loaded)
+    found, *_ = checked_sessions([replace(recording, series=series), other], loaded)
+    healthy, *_ = checked_sessions([recording, other], loaded)
     corrected = [note for note in found.notes if note not in healthy.notes]
     assert [note.partition("load: ")[2] for note in corrected] == [
         "its clock differs from the speed's by +3600 s; corrected (by the log time)"
@@ -480,7 +480,7 @@ def test_header_stamps_an_hour_late_or_never_set_are_as_the_log(recorded, loaded
 def test_an_effect_without_its_input_is_named(recorded, xgd24d, effects):
     winds = replace(xgd24d, surroundings=(Active(effects["headwind"], {"from_ahead": 5.0, "from_left": 0.0}),))
     for hidden in ((), ("yaw_rate", "heading")):
-        found, *_ = prepared(read_recordings(recorded(count=2), None), load_base(winds), hidden)
+        found, *_ = checked_sessions(read_recordings(recorded(count=2), None), load_base(winds), hidden)
         named = [note for note in found.warnings if "headwind" in note]  # once for all recordings
         said = "headwind of the vehicle or its surroundings is left out, as heading is not known"
         assert named == [f"{', '.join(s.name for s in found.sessions)}: {said}"] * bool(hidden)

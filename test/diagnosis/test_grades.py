@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.empirical.term import Term, displaced, on_bounds
+from trackres_ros.diagnosis.empirical.term import Term, displaced_parameters, on_bounds
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.effects.effect import Active, Parameter
 
@@ -67,9 +67,9 @@ def test_what_displaces_is_refuted_whatever_it_improves():
 ])  # fmt: skip
 def test_a_term_displaces_a_value_that_it_drives_to_its_bound(with_term, without_term, takes):
     little = Improvement(100.0, 92.0, 5.0, 11.0)
-    assert displaced(little, fitted(with_term), fitted(without_term)) == (("rolling",) if takes else ())
+    assert displaced_parameters(little, fitted(with_term), fitted(without_term)) == (("rolling",) if takes else ())
 
 
 @pytest.mark.parametrize(("error", "takes"), [(90.1, True), (89.9, False), (50.0, False)])
 def test_a_term_that_improves_laps_much_displaces_nothing(error, takes):
-    assert bool(displaced(Improvement(100.0, error, 1.0, 50.0), fitted(0.0), fitted(1.0))) == takes
+    assert bool(displaced_parameters(Improvement(100.0, error, 1.0, 50.0), fitted(0.0), fitted(1.0))) == takes

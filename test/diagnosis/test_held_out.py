@@ -108,13 +108,13 @@ def test_errors_are_counted_by_stage_and_by_lap():
 
 @pytest.mark.parametrize(("error", "predicts"), [(0.15, True), (0.25, False)])
 def test_a_steady_torque_is_predicted_within_a_fifth(error, predicts):
-    laps = SimpleNamespace(measured=np.full(9, 100.0) + np.arange(-4, 5), of=lambda x: np.concatenate(x))
+    laps = SimpleNamespace(measured=np.full(9, 100.0) + np.arange(-4, 5), samples=lambda x: np.concatenate(x))
     fit = SimpleNamespace(predicted=[SimpleNamespace(torque=laps.measured - 100.0 * error)])
     assert HeldOutLaps.predicts(laps, fit) == predicts
 
 
 def test_a_varying_torque_is_predicted_better_than_by_its_mean():
-    laps = SimpleNamespace(measured=np.linspace(-100.0, 100.0, 9), of=lambda x: np.concatenate(x))
+    laps = SimpleNamespace(measured=np.linspace(-100.0, 100.0, 9), samples=lambda x: np.concatenate(x))
     for share, predicts in ((0.5, True), (-0.5, False)):
         fit = SimpleNamespace(predicted=[SimpleNamespace(torque=share * laps.measured)])
         assert HeldOutLaps.predicts(laps, fit) == predicts

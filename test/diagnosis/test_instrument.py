@@ -74,7 +74,7 @@ def test_a_fit_ends_where_a_closer_one_ends(problem_with, effects, monkeypatch):
     found = fit(replace(problem, sessions=sessions), [stribeck])
     monkeypatch.setattr(fitting, "CLOSE", 1e-4 * fitting.CLOSE)
     monkeypatch.setattr(fitting, "NEARBY", 0.01 * fitting.NEARBY)
-    closer = fit(found.problem, [stribeck], found.at, found.noises)
+    closer = fit(found.problem, [stribeck], found.estimates, found.noises)
     assert closer.log_likelihood - found.log_likelihood < 0.05
 
 

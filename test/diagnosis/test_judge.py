@@ -107,7 +107,8 @@ def test_terms_that_pass_only_together_need_a_margin(worth, confirmed):
     choice = SimpleNamespace(
         _search=SimpleNamespace(nothing=SimpleNamespace(score=None)),
         _validation=SimpleNamespace(improvement=lambda *_, **__: sure),
-        _kept=lambda _: sure, _by_file=2.0, _laps=SimpleNamespace(predicts=lambda _: True), graded=lambda *_: sure,
+        _hold_out_improvement=lambda _: sure, _by_file=2.0, _laps=SimpleNamespace(predicts=lambda _: True),
+        graded=lambda *_: sure,
     )  # fmt: skip
     pair = replace(of_kinds({"a": 0, "x": 1}), worth=worth)
     assert Choice._is_confirmed(choice, pair) == confirmed
@@ -122,8 +123,8 @@ def test_a_name_stands_without_the_forms_beside_it(alone, monkeypatch):
     search = SimpleNamespace(without=lambda e, name: known[less["".join(sorted(e.key)), name]])
     validation = SimpleNamespace(scored=(), improvement=lambda *_: SimpleNamespace(confirmed=alone))
     choice = SimpleNamespace(_search=search, _validation=validation, _unstable=set())
-    assert (not Choice._unsteady(choice, known["ax"], "a")) == alone
-    assert not Choice._unsteady(choice, known["a"], "a")
+    assert (not Choice._size_faults(choice, known["ax"], "a")) == alone
+    assert not Choice._size_faults(choice, known["a"], "a")
 
 
 def chosen_beside(own, candidates, cost=3.0, members=()):
@@ -177,7 +178,7 @@ def chosen(by_gain):
 def test_a_confirmed_explanation_has_only_confirmed_terms(by_gain, chosen):
     choice, seen = by_gain.choice, 0
     for judged in [e for e in by_gain.search.known.values() if e.key and e.settled]:
-        terms = choice._all_graded(judged)
+        terms = choice._graded_terms(judged)
         assert terms.keys() == judged.key
         if not choice._is_confirmed(judged):
             continue
@@ -205,19 +206,19 @@ def test_a_form_with_a_higher_worth_still_yields_to_the_name(by_gain, chosen):
     name = chosen.explanation
     other = next(e for e in by_gain.search.known.values() if len(e.key) == 1 and e.without_a_name)
     better = replace(other, score=name.score, worth=name.worth + 50.0)
-    assert by_gain.choice._pick([better, name]) is name
-    assert by_gain.choice._pick([better]) is better
-    assert by_gain.choice._pick([]) is by_gain.search.nothing
+    assert by_gain.choice._select([better, name]) is name
+    assert by_gain.choice._select([better]) is better
+    assert by_gain.choice._select([]) is by_gain.search.nothing
     clock = replace(better, terms={"x": Term(EFFECTS[CLOCK]("x"), None)}, worth=name.worth + 99.0)
-    assert by_gain.choice._pick([clock, better]) is better
+    assert by_gain.choice._select([clock, better]) is better
 
 
 def test_of_two_names_the_one_that_predicts_better_is_chosen(by_gain, chosen):
     name, nothing = chosen.explanation, by_gain.search.nothing
     worse = replace(name, score=nothing.score, worth=name.worth + 50.0)
-    assert by_gain.choice._pick([worse, name]) is name
+    assert by_gain.choice._select([worse, name]) is name
     alike = replace(name, worth=name.worth - 1.0)
-    assert by_gain.choice._pick([alike, name]) is name
+    assert by_gain.choice._select([alike, name]) is name
 
 
 def test_what_held_out_laps_or_the_file_refute_is_not_confirmed(by_gain):

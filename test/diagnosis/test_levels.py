@@ -84,7 +84,7 @@ def test_where_noise_is_short_both_are_one(loaded):
     found = fit(Problem(base, shown, tuple(s.used for s in shown)))
     levelled = with_levels(found)
     for f in found.free:
-        assert levelled.at[f.key] == pytest.approx(found.at[f.key], abs=0.3 * found.std_of(*f.key))
+        assert levelled.estimates[f.key] == pytest.approx(found.estimates[f.key], abs=0.3 * found.std_of(*f.key))
 
 
 def test_the_noise_for_tests_is_whitened_as_far_as_it_goes(road):

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.empirical import finders
 from trackres_ros.diagnosis.inference.failures import attempt, failures
 from trackres_ros.diagnosis.inference.noise import solved
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 
 
 def shaft(inputs, p):
@@ -110,7 +110,7 @@ def servo_runs(folder):
 def gated(recordings, model):
     """The sessions that pass all checks, without the search."""
     paths = recordings if isinstance(recordings, list) else [recordings]
-    return prepared(read_recordings(paths, None), load_base(model))[0]
+    return checked_sessions(read_recordings(paths, None), load_base(model))[0]
 
 
 def test_friction_beside_a_small_inertia_is_no_wrong_unit(tmp_path):

@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.term import Round, compared
-from trackres_ros.diagnosis.findings.next_drives import SEEN_D_PRIME, advise, apart, information, known, menu
+from trackres_ros.diagnosis.empirical.term import Round, term_of_fit
+from trackres_ros.diagnosis.findings.next_drives import (
+    SEEN_D_PRIME,
+    advise,
+    information,
+    menu,
+    recorded_distances,
+    squared_distances,
+)
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.session import lap_name, split
@@ -60,8 +67,11 @@ def tied(recorded, loaded, effects):
     """A round in which drag and offset are tied, as they are as long as one drives forwards only."""
     sessions = gate(read_recordings(recorded("drivetrain_drag"), None), loaded.known).sessions
     before = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
-    fits = {name: fit(before.problem, [effects[name]], before.at, before.noises) for name in ("drivetrain_drag", "torque_offset")}
-    found = [compared(before, with_it, effects[name]) for name, with_it in fits.items()]
+    fits = {
+        name: fit(before.problem, [effects[name]], before.estimates, before.noises)
+        for name in ("drivetrain_drag", "torque_offset")
+    }
+    found = [term_of_fit(before, with_it, effects[name]) for name, with_it in fits.items()]
     drag, offset = (replace(term, level=term.gain) for term in found)
     return replace(drag, rivals=Round(before, None, (offset,), 5.0), members=tuple(fits), weights=dict.fromkeys(fits, 0.5))
 
@@ -84,8 +94,8 @@ def test_standing_adds_no_evidence_beyond_the_models_own_error(tied):
     facts, like = tied.rivals.before.problem.base.facts, tied.rivals.before.problem.sessions[0]
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](like)
     nothing_hidden = [tied.rivals.before, tied.rivals.before]
-    assert apart(nothing_hidden, drive)[0, 1] < 0.0
-    assert known([tied.level - tied.rivals.cost])[0, 1] == pytest.approx(2.0 * (tied.level - tied.rivals.cost))
+    assert squared_distances(nothing_hidden, drive)[0, 1] < 0.0
+    assert recorded_distances([tied.level - tied.rivals.cost])[0, 1] == pytest.approx(2.0 * (tied.level - tied.rivals.cost))
 
 
 def test_laps_can_be_held_out_by_name(tied):
@@ -102,6 +112,6 @@ def test_a_series_of_the_recordings_is_unknown_in_another_drive(tied):
     facts, before = tied.rivals.before.problem.base.facts, tied.rivals.before
     shape = [np.ones(len(s)) for s in before.problem.sessions]
     watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)
-    with_watched = fit(before.problem, [watched], before.at, before.noises)
+    with_watched = fit(before.problem, [watched], before.estimates, before.noises)
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](before.problem.sessions[0])
-    assert np.isfinite(apart([with_watched, before], drive)).all()
+    assert np.isfinite(squared_distances([with_watched, before], drive)).all()

@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.empirical.finders import PAYLOAD, described, find_terms, residuals_without
+from trackres_ros.diagnosis.empirical.finders import PAYLOAD, describe, find_terms, residuals_without
 from trackres_ros.diagnosis.empirical.payload import (
     STOP_S,
     JointValues,
@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.empirical.payload import (
     halves,
     mass_of,
     stretch_numbers,
-    torque_of_a_kilogram,
+    torque_per_kilogram,
 )
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.selection.locate import torque_residuals
@@ -95,7 +95,7 @@ def check_masses(stretches, masses):
 def test_masses_are_found_as_sure_as_is_said(car, carried):
     other, other_masses = fitted(car, 250.0, seed=2)
     for masses, term in (carried[1:], (other_masses, looked_for(other))):
-        told = described(term, term.fit)
+        told = describe(term, term.fit)
         check_masses(told.pattern.stretches, masses)
         assert "kg less and" in told.sentence
 
@@ -139,7 +139,7 @@ def test_the_other_half_of_a_stretch_forecasts_its_mass(carried):
     number = stretch_numbers(session)
     early = mask & (number == 3) & (halves(number, mask) == 0)
     residuals = torque_residuals(found)
-    heavier = [residuals[0] + early * torque_of_a_kilogram(found, mass_of(found))[0] * LOADED_KG, *residuals[1:]]
+    heavier = [residuals[0] + early * torque_per_kilogram(found, mass_of(found))[0] * LOADED_KG, *residuals[1:]]
     before, after = (find_payload(found, r) for r in (residuals, heavier))
     fitted, forecast = (np.abs(after.level * y[0] - before.level * x[0]) for x, y in
                         ((before.shape, after.shape), (before.ahead, after.ahead)))  # fmt: skip
@@ -191,7 +191,7 @@ def test_loads_with_a_mean_offset_are_payload_not_torque_scale(track, chosen):
     found, masses = fitted(track, 900.0, mean_kg=1800.0)
     of = chosen(found)
     assert of.explanation.key == {PAYLOAD}
-    told = described(of.explanation.terms[PAYLOAD], of.final)
+    told = describe(of.explanation.terms[PAYLOAD], of.final)
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
     mass = np.array([s.mass for s in told.pattern.stretches])
     assert mass.mean() == pytest.approx(true.mean(), rel=0.25)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from worlds import driven, form, machine, named, scored
 
-from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposals, Proposer, _begin, _stronger, same_variable
+from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposals, Proposer, _initial_values, _stronger, same_variable
 from trackres_ros.diagnosis.selection.visibility import Proposal
 from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch, sized
@@ -132,7 +132,7 @@ def test_a_fit_never_starts_at_zero_where_shape_has_no_effect(moved, size):
     """Nor beyond twenty typical sizes."""
     effect = type("Any", (), {"parameters": (Parameter("size", "Nm", -100.0, 100.0, 10.0, "of it", off=5.0),)})()
     seen = proposal(effect, {"size": 10.0})
-    assert _begin(seen, np.array([moved])) == {"size": pytest.approx(size)}
+    assert _initial_values(seen, np.array([moved])) == {"size": pytest.approx(size)}
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_start_is_on_the_side_that_bounds_allow(low, high, moved, sizes):
     names = [f"size_{i}" for i in range(len(moved))]
     effect = SimpleNamespace(parameters=tuple(Parameter(n, "Nm", low, high, 10.0, "of it", off=0.0) for n in names))
     seen = proposal(effect)
-    assert _begin(seen, np.array(moved)) == pytest.approx(dict(zip(names, sizes, strict=True)))
+    assert _initial_values(seen, np.array(moved)) == pytest.approx(dict(zip(names, sizes, strict=True)))
 
 
 @pytest.mark.parametrize("turned", [False, True])

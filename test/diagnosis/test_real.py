@@ -14,7 +14,7 @@ import trackres_ros as tr
 from proofs.field.trials import BUT_WHEELS, SHOWS_TURNING, car, robot
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.session import split
 from trackres_ros.errors import InputError
@@ -115,7 +115,7 @@ def test_of_wheels_that_are_hidden_nothing_is_said(bus):
 @needs_bus
 def test_a_refitted_bus_is_no_worse_than_its_file_or_robust_fit(bus, robust_least_squares):
     recording, loaded = bus
-    gated, nominal, _ = prepared([recording], loaded)
+    gated, nominal, _ = checked_sessions([recording], loaded)
     chosen = split(gated.sessions)
     (session,) = gated.sessions
     problem = Problem(loaded.base, gated.sessions, (chosen.training_mask(session),))
@@ -149,7 +149,7 @@ needs_rides = pytest.mark.skipif(not RIDES.is_dir(), reason="no rides of a bicyc
 @pytest.mark.parametrize("hidden", [(), ("altitude",)])
 @pytest.mark.parametrize("ride", ["ride_a", "ride_b", "ride_c"])
 def test_a_ride_over_hills_is_not_refused(ride, hidden):
-    passed, *_ = prepared([tr.read(RIDES / f"{ride}.csv.gz")], load_base(RIDES / "bicycle.yaml"), hidden)
+    passed, *_ = checked_sessions([tr.read(RIDES / f"{ride}.csv.gz")], load_base(RIDES / "bicycle.yaml"), hidden)
     assert passed.sessions
     assert "scale: -1.0" not in " ".join(passed.notes)  # uphill it is slower, with more torque: its energy has the sign
 

@@ -14,7 +14,7 @@ from csv_tables import written
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.road_load import FITTED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.errors import InputError
@@ -82,7 +82,7 @@ def prepared_drive(base, folder, scale):
     torque = scale * base.predict(drive, base.nominal, ())[0].torque
     columns = {"time_s": drive[0].time, "speed_mps": drive[0].speed, "accel_mps2": drive[0].accel, "torque_nm": torque}
     recordings = read_recordings([written(folder / "drive.csv", columns, "%.18e")], None)
-    return prepared(recordings, load_base(folder / "car.yaml"))[:2]
+    return checked_sessions(recordings, load_base(folder / "car.yaml"))[:2]
 
 
 @pytest.mark.parametrize("shown", [1 / 30.0, 1 / 3.0, 3.0, 30.0])

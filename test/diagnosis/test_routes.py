@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.base.base import Acting
 from trackres_ros.diagnosis.base.patterns import SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.empirical.routes import find_route, roads_of
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.prepare.gate import gate, on_route
 from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects import Active
@@ -310,7 +310,7 @@ def test_given_the_slope_the_torque_is_found_and_written_with_it(base, diagnosed
     errors = []
     for folder in (diagnosed, tmp_path / "out"):
         given = load_base(folder / "vehicle.yaml", surroundings=folder / "surroundings.yaml")
-        gated, expected, _ = prepared(read_recordings([path], None), given)
+        gated, expected, _ = checked_sessions(read_recordings([path], None), given)
         errors.append(np.abs(gated.sessions[0].torque - expected[0])[gated.sessions[0].used].mean())
     assert errors[1] < 0.8 * errors[0]
 

@@ -88,7 +88,7 @@ def test_tails_are_as_heavy_as_the_data_say(degrees, low, high):
 def test_a_parameter_more_never_makes_a_fit_less_likely(problem, effects):
     before = fit(problem)
     for name in ("torque_offset", "stribeck", "headwind"):
-        after = fit(problem, [effects[name]], before.at, before.noises)
+        after = fit(problem, [effects[name]], before.estimates, before.noises)
         assert after.log_likelihood > before.log_likelihood - 0.5  # to within the search's own tolerance
 
 
@@ -106,7 +106,7 @@ def test_means_of_a_course_keep_its_integral():
     at = np.sort(rng.uniform(0.0, 50.0, 300))
     course = Cumulative.of(at, rng.normal(size=300))
     begin_s = np.arange(5.0, 45.0)
-    whole = np.interp(45.0, course.at, course.integral) - np.interp(5.0, course.at, course.integral)
+    whole = np.interp(45.0, course.times, course.integral) - np.interp(5.0, course.times, course.integral)
     assert course.means(begin_s, 1.0).sum() == pytest.approx(whole)
 
 
@@ -269,7 +269,7 @@ def test_sensitivities_are_those_of_the_model(problem, effects):
 
 def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):
     found = fit(problem, [effects["turning_scrub"]])
-    friction = found.at["turning_scrub", "friction"]
+    friction = found.estimates["turning_scrub", "friction"]
     bounds = intervals(found)["turning_scrub", "friction"]
     assert bounds.high - friction >= NORMAL_95 * FORM_ERROR * abs(friction)
 

@@ -14,14 +14,14 @@ from trackres_ros.diagnosis.empirical.forms import (
     CLOCKS,
     LONG_STOP_S,
     candidates,
-    found_by_clock,
-    found_by_scan,
+    clock_forms,
     latched_states,
+    scanned_forms,
     shapes,
     time_since_long_stop,
 )
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.preparation import prepared
+from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.selection.level_errors import Levels
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Latch, latched
@@ -32,7 +32,7 @@ LEVEL_NM = 400.0
 @pytest.fixture(scope="module")
 def fitted(recorded, loaded):
     """A fit of recordings with nothing hidden."""
-    gated, _, _ = prepared(read_recordings(recorded(), None), loaded, (), ())
+    gated, _, _ = checked_sessions(read_recordings(recorded(), None), loaded, (), ())
     return fit(Problem(loaded.base, gated.sessions, tuple(s.used for s in gated.sessions)))
 
 
@@ -41,7 +41,7 @@ def test_time_lost_by_a_corrected_clock_is_excluded(recorded, loaded):
     torque = recordings[0].series["torque"]
     late = replace(torque, stamp_ns=torque.stamp_ns + 6_000_000_000)
     recordings[0] = replace(recordings[0], series={**recordings[0].series, "torque": late})
-    gated, _, before = prepared(recordings, loaded)
+    gated, _, before = checked_sessions(recordings, loaded)
     lost = sum((s.used.sum() - t.used.sum()) * s.step for s, t in zip(before, gated.sessions, strict=True))
     assert gated.excluded["torque lost by the correction of its clock"] == round(lost) > 0
     assert any("corrected" in note for note in gated.notes)
@@ -53,14 +53,14 @@ def with_torque(fitted, shapes):
         replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed), torque_course=None)
         for s, shape in zip(fitted.problem.sessions, shapes, strict=True)
     )
-    found = fit(replace(fitted.problem, sessions=sessions), (), fitted.at)
+    found = fit(replace(fitted.problem, sessions=sessions), (), fitted.estimates)
     return found, Levels(found, base_columns(found), [s.used for s in sessions])
 
 
 def scanned(fitted, code, x, shapes):
     """The forms of one variable that a scan finds, the one that explains the block means best first."""
     found, levels = with_torque(fitted, shapes)
-    return best_first(found_by_scan(found, levels, {code: x}), levels)
+    return best_first(scanned_forms(found, levels, {code: x}), levels)
 
 
 def best_first(forms, levels):
@@ -105,7 +105,7 @@ def test_a_torque_of_the_clock_is_found_with_its_threshold(fitted, variable, kin
     low, high = (float(q) for q in np.quantile(np.concatenate(x), (0.02, 0.98)))
     columns = [c[:, 0] for c in shapes(kind, x, (low, high), np.array([at]))]
     found, levels = with_torque(fitted, columns)
-    (first, *_) = best_first(found_by_clock(found, levels), levels)
+    (first, *_) = best_first(clock_forms(found, levels), levels)
     assert (first.variable, first.kind) == (variable, kind)
     assert first.threshold == pytest.approx(at, abs=0.15 * (high - low))
 

@@ -18,11 +18,11 @@ import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.instrument import PRIOR_STDS
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.sentences import of_learned, turning_points
+from trackres_ros.diagnosis.empirical.sentences import describe_form, turning_points
 from trackres_ros.diagnosis.empirical.term import FOLLOWED, FROM, Form, Round, Term, by_improvement
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Changed, Findings, Verdict, judge
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
-from trackres_ros.diagnosis.pipeline import believed_in
+from trackres_ros.diagnosis.pipeline import credible_names
 from trackres_ros.diagnosis.prepare.checks import pooled, speed_off
 from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.report.content import why
@@ -553,18 +553,18 @@ NAMED = Verdict("named", CONFIRMED, "")
 
 
 def test_what_is_believed_is_confirmed_and_of_one_kind():
-    assert believed_in([found()], NAMED, KINDS, False) == ["scrub"]
-    assert believed_in([found(members=("scrub", "payne"))], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["scrub"]
+    assert credible_names([found()], NAMED, KINDS, False) == ["scrub"]
+    assert credible_names([found(members=("scrub", "payne"))], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["scrub"]
     mixed = found(members=("scrub", "grade"))
-    assert believed_in([mixed, found("payne")], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["payne"]
-    assert believed_in([found(improvement=UNSURE)], NAMED, KINDS, False) == []
-    assert believed_in([found(on_bounds=("size",))], NAMED, KINDS, False) == []
-    assert believed_in([found()], Verdict("unexplained", SUSPECTED, ""), KINDS, False) == []
+    assert credible_names([mixed, found("payne")], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["payne"]
+    assert credible_names([found(improvement=UNSURE)], NAMED, KINDS, False) == []
+    assert credible_names([found(on_bounds=("size",))], NAMED, KINDS, False) == []
+    assert credible_names([found()], Verdict("unexplained", SUSPECTED, ""), KINDS, False) == []
 
 
 def test_who_asks_for_it_keeps_what_is_suspected_too():
     several = [found(improvement=UNSURE), found("grade", members=("grade", "torque_gain"))]
-    assert believed_in(several, Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
+    assert credible_names(several, Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
 
 
 # Terms without a name
@@ -626,8 +626,8 @@ def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():
 def test_only_terms_predictable_ahead_are_written():
     described = Verdict("described", CONFIRMED, "")
     terms = [term(), term("spells", predictable=False), term("step_of_load", UNSURE)]
-    assert believed_in(terms, described, KINDS, False) == ["curve_of_speed"]
-    assert believed_in(terms, described, KINDS, True) == ["curve_of_speed", "step_of_load"]
+    assert credible_names(terms, described, KINDS, False) == ["curve_of_speed"]
+    assert credible_names(terms, described, KINDS, True) == ["curve_of_speed", "step_of_load"]
 
 
 FAST, RISING = Corner(SPEED, STEP, 1.0, 5.0, 10.0), Curve(DRIVING_TORQUE, [100.0, 5000.0])
@@ -650,7 +650,7 @@ PEAK, WAVY = Curve(SPEED, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, [1.0, 2.0, 3.0, 4.
 )  # fmt: skip
 def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
     values = {**{q.name: q.start for q in effect.parameters}, **values}
-    described = of_learned(Term(effect, None, improvement=BETTER, values=values, adds=term().adds), "vehicle")
+    described = describe_form(Term(effect, None, improvement=BETTER, values=values, adds=term().adds), "vehicle")
     assert described.sentence == sentence
     verdict = said(terms=[described])
     assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue explains this. Look for ")

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.empirical.term import compared
+from trackres_ros.diagnosis.empirical.term import term_of_fit
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, with_levels
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.search.choice import Choice
@@ -118,7 +118,7 @@ def held_out(found: Fit) -> list:
 
 def fit_with(found: Fit, *effects: Effect) -> Fit:
     """A fit with effects, with values that predict."""
-    return fit(found.problem, effects, found.at, found.noises, largest_root=SHORT_ROOT)
+    return fit(found.problem, effects, found.estimates, found.noises, largest_root=SHORT_ROOT)
 
 
 def form(effect: EmpiricalEffect) -> EmpiricalEffect:
@@ -158,7 +158,7 @@ def explained(of: SimpleNamespace, *effects: Effect) -> Explanation:
     search, last = of.search, of.search.nothing
     for i, effect in enumerate(effects, start=1):
         found = fit_with(of.refitted, *effects[:i])
-        search._add(last, compared(last.fit, found, effect))
+        search._add(last, term_of_fit(last.fit, found, effect))
         last = search.polished(search.known[last.key | {effect.name}])
     return last
 

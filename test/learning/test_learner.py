@@ -433,17 +433,18 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
     for one in learner.learnables:
         for path in one.paths:
             old, new = vehicle.parameters[path], written[path]
+            rounding = 1e-5 * max(abs(new.value), abs(new.low), abs(new.high))  # a file has six figures of each
             if path == one.paths[0] and old.value:  # as uncertain as published, and the file's range is plausible
                 limits, off = limits_of(path), one.factor * REACH_STD * stds[one.state] * old.value
-                assert new.low <= max(new.value - abs(off), limits.low) + 1e-5 * abs(new.low)
-                assert new.high >= min(new.value + abs(off), limits.high) - 1e-5 * abs(new.high)
+                assert new.low <= max(new.value - abs(off), limits.low) + rounding
+                assert new.high >= min(new.value + abs(off), limits.high) - rounding
                 ends = sorted(old.value * (1.0 + one.factor * end[one.state]) for end in (learner.prior.low, learner.prior.high))
                 assert ends[0] <= max(old.low, (1.0 + one.factor * (LEAST_FACTOR - 1.0)) * old.value) + 1e-9
                 assert ends[1] >= old.high - 1e-9
             if path != one.paths[0] and old.value:  # only scaled with the first: known no better than before
                 limits, scale = limits_of(path), new.value / old.value
-                assert new.low <= max(old.low * scale, limits.low) + 1e-5 * abs(new.low)
-                assert new.high >= min(old.high * scale, limits.high) - 1e-5 * abs(new.high)
+                assert new.low <= max(old.low * scale, limits.low) + rounding
+                assert new.high >= min(old.high * scale, limits.high) - rounding
             acts_live = old.value * (1.0 + one.factor * found[one.state])  # at last
             assert new.value == pytest.approx(acts_live, rel=1e-5)
             assert new.low <= new.value <= new.high

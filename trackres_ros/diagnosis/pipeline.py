@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.empirical.finders import (
     closest_to_slow,
-    described,
+    describe,
     drift_on_held_out,
     drift_to_watch,
     slow_term,
@@ -83,28 +83,28 @@ def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.
     """Fit the base from the values of the vehicle file, and bin its residual by regime."""
     options.on_stage("re-fit of the base")
     sessions, split = prepared.sessions, prepared.split
-    tested = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)))
+    first_fit = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)))
     held_out = [split.held_out_mask(s) for s in sessions]
     laps = HeldOutLaps(sessions, held_out, rng)
     use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
-    anywhere = with_levels(tested)
-    refitted = inside_ranges(anywhere, use)
+    free_fit = with_levels(first_fit)
+    refitted = inside_ranges(free_fit, use)
     validation = CrossValidation(refitted, held_out, rng)
     # A file that cannot describe the vehicle within its ranges would leave its error to the terms.
-    better = validation.least_gain(validation.score(refitted), validation.score(anywhere)) > 0.0
+    is_better = validation.least_gain(validation.score(refitted), validation.score(free_fit)) > 0.0
     options.on_stage("residual by regime")
     at_base = regime_map(for_tests(refitted), rng)
-    return Refitted(refitted, anywhere if better else refitted, laps, validation, use, at_base)
+    return Refitted(refitted, free_fit if is_better else refitted, laps, validation, use, at_base)
 
 
 def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions) -> Chosen:
     """Search explanations, and choose one."""
     kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
     roads = roads_of(prepared.sessions) if kinds else None
-    found = Search(base.compared, prepared.effects, roads, kinds, base.validation, options.on_stage)
-    found.run()
+    searcher = Search(base.compared, prepared.effects, roads, kinds, base.validation, options.on_stage)
+    searcher.run()
     options.on_stage("cross-validation over laps")
-    chosen = Choice(found, base.refitted, base.laps, base.use).best(options.keep_suspected)
+    chosen = Choice(searcher, base.refitted, base.laps, base.use).best(options.keep_suspected)
     if chosen.explanation.key:
         return chosen
     return replace(chosen, explanation=replace(chosen.explanation, fit=base.refitted))
@@ -139,7 +139,7 @@ def judge(
     """Judge an explanation."""
     final = chosen.final
     as_file, unusable = _as_file(base, final)
-    worth = _worth(prepared, base, chosen, as_file)
+    errors = _held_out_errors(prepared, base, chosen, as_file)
     options.on_stage("residual")
     tested_end = for_tests(final)
     at_end = regime_map(tested_end, rng)
@@ -147,11 +147,11 @@ def judge(
     bounds = intervals(final)
     terms = by_improvement([_in_final_fit(term, base, final, bounds) for term in chosen.explanation.terms.values()])
     unnamed = any(not t.is_named for t in terms)
-    left_over = slow_residual(final)
-    if left_over.share > LARGE_SLOW_SHARE:
-        left_over = replace(left_over, closest=closest_to_slow(final, left_over.seconds))
-    later = only_later(base.refitted, worth.mae["refitted"])
-    drift = slow_term(final) if (left_over.share > LARGE_SLOW_SHARE or later) and not unnamed else None
+    slow_part = slow_residual(final)
+    if slow_part.share > LARGE_SLOW_SHARE:
+        slow_part = replace(slow_part, closest=closest_to_slow(final, slow_part.seconds))
+    later = only_later(base.refitted, errors.mae["refitted"])
+    drift = slow_term(final) if (slow_part.share > LARGE_SLOW_SHARE or later) and not unnamed else None
     if drift is not None:
         drift = replace(drift, improvement=drift_on_held_out(final, base.laps))
     changed = () if final.effects else changed_values(base.refitted, bounds)
@@ -161,26 +161,26 @@ def judge(
             unconfirmed=chosen.unconfirmed,
             refitted=base.refitted,
             at_end=at_end,
-            left_over=left_over,
+            left_over=slow_part,
             hint=chosen.last.hint,
-            held_out=worth,
+            held_out=errors,
             drift=drift,
             changed=changed,
             shares=chosen.shares,
             sensors=prepared.gated.sensors,
             by_load=_by_load(chosen.unconfirmed),
             later=later,
-            sensor=assumed_sensor(final.instrument, worth, "with the effects" if final.effects else "of the re-fit"),
+            sensor=assumed_sensor(final.instrument, errors, "with the effects" if final.effects else "of the re-fit"),
             unusable=unusable,
         )
     )
-    return Judgement(tuple(terms), drift, worth, tested_end, at_end, bounds, verdict)
+    return Judgement(tuple(terms), drift, errors, tested_end, at_end, bounds, verdict)
 
 
 def _by_load(unconfirmed: Sequence[Term]) -> str:
     """A suspected form over the load that differs only between the recordings; empty without one."""
-    of_load = [t for t in unconfirmed if t.name.endswith(learned.VARIABLES[learned.LOAD].name)]
-    return next((t.name for t in of_load if any(fault.startswith(ONLY_BETWEEN) for fault in t.faults)), "")
+    load_terms = [t for t in unconfirmed if t.name.endswith(learned.VARIABLES[learned.LOAD].name)]
+    return next((t.name for t in load_terms if any(fault.startswith(ONLY_BETWEEN) for fault in t.faults)), "")
 
 
 def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
@@ -196,45 +196,45 @@ def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
     return [p.torque for p in base.refitted.problem.predict(values, ())], unusable
 
 
-def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: Sequence[Array]) -> HeldOut:
+def _held_out_errors(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: Sequence[Array]) -> HeldOut:
     """Errors on hold-out laps; raises where they allow no conclusion."""
     predicted = {"refitted": base.refitted.predicted, "with_effects": chosen.final.predicted}
-    expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
-    worth = held_out(base.laps, {"nominal": prepared.nominal, **expected}, as_file)
+    expected = {stage: [p.torque for p in values] for stage, values in predicted.items()}
+    errors = held_out(base.laps, {"nominal": prepared.nominal, **expected}, as_file)
     names = ", ".join(s.name for s in prepared.sessions)
-    odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal, prepared.vehicle.known.is_vehicle)
+    scale_notes = inconsistent_scale_notes(prepared.sessions, prepared.nominal, prepared.vehicle.known.is_vehicle)
     # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
     has_name = any(term.is_name for term in chosen.explanation.terms.values())
-    stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]
-    r2, mae = ({stage: of[stage] for stage in stages} for of in (worth.r2, worth.mae))
-    refused = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), odd)
-    if refused and not is_like_slope(base.refitted):
-        raise refused
+    stages = [stage for stage in errors.r2 if has_name or not scale_notes or stage != "with_effects"]
+    r2, mae = ({stage: values[stage] for stage in stages} for values in (errors.r2, errors.mae))
+    refusal = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), scale_notes)
+    if refusal and not is_like_slope(base.refitted):
+        raise refusal
     final = chosen.final
     if final.effects:  # a vehicle file holds no assumed errors of the sensor
         as_file = [p.torque for p in final.problem.predict(final.base_values, final.effects)]
-    error = float(np.abs(base.laps.measured - base.laps.of(as_file)).mean())
-    return replace(worth, without_sensor=error) if error > MUCH_LARGER * worth.mae["with_effects"] else worth
+    error = float(np.abs(base.laps.measured - base.laps.samples(as_file)).mean())
+    return replace(errors, without_sensor=error) if error > MUCH_LARGER * errors.mae["with_effects"] else errors
 
 
 def _in_final_fit(term: Term, base: Refitted, final: Fit, bounds: Bounds) -> Term:
     """A term with its values in the final fit, and its place or its sentences."""
-    values, adds = active_of(final, term.name).values, final.contribution(term.name)
-    term = replace(term, values=values, intervals=bounds_of(term.name, bounds), adds=adds)
+    values, torques = active_of(final, term.name).values, final.contribution(term.name)
+    term = replace(term, values=values, intervals=bounds_of(term.name, bounds), adds=torques)
     if not term.is_named:
-        return described(term, final)
+        return describe(term, final)
     sessions = final.problem.sessions
-    where = locate(final, against_travel(sessions, adds))
+    location = locate(final, against_travel(sessions, torques))
     if term.is_by_place:
-        where = replace(where, low=where.least, high=where.most)  # limits by place only
+        location = replace(location, low=location.least, high=location.most)  # limits by place only
     place, seen = term.effect.acts(values)
     return replace(
         term,
-        spans=spans(sessions, adds),
-        location=where,
-        place=place or where.text,
-        seen=seen or where.size(final.problem.base.noun),
-        regime=regime_of(base.refitted, final, base.at_base, where),
+        spans=spans(sessions, torques),
+        location=location,
+        place=place or location.text,
+        seen=seen or location.size(final.problem.base.noun),
+        regime=regime_of(base.refitted, final, base.at_base, location),
     )
 
 
@@ -250,44 +250,44 @@ def conclude(
     options.on_stage("next drives")
     terms = chosen.explanation.terms.values()
     # The manoeuvres are for drivers.
-    of_vehicle = prepared.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in prepared.sessions)
-    asked = [partial(advise, term, prepared.vehicle.known.max_speed) for term in terms if of_vehicle]
-    advice = [a for ask in asked for a in attempt("the best next drive", ask) or ()]
+    is_vehicle = prepared.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in prepared.sessions)
+    tasks = [partial(advise, term, prepared.vehicle.known.max_speed) for term in terms if is_vehicle]
+    advice = [a for task in tasks for a in attempt("the best next drive", task) or ()]
     keep_suspected, final = options.keep_suspected, chosen.final
     kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
-    believed = believed_in(judged.terms, judged.verdict, kinds, keep_suspected)
+    believed = credible_names(judged.terms, judged.verdict, kinds, keep_suspected)
     confirmed = [t.name for t in terms if t.confirmed]
-    passing = [t.name for t in terms if t.confirmed and isinstance(t.pattern, Chain)]
-    kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, passing)
-    names = {name for kind in BELONGS_TO for name in kept.names_of(kind)}
+    spell_names = [t.name for t in terms if t.confirmed and isinstance(t.pattern, Chain)]
+    file_changes = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, spell_names)
+    names = {name for kind in BELONGS_TO for name in file_changes.names_of(kind)}
     # Those by place too, and those that have faded since: a disturbance is what the file lacks.
     written = [a for a in final.effects if a.effect.name in names or not base.use.written([a])]
-    expected = base.use.recorded(kept.values, written)
-    old = prepared.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
-    shown = (kept.values or {}).get("torque_scale", old) / old
-    watched = [t for t in judged.terms if isinstance(t.pattern, Chain) and may_be_kept(t, judged.verdict, keep_suspected)]
-    drift, spells = judged.drift, next(iter(watched), None)
-    drifts = drift is not None and (drift.confirmed or (keep_suspected and drift.grade != REFUTED))
+    expected = base.use.recorded(file_changes.values, written)
+    file_scale = prepared.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
+    sensor_scale = (file_changes.values or {}).get("torque_scale", file_scale) / file_scale
+    spell_terms = [t for t in judged.terms if isinstance(t.pattern, Chain) and may_be_kept(t, judged.verdict, keep_suspected)]
+    drift, spells = judged.drift, next(iter(spell_terms), None)
+    drift_is_kept = drift is not None and (drift.confirmed or (keep_suspected and drift.grade != REFUTED))
     disturbance: LearnedDisturbance | None = None
     if spells is not None:
-        disturbance = spells_to_watch(spells, final, expected, shown)
-    elif drifts:
-        disturbance = drift_to_watch(final, expected, shown)
-    return tuple(advice), kept.with_disturbance(disturbance)
+        disturbance = spells_to_watch(spells, final, expected, sensor_scale)
+    elif drift_is_kept:
+        disturbance = drift_to_watch(final, expected, sensor_scale)
+    return tuple(advice), file_changes.with_disturbance(disturbance)
 
 
-def believed_in(terms: Sequence[Term], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool) -> list[str]:
+def credible_names(terms: Sequence[Term], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool) -> list[str]:
     """Names of the effects that may be written: accepted by the verdict, confirmed on hold-out laps, and with
     all alternatives of the same kind, by the `kinds` of the catalogue. An unnamed term must depend on inputs known at the time.
     With `keep_suspected`, all found effects except refuted ones.
     """
 
-    def settled(t: Term) -> bool:
+    def is_settled(t: Term) -> bool:
         own = kinds.get(t.name)
         return keep_suspected or {kinds.get(m, own) for m in t.members} <= {own}
 
-    kept = [t for t in terms if may_be_kept(t, verdict, keep_suspected)]
-    return [t.name for t in kept if (settled(t) if t.is_named else t.predictable)]
+    terms_kept = [t for t in terms if may_be_kept(t, verdict, keep_suspected)]
+    return [t.name for t in terms_kept if (is_settled(t) if t.is_named else t.predictable)]
 
 
 def may_be_kept(t: Term, verdict: Verdict, keep_suspected: bool) -> bool:
@@ -393,15 +393,15 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
     """
     rng = np.random.default_rng(options.seed)
     prepared = prepare(recordings, vehicle, options)
-    with failures() as failed:
+    with failures() as failure_notes:
         base = refit(prepared, options, rng)
         chosen = search(prepared, base, options)
-        judged = judge(prepared, base, chosen, options, rng)
-        advice, kept = conclude(prepared, base, chosen, judged, options)
+        judgement = judge(prepared, base, chosen, options, rng)
+        advice, file_changes = conclude(prepared, base, chosen, judgement, options)
     return Diagnosis(
-        **vars(judged),
+        **vars(judgement),
         base=prepared.base,
-        gated=replace(prepared.gated, notes=(*prepared.gated.notes, *failed)),
+        gated=replace(prepared.gated, notes=(*prepared.gated.notes, *failure_notes)),
         split=prepared.split,
         nominal=prepared.nominal,
         refitted=base.refitted,
@@ -412,5 +412,5 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
         last=chosen.last,
         unconfirmed=chosen.unconfirmed,
         advice=advice,
-        kept=kept,
+        kept=file_changes,
     )

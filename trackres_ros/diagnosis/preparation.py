@@ -79,31 +79,31 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
     """Check, clean and split recordings."""
     base, facts = vehicle.base, vehicle.base.facts
     options.on_stage("checks: units, clocks, gaps")
-    gated, nominal, recorded = prepared(recordings, vehicle, options.hide, options.unread)
+    gated, nominal, recorded = checked_sessions(recordings, vehicle, options.hide, options.unread)
     known = catalogue(options.effects_dir, facts.weight * facts.radius, on_tyres=not base.has_belt)
     effects = {
         name: effect.beyond(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
         for name, effect in known.items()
         if effect.only_of in ("", "rolls" if base.rolls else "slides") and (vehicle.known.is_vehicle or not effect.of_belts)
     }
-    gated, base, effects = without_an_offset(gated, base, effects)
+    gated, base, effects = remove_offset(gated, base, effects)
     vehicle = replace(vehicle, base=base)
     return PreparedSessions(vehicle, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
 
 
-def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, Base, dict[str, Effect]]:
+def remove_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, Base, dict[str, Effect]]:
     """Remove a sensor offset from the candidate effects, and from the base's instrument, if the torque sensor reads zero at rest
-    for long; with a note. If it reads one other value at all stops, only a warning tells it.
+    for long; with a note. If all stops have another common reading, only a warning is noted.
     """
-    none = usual_offset(base)
-    seconds = seconds_without_torque(gated.sessions, none)
+    limit = usual_offset(base)
+    seconds = seconds_without_torque(gated.sessions, limit)
     if not seconds or TorqueOffset.name not in effects:
-        told = "" if seconds else _offset_at_rest(gated.sessions, none, base.torque_scale)
-        return replace(gated, notes=(*gated.notes, *filter(None, [told]))), base, dict(effects)
-    note = f"the torque is 0 Nm at rest, within {figures(none)} Nm over {seconds:.0f} s: the sensor has no offset"
-    known = copy.copy(base)
-    known.includes = (*base.includes, TorqueOffset.name)  # so no fit adds one
-    return replace(gated, notes=(*gated.notes, note)), known, {n: e for n, e in effects.items() if n != TorqueOffset.name}
+        warning = "" if seconds else _offset_at_rest(gated.sessions, limit, base.torque_scale)
+        return replace(gated, notes=(*gated.notes, *filter(None, [warning]))), base, dict(effects)
+    note = f"the torque is 0 Nm at rest, within {figures(limit)} Nm over {seconds:.0f} s: the sensor has no offset"
+    corrected = copy.copy(base)
+    corrected.includes = (*base.includes, TorqueOffset.name)  # so no fit adds one
+    return replace(gated, notes=(*gated.notes, note)), corrected, {n: e for n, e in effects.items() if n != TorqueOffset.name}
 
 
 def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> float:
@@ -128,35 +128,35 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float, scale: float)
     spread = math.sqrt(float(np.average((torque - mean) ** 2, weights=seconds)))
     if abs(mean) <= most or spread > ALIKE * abs(mean):
         return ""
-    shown = figures(scale * mean)
-    line = line_to_write("torque", Conversion(offset=-float(shown)), *(s.bindings for s in sessions))
-    says = f"the torque is {shown} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together"
+    reading = figures(scale * mean)
+    line = line_to_write("torque", Conversion(offset=-float(reading)), *(s.bindings for s in sessions))
+    statement = f"the torque is {reading} Nm at rest, alike in {len(stops)} stops of {seconds.sum():.0f} s together"
     offset = "if neither a slope, a load nor a brake holds it, the sensor has an offset"
-    return SensorFinding(f"{says}; {offset}; {line}", f"T{says[1:]}", TorqueOffset.name, scale * mean)
+    return SensorFinding(f"{statement}; {offset}; {line}", f"T{statement[1:]}", TorqueOffset.name, scale * mean)
 
 
 def _stops(sessions: Sequence[DriveSession]) -> list[tuple[float, float]]:
     """Time of each stop with a measured torque [s], and the median of its readings [Nm]."""
-    found = []
+    stops = []
     for session in sessions:
         slow = np.abs(session.speed) < STANDSTILL_MPS
-        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)  # no part of a start within the step
+        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _has_torque_sample(session)  # no part of a start within the step
         rests[[0, -1]] = False
         for begin, end in runs_of(rests):
-            found.append((session.step * (end - begin), float(np.median(session.torque[begin:end]))))
-    return found
+            stops.append((session.step * (end - begin), float(np.median(session.torque[begin:end]))))
+    return stops
 
 
-def _measured(session: DriveSession) -> Mask:
+def _has_torque_sample(session: DriveSession) -> Mask:
     """Steps that contain a torque sample."""
     if session.torque_course is None:
         return np.zeros(len(session), dtype=bool)
     edges = np.append(session.time, session.time[-1] + session.step)
-    return np.asarray(np.histogram(session.torque_course.at, edges)[0] > 0)
+    return np.asarray(np.histogram(session.torque_course.times, edges)[0] > 0)
 
 
-def prepared(
-    recordings: Sequence[Recording], vehicle: LoadedBase, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
+def checked_sessions(
+    recordings: Sequence[Recording], vehicle: LoadedBase, hide: Sequence[str] = (), refusals: Sequence[Refusal] = ()
 ) -> tuple[Gated, tuple[Array, ...], tuple[DriveSession, ...]]:
     """Sessions that passed the gate and the torque checks, their torque from the vehicle file [Nm], and the same sessions
     without values from a route.
@@ -168,21 +168,21 @@ def prepared(
     def by_file(sessions: Sequence[DriveSession]) -> list[Array]:
         return [p.torque for p in vehicle.base.predict(sessions, vehicle.base.nominal, ())]
 
-    refused = list(refused)
+    refusals = list(refusals)
     while True:
-        passed = gate(recordings, vehicle.known, hide, refused)
-        gated = on_route(passed, vehicle.route, vehicle.base.acting)
+        gate_result = gate(recordings, vehicle.known, hide, refusals)
+        gated = on_route(gate_result, vehicle.route, vehicle.base.acting)
         expected = by_file(gated.sessions)
-        moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
-        sessions = tuple(s for s, _ in moved)
-        resisting = by_file([replace(s, accel=np.zeros(len(s))) for s in sessions])
+        alignments = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
+        sessions = tuple(s for s, _ in alignments)
+        resistances = by_file([replace(s, accel=np.zeros(len(s))) for s in sessions])
         known = replace(vehicle.known, torque_share=vehicle.base.share_limits(sessions) or vehicle.known.torque_share)
-        faulty = faulty_torques(sessions, expected, resisting, known)
-        if not faulty:
+        faults = faulty_torques(sessions, expected, resistances, known)
+        if not faults:
             break
-        refused += faulty
-    doubts = check_torque(sessions, expected, resisting, known)
-    moves = [note for _, note in moved if note]
-    notes = (*gated.notes, *moves, *doubts, *inconsistent_scale_notes(sessions, expected, known.is_vehicle))
+        refusals += faults
+    doubts = check_torque(sessions, expected, resistances, known)
+    clock_notes = [note for _, note in alignments if note]
+    notes = (*gated.notes, *clock_notes, *doubts, *inconsistent_scale_notes(sessions, expected, known.is_vehicle))
     corrected = with_fewer_steps(gated, sessions, "torque lost by the correction of its clock")
-    return replace(corrected, notes=notes), tuple(expected), passed.sessions
+    return replace(corrected, notes=notes), tuple(expected), gate_result.sessions

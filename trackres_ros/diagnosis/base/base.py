@@ -137,11 +137,11 @@ class Base(ABC):
             rows = self._simulate(sessions, values, acting)
             self._last.clear()
             self._last[key] = rows
-        found = []
+        predictions = []
         for i, (session, (simulated, belt, skin)) in enumerate(zip(sessions, self._last[key], strict=True)):
             drive = acting.with_watched(simulated, i)
-            found.append(Predicted(self._shown(values) * acting.sensed(drive, session), drive, belt, skin))
-        return found
+            predictions.append(Predicted(self._shown(values) * acting.sensed(drive, session), drive, belt, skin))
+        return predictions
 
     def share_limits(self, _: Sequence[DriveSession]) -> tuple[float, float] | None:
         """Least and most of true over expected torque within the ranges of the parameters; None where the facts of the gate
@@ -179,9 +179,9 @@ class Base(ABC):
         return self._with_parameters(tuple(replace(q, nominal=values[q.name]) for q in self.parameters))
 
     def _with_parameters(self, parameters: tuple[BaseParameter, ...]) -> Self:
-        found = copy.copy(self)
-        found.parameters = parameters
-        return found
+        base = copy.copy(self)
+        base.parameters = parameters
+        return base
 
 
 @dataclass(frozen=True)
@@ -203,8 +203,8 @@ class Acting:
         torques = tuple(active for active in series if isinstance(active.effect, TorqueByPlace))
         watched = tuple(active for active in series if active not in slopes and active not in torques)
         stepped = tuple(active for active in effects if active not in series and active.effect.acts_on != "sensor")
-        of_sensors = [active for active in effects if active.effect.acts_on == "sensor"]
-        sensors = terms_by_parameters(tuple(a.effect for a in of_sensors), tuple(a.numbers for a in of_sensors), facts)
+        sensor_effects = [active for active in effects if active.effect.acts_on == "sensor"]
+        sensors = terms_by_parameters(tuple(a.effect for a in sensor_effects), tuple(a.numbers for a in sensor_effects), facts)
         return cls(stepped, fit_table(stepped), watched, slopes, torques, sensors)
 
     def speed(self, session: DriveSession) -> Array:
@@ -232,28 +232,28 @@ class Acting:
     def sensed(self, torque: Array, session: DriveSession) -> Array:
         """Torque as the sensor shows it [Nm]."""
         terms = self.sensors
-        shown = terms.sensor_gain * torque + terms.sensor_offset
+        reading = terms.sensor_gain * torque + terms.sensor_offset
         if terms.sensor_delay == 0.0:
-            return np.asarray(shown)
+            return np.asarray(reading)
         if session.torque_course is None:  # not measured: a step's mean is at its middle
-            return np.interp(session.time - terms.sensor_delay, session.time, shown)
+            return np.interp(session.time - terms.sensor_delay, session.time, reading)
         # Torque may jump within a step, which its mean does not show. So the measured torque is shifted instead, exactly.
         later = session.torque_course.later_means(session.time, session.step, terms.sensor_delay)
-        return np.asarray(shown - (later - session.torque))
+        return np.asarray(reading - (later - session.torque))
 
     def check(self, omitted: Array, session: DriveSession, facts: VehicleConstants) -> None:
         """Raise the error of a user effect that was omitted in a step, although all its inputs are known there."""
-        own = [active for active in self.stepped if active.effect.source is not None]
-        if not own or not omitted.any():
+        user_effects = [active for active in self.stepped if active.effect.source is not None]
+        if not user_effects or not omitted.any():
             return
         for i in np.flatnonzero(omitted)[:MOST_CHECKED]:
-            at = conditions(
+            inputs = conditions(
                 facts, self.speed(session)[i], self.accel(session)[i], session.weight[i],
                 session.ambient[i], session.yaw_rate[i], session.heading[i], session.distance[i],
             )  # fmt: skip
-            for active in own:
-                if all(np.isfinite(getattr(at, need)) for need in active.effect.needs):
-                    refuse_unusable(active, at)
+            for active in user_effects:
+                if all(np.isfinite(getattr(inputs, need)) for need in active.effect.needs):
+                    refuse_unusable(active, inputs)
 
 
 def _with_series(values: Array, effects: Sequence[Active], session: int) -> Array:

@@ -27,12 +27,12 @@ OFFSET_NM, MOST_OFFSET_NM = 15.0, 45.0  # of a vehicle of `REFERENCE_NM`
 def instrument(base: Base) -> tuple[Effect, ...]:
     """Small sensor effects that the base does not have as parameters."""
     offset = usual_offset(base)
-    within = (
+    limits = (
         (Delay(), DELAY_S, MOST_DELAY_S),
         (TorqueGain(), GAIN, MOST_GAIN),
         (TorqueOffset(), offset, offset * MOST_OFFSET_NM / OFFSET_NM),
     )
-    return tuple(narrowed(effect, std, most) for effect, std, most in within if effect.name not in base.includes)
+    return tuple(narrowed(effect, std, most) for effect, std, most in limits if effect.name not in base.includes)
 
 
 def usual_offset(base: Base) -> float:
@@ -42,6 +42,6 @@ def usual_offset(base: Base) -> float:
 
 def narrowed(effect: Effect, std: float, most: float) -> Effect:
     """An effect whose parameters get this prior standard deviation and bound, in its unit, around no effect."""
-    found = copy.copy(effect)
-    found.parameters = tuple(replace(q, low=-most, high=most, start=std / PRIOR_STDS) for q in effect.parameters)
-    return found
+    narrow = copy.copy(effect)
+    narrow.parameters = tuple(replace(q, low=-most, high=most, start=std / PRIOR_STDS) for q in effect.parameters)
+    return narrow

@@ -41,9 +41,9 @@ class LoadedBase:
         """
         if isinstance(self.base, OwnBase):
             return self
-        given = settings_for(Settings(), topics)
-        shows_surface = self.known.has_belt and given.belt_sensor == "surface"
-        return replace(self, known=replace(self.known, belt_shows_surface=shows_surface, passenger_kg=given.passenger_kg))
+        settings = settings_for(Settings(), topics)
+        shows_surface = self.known.has_belt and settings.belt_sensor == "surface"
+        return replace(self, known=replace(self.known, belt_shows_surface=shows_surface, passenger_kg=settings.passenger_kg))
 
 
 def load_base(
@@ -62,9 +62,9 @@ def load_base(
         If the file cannot be used, or the vehicle has other values than its file.
     """
     if isinstance(vehicle, OwnModel):
-        for name, given in (("surroundings", surroundings), ("method", hysteresis), ("thermal", thermal)):
-            if given is not None:
-                raise InputError(name, str(given), "none with a model of your own", "it is part of the model")
+        for name, value in (("surroundings", surroundings), ("method", hysteresis), ("thermal", thermal)):
+            if value is not None:
+                raise InputError(name, str(value), "none with a model of your own", "it is part of the model")
         return LoadedBase(OwnBase(vehicle), vehicle.name, vehicle.known)
     if isinstance(vehicle, Vehicle):
         _check_as_in_its_file(vehicle)
@@ -113,8 +113,8 @@ def _check_as_in_its_file(vehicle: Vehicle) -> None:
     """Refuse a vehicle changed in memory, because results are written into a copy of its file."""
     in_file = load(vehicle.source)
     changed = [path for path, q in vehicle.parameters.items() if q.value != in_file.parameters[path].value]
-    of_both = [{a.effect.name: dict(a.values) for a in v.effects} for v in (vehicle, in_file)]
-    changed += ["effects"] if of_both[0] != of_both[1] else []
+    effects = [{a.effect.name: dict(a.values) for a in v.effects} for v in (vehicle, in_file)]
+    changed += ["effects"] if effects[0] != effects[1] else []
     if changed:
-        given = f"other values than {vehicle.source} has: {changed[0]}"
-        raise InputError("vehicle", given, "a vehicle as its file has it", "write them into a file of their own")
+        statement = f"other values than {vehicle.source} has: {changed[0]}"
+        raise InputError("vehicle", statement, "a vehicle as its file has it", "write them into a file of their own")

@@ -80,9 +80,9 @@ class OwnModel:
         checks.function(self.torque, f"{self.name}: torque")
         if not isinstance(self.parameters, Mapping):
             raise InputError(f"{self.name}: parameters", self.parameters, "a mapping of name to (value, least, greatest, unit)")
-        for name, of in self.parameters.items():
-            if not (isinstance(of, Sequence) and len(of) == 4 and _are_numbers(*of[:3]) and of[1] <= of[0] <= of[2]):
-                raise InputError(f"{self.name}: {name}", of, "a value within a finite least and greatest one, and a unit")
+        for name, row in self.parameters.items():
+            if not (isinstance(row, Sequence) and len(row) == 4 and _are_numbers(*row[:3]) and row[1] <= row[0] <= row[2]):
+                raise InputError(f"{self.name}: {name}", row, "a value within a finite least and greatest one, and a unit")
         for name in ("max_speed", "max_torque"):
             if not (_are_numbers(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"{self.name}: {name}", getattr(self, name), "a positive number")
@@ -94,8 +94,8 @@ class OwnModel:
         return GateSettings(weight, self.max_speed, AMBIENT_DEGC, None, is_vehicle=False, friction=self.max_torque)
 
 
-def _are_numbers(*given: object) -> bool:
-    return all(isinstance(one, Real) and math.isfinite(one) for one in given)
+def _are_numbers(*values: object) -> bool:
+    return all(isinstance(value, Real) and math.isfinite(value) for value in values)
 
 
 class OwnBase(Base):
@@ -104,28 +104,28 @@ class OwnBase(Base):
     def __init__(self, model: OwnModel) -> None:
         super().__init__()
         self.model, self.name = model, model.name
-        self._by_default = {name: of[0] for name, of in model.parameters.items()}
+        self._by_default = {name: row[0] for name, row in model.parameters.items()}
         self.includes = (RotatingInertia.name, *(active.effect.name for active in model.effects))
         self.facts = VehicleConstants(
             radius=1.0, weight=model.known.weight, drag_area=0.0, air_density=0.0, contact_length=1.0, assemblies=1,
             cooled_area=0.0, tension=1.0, standstill=min(STANDSTILL_MPS, SLOW_SHARE * model.max_speed),
         )  # fmt: skip
-        self.parameters = tuple(_parameter(name, *of) for name, of in model.parameters.items() if of[1] < of[2])
+        self.parameters = tuple(_parameter(name, *row) for name, row in model.parameters.items() if row[1] < row[2])
 
     def _own_effects(self, _: Values) -> Sequence[Active]:
         return self.model.effects
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
         scratch, memory = new_effect_scratch(self.facts), new_memory(len(acting.stepped))
-        found = []
+        results = []
         for i, (session, unseen) in enumerate(with_unseen(sessions)):
-            far = float(memory[DISTANCE])
+            distance = float(memory[DISTANCE])
             if i > 0 and np.isfinite(session.gap):
                 rest_own(*acting.table, memory, scratch, float(session.ambient[0]), session.gap)
             else:
                 memory = cooled(memory)
                 if session.first_drive:
-                    memory[DISTANCE] = far = 0.0
+                    memory[DISTANCE] = distance = 0.0
             true = replace(session, speed=acting.speed(session), accel=acting.accel(session))
             own = self._own(true, values) + acting.torque_by_place(session, i) * np.sign(true.speed)
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
@@ -133,10 +133,10 @@ class OwnBase(Base):
             step_own(acting.table, scratch, memory, own, *series, torque, outcome)
             acting.check(outcome == UNUSABLE, session, self.facts)
             if unseen:
-                memory[DISTANCE] = far
+                memory[DISTANCE] = distance
             else:
-                found.append(np.stack([torque, *np.full((2, len(session)), np.nan)]))
-        return found
+                results.append(np.stack([torque, *np.full((2, len(session)), np.nan)]))
+        return results
 
     def _own(self, session: DriveSession, values: Values) -> Array:
         """Result of the user's function; an `InputError` if it fails, or is not a finite number for each step."""
@@ -148,32 +148,32 @@ class OwnBase(Base):
         except Exception as error:
             raise InputError(f"{self.name}: torque", f"{type(error).__name__}: {error}", "a function of inputs and p") from error
         if own.shape != session.speed.shape or not np.isfinite(own).all():
-            given = f"shape {own.shape}" if own.shape != session.speed.shape else f"no finite number with {dict(values)}"
-            raise InputError(f"{self.name}: torque", given, f"a finite number for each step, shape {session.speed.shape}")
+            statement = f"shape {own.shape}" if own.shape != session.speed.shape else f"no finite number with {dict(values)}"
+            raise InputError(f"{self.name}: torque", statement, f"a finite number for each step, shape {session.speed.shape}")
         return own
 
     def share_limits(self, sessions: Sequence[DriveSession]) -> tuple[float, float] | None:
         """See `base.Base`: one parameter after the other at the ends of its range; their products."""
-        still = [replace(s, accel=np.zeros(len(s))) for s in sessions]
+        steady = [replace(s, accel=np.zeros(len(s))) for s in sessions]
 
         def torques(values: Values) -> tuple[Array, Array]:
             whole, resisting = (
-                np.concatenate([p.torque[s.used] for p, s in zip(self.predict(of, values, ()), sessions, strict=True)])
-                for of in (sessions, still)
+                np.concatenate([p.torque[s.used] for p, s in zip(self.predict(group, values, ()), sessions, strict=True)])
+                for group in (sessions, steady)
             )
             return whole, whole - resisting
 
         nominal, low, high = torques(self.nominal), 1.0, 1.0
         for q in self.parameters:
             at_ends = [torques({**self.nominal, q.name: end}) for end in q.by_file]
-            shares = [float(x @ n) / float(n @ n) for of in at_ends for x, n in zip(of, nominal, strict=True) if n.any()]
+            shares = [float(x @ n) / float(n @ n) for group in at_ends for x, n in zip(group, nominal, strict=True) if n.any()]
             low, high = low * max(min(1.0, *shares), 0.0), high * max(1.0, *shares)
         return low, high
 
     def with_kept(self, kept: FileChanges) -> OwnModel:
         """The model with the kept values and effects."""
         values = kept.values or {}
-        parameters = {name: (values.get(name, of[0]), *of[1:]) for name, of in self.model.parameters.items()}
+        parameters = {name: (values.get(name, parameter[0]), *parameter[1:]) for name, parameter in self.model.parameters.items()}
         parameters = {n: (v, min(low, v), max(high, v), unit) for n, (v, low, high, unit) in parameters.items()}
         return replace(self.model, parameters=parameters, effects=(*self.model.effects, *kept.of("vehicle")))
 
@@ -196,9 +196,9 @@ def _handed_out(session: DriveSession) -> DriveSession:
 
 
 def _parameter(name: str, value: float, low: float, high: float, unit: str) -> BaseParameter:
-    wide = high - low
-    least, most = (0.0 if low >= 0.0 else low - wide), (0.0 if high <= 0.0 else high + wide)
-    return BaseParameter(name, unit, value, 0.25 * wide, least, most, (low, high))
+    width = high - low
+    least, most = (0.0 if low >= 0.0 else low - width), (0.0 if high <= 0.0 else high + width)
+    return BaseParameter(name, unit, value, 0.25 * width, least, most, (low, high))
 
 
 @kernel

@@ -44,13 +44,14 @@ class FileBase(Base):
 
     def as_written(self, values: Values) -> Self:
         """See `base.Base`."""
-        now = self.vehicle
+        vehicle = self.vehicle
         with trial_folder() as folder:
             path = folder / "vehicle.yaml"
             self.write(path, FileChanges(values, (), {}), "")
-            found = type(self)(replace(load_any(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
-        found.torque_scale = self.torque_scale  # the sessions stay divided by it
-        return found
+            effects, surroundings, route = vehicle.effects, vehicle.surroundings, vehicle.route
+            base = type(self)(replace(load_any(path), effects=effects, surroundings=surroundings, route=route))
+        base.torque_scale = self.torque_scale  # the sessions stay divided by it
+        return base
 
 
 def simulated(
@@ -76,13 +77,13 @@ def simulated(
     )
     constants, carried = COMPILED.bound(k).given, COMPILED.bound(state).given
     scratch = COMPILED.bound(new_scratch(facts, 0, 0)).given
-    found: list[Array] = []
+    results: list[Array] = []
     for i, (session, unseen) in enumerate(with_unseen(sessions)):
-        ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
+        ambient, distance = float(session.ambient[0]), float(state.effects[DISTANCE])
         if i == 0 or not np.isfinite(session.gap):
             COMPILED.start_belts(constants, carried, ambient, 0.0)
             if session.first_drive:
-                state.effects[DISTANCE] = far = 0.0
+                state.effects[DISTANCE] = distance = 0.0
         else:
             COMPILED.rest_vehicle(constants, carried, scratch, ambient, 0.0, session.gap)
         rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
@@ -104,7 +105,7 @@ def simulated(
         COMPILED.predict_series(constants, carried, scratch, count, series, rows)
         acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
         if unseen:
-            state.effects[DISTANCE] = far
+            state.effects[DISTANCE] = distance
         else:
-            found.append(np.ascontiguousarray(rows[:, [PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN]].T))
-    return found
+            results.append(np.ascontiguousarray(rows[:, [PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN]].T))
+    return results

@@ -90,8 +90,8 @@ class TrackBase(FileBase):
         capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
         # Factors on the belt's heat capacity from the rubber's share: by the limits of a file, and by the range of this one.
         (least, most), by_file = (
-            (1.0 + share * (of.low / capacity.value - 1.0), 1.0 + share * (of.high / capacity.value - 1.0))
-            for of in (RUBBER["heat_capacity"], capacity)
+            (1.0 + share * (bounds.low / capacity.value - 1.0), 1.0 + share * (bounds.high / capacity.value - 1.0))
+            for bounds in (RUBBER["heat_capacity"], capacity)
         )
         within = max(PLAUSIBLE_CAPACITY[0], least), min(PLAUSIBLE_CAPACITY[1], most)
         film_std = film.standard_deviation / film.value
@@ -106,8 +106,8 @@ class TrackBase(FileBase):
         ]
         if vehicle.thermal == "core_surface":
             # Two nodes approximate a continuous temperature profile, so their positions are uncertain.
-            of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
-            fitted += [known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, of_surface)]
+            surface_share = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
+            fitted += [known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, surface_share)]
         self._by_default = {q.name: q.nominal for q in fitted}
         # A value whose range in the file has no width is exact, and so is a factor on such a value.
         self.parameters = tuple(q for q in fitted if q.by_file[0] < q.by_file[1])
@@ -116,17 +116,17 @@ class TrackBase(FileBase):
         return self.vehicle.active
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        k, belts = self._with(values, acting, self._loads(sessions)), len(self._firsts)
+        k, belts = self._constants_with(values, acting, self._loads(sessions)), len(self._firsts)
         cooling, by_speed = (values[FILM] * each for each in (self.facts.cooling, self.facts.cooling_by_speed))
         facts = self.facts._replace(drag_area=k.number.drag_area, cooling=cooling, cooling_by_speed=by_speed)
         return simulated(k, self._count, belts, facts, sessions, acting)
 
     def _loads(self, sessions: Sequence[DriveSession]) -> slice:
         """Columns of the loss table between which the belts are loaded, with one more on either side."""
-        of = self._constants.assembly[self._firsts].T
+        rows = self._constants.assembly[self._firsts].T
         driven = [weight for session in sessions for weight in session.weights]
-        loads = np.array([*(weight * of[at.Assembly.share_of_all] for weight in driven), of[at.Assembly.nominal_load]])
-        nodes = (np.log(loads) - of[at.Assembly.first_log_load]) / of[at.Assembly.step_log_load]
+        loads = np.array([*(weight * rows[at.Assembly.share_of_all] for weight in driven), rows[at.Assembly.nominal_load]])
+        nodes = (np.log(loads) - rows[at.Assembly.first_log_load]) / rows[at.Assembly.step_log_load]
         first, last = np.clip([nodes.min(), nodes.max()], 0, self._constants.loss.shape[2] - 2).astype(int).tolist()
         return slice(max(first - 1, 0), last + 3)
 
@@ -134,28 +134,28 @@ class TrackBase(FileBase):
         """Loss table for a multiple of the file's loss modulus, nan at other loads; cached, because a fit step reuses a few."""
         if loss == 1.0:
             return self._constants.loss
-        found = next((table for known, table in self._loss_tables if known == (loss, loads)), None)
-        if found is None:
-            found = np.full_like(self._constants.loss, np.nan)
-            found[:, :, :2] = self._constants.loss[:, :, :2]  # looked up at rest, where no loss heats
+        scaled = next((table for known, table in self._loss_tables if known == (loss, loads)), None)
+        if scaled is None:
+            scaled = np.full_like(self._constants.loss, np.nan)
+            scaled[:, :, :2] = self._constants.loss[:, :, :2]  # looked up at rest, where no loss heats
             power = math.log(loss) * self._loss_power[:, :, loads]
-            found[:, :, loads] = self._constants.loss[:, :, loads] * np.exp(power)  # faster than a power
-            self._loss_tables = (((loss, loads), found), *self._loss_tables[: LOSS_TABLES - 1])
-        return found
+            scaled[:, :, loads] = self._constants.loss[:, :, loads] * np.exp(power)  # faster than a power
+            self._loss_tables = (((loss, loads), scaled), *self._loss_tables[: LOSS_TABLES - 1])
+        return scaled
 
     @cached_property
     def _loss_power(self) -> Array:
         """Power with which a value of the loss table grows with the loss modulus scale: a lossier belt is stiffer, too."""
-        now = self.vehicle.rubber
-        less = replace(self.vehicle, rubber=replace(now, loss_modulus_scale=LESS_LOSS * now.loss_modulus_scale))
-        then = np.stack([loss_table(less, name).loss for name in less.tracks])
-        return np.asarray(np.log(then / self._constants.loss) / math.log(LESS_LOSS))
+        rubber = self.vehicle.rubber
+        soft_vehicle = replace(self.vehicle, rubber=replace(rubber, loss_modulus_scale=LESS_LOSS * rubber.loss_modulus_scale))
+        losses = np.stack([loss_table(soft_vehicle, name).loss for name in soft_vehicle.tracks])
+        return np.asarray(np.log(losses / self._constants.loss) / math.log(LESS_LOSS))
 
     def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""
         return write_track_vehicle(self.vehicle, path, kept, text)
 
-    def _with(self, values: Values, acting: Acting, loads: slice) -> Constants:
+    def _constants_with(self, values: Values, acting: Acting, loads: slice) -> Constants:
         """Constants of the step with other parameter values, for some columns of the loss table."""
         k, vehicle = self._constants, self.vehicle
         resistance = parting_resistance(acting.stepped, self.facts)
@@ -186,18 +186,18 @@ class TrackBase(FileBase):
 
 def _kinds(k: Constants) -> tuple[list[int], Array]:
     """Groups of assemblies with the same kind and weight share, whose belts are alike: one of each, and their count."""
-    found: dict[tuple[float, float], list[int]] = {}
+    groups: dict[tuple[float, float], list[int]] = {}
     for i, row in enumerate(k.assembly):
-        found.setdefault((row[at.Assembly.kind], round(float(row[at.Assembly.share_of_all]), 6)), []).append(i)
-    return [rows[0] for rows in found.values()], np.array([len(rows) for rows in found.values()], dtype=float)
+        groups.setdefault((row[at.Assembly.kind], round(float(row[at.Assembly.share_of_all]), 6)), []).append(i)
+    return [rows[0] for rows in groups.values()], np.array([len(rows) for rows in groups.values()], dtype=float)
 
 
 def _of_all_belts(vehicle: Vehicle, first: BaseParameter) -> BaseParameter:
     """The share of the first belt at its surface, with bounds for those of all belts, which change in proportion."""
     share, most = first.nominal, min(first.high, MOST_AT_SURFACE)
     low, high = _belt_factors(vehicle, (first.name,), first.low / share, most / share, by_file=False)
-    of_file = _belt_factors(vehicle, (first.name,), 0.0, np.inf, by_file=True)
-    return replace(first, low=share * low, high=share * high, by_file=(share * of_file[0], share * of_file[1]))
+    file_range = _belt_factors(vehicle, (first.name,), 0.0, np.inf, by_file=True)
+    return replace(first, low=share * low, high=share * high, by_file=(share * file_range[0], share * file_range[1]))
 
 
 def _belt_factors(vehicle: Vehicle, keys: Sequence[str], low: float, high: float, by_file: bool) -> tuple[float, float]:

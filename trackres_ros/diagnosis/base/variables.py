@@ -46,9 +46,9 @@ BY_NAME = {variable.name: variable for variable in VARIABLES}
 
 def varying(sessions: Sequence[DriveSession], predicted: Sequence[Predicted]) -> dict[str, Array]:
     """Series along all sessions of each variable that is fully known and varies."""
-    found = {v.name: np.concatenate([v.of(s, p) for s, p in zip(sessions, predicted, strict=True)]) for v in VARIABLES}
+    all_series = {v.name: np.concatenate([v.of(s, p) for s, p in zip(sessions, predicted, strict=True)]) for v in VARIABLES}
     return {
         name: series
-        for name, series in found.items()
+        for name, series in all_series.items()
         if np.isfinite(series).all() and np.ptp(series) > CONSTANT_SHARE * max(1.0, np.abs(series).max())
     }

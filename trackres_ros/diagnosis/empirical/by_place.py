@@ -60,14 +60,14 @@ class StreetGraph:
         ends = np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
         away = np.hypot(*(table[ends[:, 0], :2] - table[ends[:, 1], :2]).T)
         sign, away = np.array(list(pairs.values()), dtype=float), np.maximum(away, NEAREST_M)
-        return cls(ends[:, 0], ends[:, 1], sign, away, len(table), _closed(tracks, len(table)))
+        return cls(ends[:, 0], ends[:, 1], sign, away, len(table), _closed_loops(tracks, len(table)))
 
     def both_ways(self) -> StreetGraph:
         """Graph with two nodes per place, one for each direction of passing."""
-        turned = (self.sign < 0.0).astype(np.int64)
+        is_reversed = (self.sign < 0.0).astype(np.int64)
         return StreetGraph(
             np.concatenate([2 * self.first, 2 * self.first + 1]),
-            np.concatenate([2 * self.second + turned, 2 * self.second + 1 - turned]),
+            np.concatenate([2 * self.second + is_reversed, 2 * self.second + 1 - is_reversed]),
             np.ones(2 * len(self.sign)),
             np.tile(self.away, 2),
             2 * self.count,
@@ -86,23 +86,23 @@ class StreetGraph:
         return ((mass + laplace) * (0.5 * length_m / size**2) + sparse.identity(n) * (FLOOR / size**2)).tocsc()
 
 
-def _closed(tracks: Sequence[Matched], count: int) -> sparse.csr_matrix:
+def _closed_loops(tracks: Sequence[Matched], count: int) -> sparse.csr_matrix:
     """Loops that a track goes round without a gap, back to a place in the same direction; each loop once."""
     rows, known = [], list[set[int]]()
     for track in tracks:
-        nearer = np.arange(len(track.number)), np.argmax(track.share, axis=1)
-        begun = dict[tuple[int, float], int]()
-        for i, here in enumerate(zip(track.place[nearer].tolist(), track.sign[nearer].tolist(), strict=True)):
-            if here[0] < 0:
-                begun.clear()
+        nearest = np.arange(len(track.number)), np.argmax(track.share, axis=1)
+        first_steps = dict[tuple[int, float], int]()
+        for i, node in enumerate(zip(track.place[nearest].tolist(), track.sign[nearest].tolist(), strict=True)):
+            if node[0] < 0:
+                first_steps.clear()
                 continue
-            begin = begun.setdefault(here, i)
+            begin = first_steps.setdefault(node, i)
             if (i - begin) * STEP_M < LEAST_LOOP_M:
                 continue
-            begun = {here: i}
+            first_steps = {node: i}
             place, rise = track.place[begin:i], STEP_M * (track.share * track.sign)[begin:i]
             loop = set(place.ravel().tolist())
-            if all(len(loop & one) < SAME_LOOP * len(loop | one) for one in known):
+            if all(len(loop & other) < SAME_LOOP * len(loop | other) for other in known):
                 known.append(loop)
                 rows.append(np.bincount(place.ravel(), rise.ravel(), count))
     return sparse.csr_matrix(np.reshape(rows, (len(rows), count)))
@@ -112,7 +112,7 @@ def _closed(tracks: Sequence[Matched], count: int) -> sparse.csr_matrix:
 class PlaceColumns:
     """Torque of each session per value of each place, shape (samples, values), and the graph of the values."""
 
-    of: tuple[sparse.csr_matrix, ...]
+    torques: tuple[sparse.csr_matrix, ...]
     streets: StreetGraph
 
     @classmethod
@@ -125,25 +125,25 @@ class PlaceColumns:
     @classmethod
     def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
         """For a torque against travel, one per direction; `against` is what a sensor shows of it at each sample."""
-        both = streets.both_ways()
+        graph = streets.both_ways()
         place = [np.where(t.place >= 0, 2 * t.place + (t.sign < 0.0), -1) for t in tracks]
-        every = zip(tracks, place, against, strict=True)
-        return cls(tuple(_column(t, p, np.ones_like(t.share), a, both.count) for t, p, a in every), both)
+        rows = zip(tracks, place, against, strict=True)
+        return cls(tuple(_column(t, p, np.ones_like(t.share), a, graph.count) for t, p, a in rows), graph)
 
     def expected(self, learned: PlaceValues) -> list[Array]:
         """Torque of each session from the values of the places."""
-        return [np.asarray(z @ learned.value) for z in self.of]
+        return [np.asarray(z @ learned.value) for z in self.torques]
 
 
 def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array, count: int) -> sparse.csr_matrix:
     """Means over the points within each sample; zero if any of them is at no place."""
-    each = len(track.number) // len(factor)
-    whole = np.repeat(track.known.reshape(-1, each).all(axis=1), each)
-    of = np.repeat(np.arange(len(factor)), each)
-    rows = np.flatnonzero(whole)
-    data = (track.share * sign)[rows] * factor[of[rows], np.newaxis] / each
-    at = (np.repeat(of[rows], 2), place[rows].ravel())
-    return sparse.coo_matrix((data.ravel(), at), (len(factor), count)).tocsr()
+    points = len(track.number) // len(factor)
+    is_known = np.repeat(track.known.reshape(-1, points).all(axis=1), points)
+    sample = np.repeat(np.arange(len(factor)), points)
+    rows = np.flatnonzero(is_known)
+    data = (track.share * sign)[rows] * factor[sample[rows], np.newaxis] / points
+    indices = (np.repeat(sample[rows], 2), place[rows].ravel())
+    return sparse.coo_matrix((data.ravel(), indices), (len(factor), count)).tocsr()
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,21 +161,21 @@ class PlaceValues:
 
     def relearned(self, columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
         """Values from other samples, with this length, size and noise, and a fixed base."""
-        rows = WhitenedRows.of(columns.of, residuals, masks, self.noise)
-        return _learned(rows, columns.streets, np.empty(0), self.length_m, self.size).value
+        rows = WhitenedRows.of(columns.torques, residuals, masks, self.noise)
+        return _place_values(rows, columns.streets, np.empty(0), self.length_m, self.size).value
 
-    def std(self, of: NDArray[np.int64]) -> Array:
+    def std(self, places: NDArray[np.int64]) -> Array:
         """Standard deviation of the values of some places."""
-        found = np.empty(len(of))
-        for some in np.array_split(np.arange(len(of)), max(1, len(of) // AT_ONCE)):
-            unit = np.zeros((self._solve.shape[0], len(some)))
-            unit[of[some], np.arange(len(some))] = 1.0
-            found[some] = self._solve.solve(unit)[of[some], np.arange(len(some))]
-        return np.sqrt(np.maximum(found, 0.0))
+        variances = np.empty(len(places))
+        for indices in np.array_split(np.arange(len(places)), max(1, len(places) // AT_ONCE)):
+            unit = np.zeros((self._solve.shape[0], len(indices)))
+            unit[places[indices], np.arange(len(indices))] = 1.0
+            variances[indices] = self._solve.solve(unit)[places[indices], np.arange(len(indices))]
+        return np.sqrt(np.maximum(variances, 0.0))
 
-    def std_of_mean(self, of: NDArray[np.int64]) -> float:
+    def std_of_mean(self, places: NDArray[np.int64]) -> float:
         """Standard deviation of the mean of the values of some places."""
-        share = np.bincount(of, minlength=self._solve.shape[0]) / len(of)
+        share = np.bincount(places, minlength=self._solve.shape[0]) / len(places)
         return math.sqrt(max(float(share @ self._solve.solve(share)), 0.0))
 
 
@@ -183,7 +183,7 @@ class PlaceValues:
 class BaseColumns:
     """Parameters to fit along with the values of places."""
 
-    of: Sequence[Array]  # torque of each session for one standard deviation of each, shape (samples, parameters)
+    torques: Sequence[Array]  # torque of each session for one standard deviation of each, shape (samples, parameters)
     off: Array  # (parameters,), their values in the residuals less those of the vehicle file, in standard deviations
 
 
@@ -209,35 +209,38 @@ def learn(
         Parameters to fit along. Their prior is about the values of the file, whatever the last fit found: a mean slope on
         one-way streets is the same column as a resistance, so both would walk away from turn to turn.
     """
-    off, of = np.empty(0), list(columns.of)
+    off, columns_with_base = np.empty(0), list(columns.torques)
     if base is not None:
-        off, of = base.off, [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(of, base.of, strict=True)]
-    rows = WhitenedRows.of(of, residuals, masks, noise)
-    tried: dict[tuple[int, int], PlaceValues] = {}
+        off, columns_with_base = (
+            base.off,
+            [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(columns_with_base, base.torques, strict=True)],
+        )
+    rows = WhitenedRows.of(columns_with_base, residuals, masks, noise)
+    values: dict[tuple[int, int], PlaceValues] = {}
 
-    def at(i: int, j: int) -> PlaceValues:
-        if (i, j) not in tried:
-            tried[i, j] = _learned(rows, columns.streets, off, LENGTHS_M[i], SIZES[j] * typical)
-        return tried[i, j]
+    def values_at(i: int, j: int) -> PlaceValues:
+        if (i, j) not in values:
+            values[i, j] = _place_values(rows, columns.streets, off, LENGTHS_M[i], SIZES[j] * typical)
+        return values[i, j]
 
     i, j = len(LENGTHS_M) // 2, len(SIZES) // 2
     while True:
-        around = [(i + a, j + b) for a, b in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
-        inside = [(a, b) for a, b in around if 0 <= a < len(LENGTHS_M) and 0 <= b < len(SIZES)]
-        best = max(inside, key=lambda one: at(*one).evidence)
+        neighbours = [(i + a, j + b) for a, b in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+        inside = [(a, b) for a, b in neighbours if 0 <= a < len(LENGTHS_M) and 0 <= b < len(SIZES)]
+        best = max(inside, key=lambda pair: values_at(*pair).evidence)
         if best == (i, j):
             break
         i, j = best
     choices = math.log(len(LENGTHS_M) * len(SIZES))
-    found, (gain, cost) = tried[i, j], _of_base(rows, off)
-    return replace(found, evidence=found.evidence - (gain - cost) - choices, cost=found.cost - cost + choices)
+    best_values, (gain, cost) = values[i, j], _base_gain(rows, off)
+    return replace(best_values, evidence=best_values.evidence - (gain - cost) - choices, cost=best_values.cost - cost + choices)
 
 
 def gains(columns: PlaceColumns, values: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Array:
     """Gain in log-likelihood by values learned elsewhere, each a column; shape (columns,)."""
-    rows = WhitenedRows.of(columns.of, residuals, masks, noise)
-    left = rows.white[:, np.newaxis] - rows.columns @ values
-    return np.asarray((noise.log_density(left) - noise.log_density(rows.white)[:, np.newaxis]).sum(axis=0))
+    rows = WhitenedRows.of(columns.torques, residuals, masks, noise)
+    remainder = rows.white[:, np.newaxis] - rows.columns @ values
+    return np.asarray((noise.log_density(remainder) - noise.log_density(rows.white)[:, np.newaxis]).sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,11 +263,11 @@ class WhitenedRows:
         for residual, mask, column in zip(residuals, masks, columns, strict=True):
             used = mask & np.isfinite(residual)
             rows, begins = np.flatnonzero(whole_past(used, lags)), np.flatnonzero(used & ~np.concatenate(([False], used[:-1])))
-            left, part = residual[rows], column[rows]
+            remainder, part = residual[rows], column[rows]
             for lag, coefficient in enumerate(noise.phi, start=1):
-                left, part = left - coefficient * residual[rows - lag], part - coefficient * column[rows - lag]
+                remainder, part = remainder - coefficient * residual[rows - lag], part - coefficient * column[rows - lag]
             begins = begins if lags else begins[:0]
-            white += [left / noise.std, residual[begins] / stationary]
+            white += [remainder / noise.std, residual[begins] / stationary]
             parts += [part / noise.std, column[begins] / stationary]
         return cls(np.concatenate(white), sparse.vstack(parts).tocsr(), noise)
 
@@ -275,7 +278,7 @@ def _growth(phi: Array) -> float:
     return float(np.sqrt(np.sum(response**2)))
 
 
-def _of_base(rows: WhitenedRows, off: Array) -> tuple[float, float]:
+def _base_gain(rows: WhitenedRows, off: Array) -> tuple[float, float]:
     """Gain in log-likelihood of the base columns without terms by place, and its cost."""
     columns, noise, weight = rows.columns[:, rows.columns.shape[1] - len(off) :].toarray(), rows.noise, np.ones(len(rows.white))
     for _ in range(TURNS):
@@ -283,36 +286,36 @@ def _of_base(rows: WhitenedRows, off: Array) -> tuple[float, float]:
         value = np.linalg.solve(normal, (columns.T * weight) @ rows.white - off)
         weight = noise.weights(rows.white - columns @ value)
     gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
-    whole = value + off
-    return gain, 0.5 * float(whole @ whole) + 0.5 * float(np.linalg.slogdet(normal)[1])
+    distance = value + off
+    return gain, 0.5 * float(distance @ distance) + 0.5 * float(np.linalg.slogdet(normal)[1])
 
 
-def _learned(rows: WhitenedRows, streets: StreetGraph, off: Array, length_m: float, size: float) -> PlaceValues:
+def _place_values(rows: WhitenedRows, streets: StreetGraph, off: Array, length_m: float, size: float) -> PlaceValues:
     """Values with this prior. Loops close where the base is free: else a wrong base has a mean slope as its only way out."""
     closed = streets.closed if len(off) else streets.closed[:0]
-    loops, other = closed.shape[0], len(off)
-    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(other)])
-    closed = sparse.hstack([closed, sparse.csr_matrix((loops, other))])
+    loops, count = closed.shape[0], len(off)
+    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(count)])
+    closed = sparse.hstack([closed, sparse.csr_matrix((loops, count))])
     # Multipliers of the loops keep the matrix sparse; its inverse and its quadratic form are those without them.
     prior = sparse.bmat([[prior, closed.T], [closed, -(CLOSED_M**2) * sparse.identity(loops)]]).tocsc()
     columns = sparse.hstack([rows.columns, sparse.csr_matrix((len(rows.white), loops))]).tocsr()
-    moved = np.concatenate([np.zeros(streets.count), off, np.zeros(loops)])
+    shift = np.concatenate([np.zeros(streets.count), off, np.zeros(loops)])
     noise, weight = rows.noise, np.ones(len(rows.white))  # without values, steep places would look like outliers
     for _ in range(TURNS):
         weighted = columns.multiply(weight[:, np.newaxis]).tocsr()
-        solve = _factored((columns.T @ weighted + prior).tocsc())
-        value = solve.solve(weighted.T @ rows.white - moved)
+        solve = _factorise((columns.T @ weighted + prior).tocsc())
+        value = solve.solve(weighted.T @ rows.white - shift)
         weight = noise.weights(rows.white - columns @ value)
-    whole = value + moved
-    cost = 0.5 * float(whole @ (prior @ whole)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factored(prior)))
+    distance = value + shift
+    cost = 0.5 * float(distance @ (prior @ distance)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factorise(prior)))
     gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
-    settled = float(np.mean((probes * solve.solve(columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
-    shrinks = math.sqrt(max(1.0 - settled / max(len(rows.white), 1), LEAST_LEFT))  # without samples no value is set by any
-    return PlaceValues(value[: streets.count], length_m, size, gain - cost, cost, noise, shrinks, solve)
+    determined = float(np.mean((probes * solve.solve(columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
+    shrinkage = math.sqrt(max(1.0 - determined / max(len(rows.white), 1), LEAST_LEFT))  # without samples no value is set by any
+    return PlaceValues(value[: streets.count], length_m, size, gain - cost, cost, noise, shrinkage, solve)
 
 
-def _factored(precision: sparse.csc_matrix) -> SuperLU:
+def _factorise(precision: sparse.csc_matrix) -> SuperLU:
     return splu(precision, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 

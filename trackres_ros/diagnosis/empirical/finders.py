@@ -19,19 +19,19 @@ import numpy as np
 from trackres_ros.diagnosis.base.patterns import ClockTerm, ResidualPattern
 from trackres_ros.diagnosis.empirical.forms import series
 from trackres_ros.diagnosis.empirical.payload import PAYLOAD, Payload, find_payload
-from trackres_ros.diagnosis.empirical.places import Place, Wave, find_place, find_wave, followed, part_of
+from trackres_ros.diagnosis.empirical.places import Place, Wave, find_place, find_wave, part_of, wave_forecast
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, find_route
 from trackres_ros.diagnosis.empirical.sentences import (
-    of_clock,
-    of_drift,
-    of_learned,
-    of_payload,
-    of_place,
-    of_recordings,
-    of_route,
-    of_spells,
-    of_wave,
+    describe_clock,
+    describe_form,
+    describe_payload,
+    describe_place,
+    describe_route,
+    describe_spells,
+    describe_wave,
+    drift_term,
     possible_in,
+    recordings_term,
 )
 from trackres_ros.diagnosis.empirical.spells import (
     Blocks,
@@ -42,11 +42,11 @@ from trackres_ros.diagnosis.empirical.spells import (
     find_drifting_level,
     gain_over_drift,
     is_spells,
-    levels_given,
     path_cost,
+    spell_levels,
     spell_probability,
 )
-from trackres_ros.diagnosis.empirical.term import Route, Term, active_of, compared, rms, spurious_gain
+from trackres_ros.diagnosis.empirical.term import Route, Term, active_of, rms, spurious_gain, term_of_fit
 from trackres_ros.diagnosis.inference.failures import attempt
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
@@ -77,29 +77,29 @@ def _search_twice(current: Fit, name: str, search: Search) -> Term | None:
     """Find a term of the clock alone; a second search uses the base fitted together with the first result."""
     if name in current.effect_names:
         return None
-    last, found = current, None
+    fit_before, result = current, None
     for _ in range(2):
-        term = search(current, last)
+        term = search(current, fit_before)
         if term is None:
-            return found
-        found, last = term, term.fit
-    return found
+            return result
+        result, fit_before = term, term.fit
+    return result
 
 
-def _fitted(
-    current: Fit, name: str, text: str, shape: Sequence[Array], level: float, cost: float, ahead: Sequence[Array] | None = None
+def _fit_pattern(
+    current: Fit, name: str, text: str, shape: Sequence[Array], level: float, cost: float, forecast: Sequence[Array] | None = None
 ) -> Term:
     """Fit a term of the clock in addition to the current ones. It starts at its level and with its own noise, because
     otherwise the noise is a random walk, under which no level matters.
     """
     facts = current.problem.base.facts
-    effect = ResidualPattern(name, text, shape, facts.weight * facts.radius, ahead)
-    start = {**current.at, (name, "level"): level}
-    found = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
-    return compared(current, found, effect, cost)
+    effect = ResidualPattern(name, text, shape, facts.weight * facts.radius, forecast)
+    start = {**current.estimates, (name, "level"): level}
+    result = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
+    return term_of_fit(current, result, effect, cost)
 
 
-def _counts(term: Term, current: Fit) -> bool:
+def _is_large(term: Term, current: Fit) -> bool:
     return term.matters and term.gain > spurious_gain(current) and term.evidence > SURE
 
 
@@ -123,16 +123,16 @@ def _spells(current: Fit, last: Fit) -> Term | None:
     """Spells, if two levels are more likely than a drift."""
     residuals = residuals_without(last, SPELLS)
     b = torque_blocks(current, residuals)
-    chain, there, _ = find_chain(b)
-    if not is_spells(chain) or gain_over_drift(b, chain, there) < SURE:
+    chain, probability, _ = find_chain(b)
+    if not is_spells(chain) or gain_over_drift(b, chain, probability) < SURE:
         return None
     if chain.level < chain.rest:
-        there = 1.0 - there
+        probability = 1.0 - probability
         chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
-    shape, ahead, cost = _shape(current, chain, residuals)
+    shape, forecast, cost = _shape(current, chain, residuals)
     text = "a torque that is there for a while and gone for a while"
-    term = _fitted(current, SPELLS, text, shape, chain.level - chain.rest, cost, ahead)
-    if not _counts(term, current) or sum(beginnings(b, there)) < FEWEST_SPELLS:
+    term = _fit_pattern(current, SPELLS, text, shape, chain.level - chain.rest, cost, forecast)
+    if not _is_large(term, current) or sum(beginnings(b, probability)) < FEWEST_SPELLS:
         return None
     return replace(term, pattern=chain)
 
@@ -144,26 +144,26 @@ def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list
     is the live forecast.
     """
     sessions, masks = current.problem.sessions, current.problem.masks
-    shape, ahead = ([np.zeros(len(s)) for s in sessions] for _ in range(2))
-    every = torque_blocks(current, residuals, [s.used for s in sessions])
-    fill(ahead, every, expected_there(every, chain))
+    shape, forecast = ([np.zeros(len(s)) for s in sessions] for _ in range(2))
+    all_blocks = torque_blocks(current, residuals, [s.used for s in sessions])
+    fill(forecast, all_blocks, expected_there(all_blocks, chain))
     step = sessions[0].step
-    by_step, quick = torque_blocks(current, residuals, seconds=step), chain.for_blocks(step)
-    there = spell_probability(by_step, quick)
-    fill(shape, by_step, there)
-    shape = [np.where(m, x, a) for m, x, a in zip(masks, shape, ahead, strict=True)]
-    return against_travel(sessions, shape), against_travel(sessions, ahead), path_cost(by_step, quick, there)
+    step_blocks, step_chain = torque_blocks(current, residuals, seconds=step), chain.for_blocks(step)
+    probability = spell_probability(step_blocks, step_chain)
+    fill(shape, step_blocks, probability)
+    shape = [np.where(m, x, a) for m, x, a in zip(masks, shape, forecast, strict=True)]
+    return against_travel(sessions, shape), against_travel(sessions, forecast), path_cost(step_blocks, step_chain, probability)
 
 
 def expected_there(b: Blocks, chain: Chain) -> Array:
     """Forecast of the spell's probability in each block from the blocks before it."""
-    levels, now = (chain.rest, chain.level), chain.share
-    found = np.empty(len(b.mean))
+    levels, probability = (chain.rest, chain.level), chain.share
+    forecast = np.empty(len(b.mean))
     for i, (mean, variance) in enumerate(zip(b.mean.tolist(), (chain.noise**2 / b.count).tolist(), strict=True)):
-        now = chain.share if b.first[i] else later_there(now, chain.comes, chain.goes)
-        found[i] = now
-        now = seen_there(now, mean, levels, variance)
-    return found
+        probability = chain.share if b.first[i] else later_there(probability, chain.comes, chain.goes)
+        forecast[i] = probability
+        probability = seen_there(probability, mean, levels, variance)
+    return forecast
 
 
 def fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
@@ -172,11 +172,11 @@ def fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
         shape[session][begin:end] = x
 
 
-def beginnings(b: Blocks, there: Array, backwards: bool = False) -> Mask:
+def beginnings(b: Blocks, probability: Array, backwards: bool = False) -> Mask:
     """Blocks in which a spell begins, or ends if `backwards`."""
-    on = there > LIKELY
-    goes_on = on[:-1] & on[1:] & ~b.first[1:]
-    return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
+    is_spell = probability > LIKELY
+    is_middle = is_spell[:-1] & is_spell[1:] & ~b.first[1:]
+    return np.asarray(is_spell & ~np.concatenate((is_middle, [False]) if backwards else ([False], is_middle)))
 
 
 def _wave(current: Fit, last: Fit) -> Term | None:
@@ -185,10 +185,10 @@ def _wave(current: Fit, last: Fit) -> Term | None:
     wave = find_wave(current)
     if wave is None:
         return None
-    ahead = followed(wave, residuals, current.problem.sessions)
-    shape = [np.where(m, x, a) for x, m, a in zip(wave.shape, current.problem.masks, ahead, strict=True)]
+    forecast = wave_forecast(wave, residuals, current.problem.sessions)
+    shape = [np.where(m, x, a) for x, m, a in zip(wave.shape, current.problem.masks, forecast, strict=True)]
     cost = PHASE_COST * wave.phases
-    term = _fitted(current, WAVE, "a torque that comes again with distance", shape, wave.size, cost, ahead)
+    term = _fit_pattern(current, WAVE, "a torque that comes again with distance", shape, wave.size, cost, forecast)
     return replace(term, pattern=wave) if term.evidence > SURE and term.matters else None
 
 
@@ -196,14 +196,14 @@ def _place(current: Fit, last: Fit) -> Term | None:
     """A torque at the same place on each pass; on hold-out laps known from the driven distance alone."""
     residuals = residuals_without(last, PLACE)
     sessions, masks = current.problem.sessions, current.problem.masks
-    mean = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))
-    loads = [s.weight / mean for s in sessions]  # slopes, bends and soft ground take more torque at a higher weight
+    mean_weight = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))
+    loads = [s.weight / mean_weight for s in sessions]  # slopes, bends and soft ground take more torque at a higher weight
     place = find_place(driven_along(sessions), against_travel(sessions, residuals), masks, loads)
     if place is None:
         return None
     shape = against_travel(sessions, place.shape)
-    term = _fitted(current, PLACE, "a torque at the same place on each pass", shape, place.size, place.cost)
-    return replace(term, pattern=place) if _counts(term, current) else None
+    term = _fit_pattern(current, PLACE, "a torque at the same place on each pass", shape, place.size, place.cost)
+    return replace(term, pattern=place) if _is_large(term, current) else None
 
 
 def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
@@ -226,7 +226,7 @@ def _payload(current: Fit, last: Fit, by_place: Term | None) -> Term | None:
     if payload is None:
         return None
     text = "another mass on each stretch between stops"
-    term = _fitted(current, PAYLOAD, text, payload.shape, payload.level, payload.cost, payload.ahead)
+    term = _fit_pattern(current, PAYLOAD, text, payload.shape, payload.level, payload.cost, payload.ahead)
     return replace(term, pattern=payload) if term.matters else None
 
 
@@ -244,10 +244,10 @@ def find_terms(current: Fit, roads: Roads | None, kinds: Collection[str], by_pla
         **({WAVE: _wave} if waves else {}),
         PAYLOAD: partial(_payload, by_place=by_place),
     }
-    each = counted(searches.items(), "terms that follow the clock", len(searches))
-    found = [attempt(_words(name), partial(_search_twice, current, name, search)) for name, search in each]
-    learned = attempt("a slope or a torque by place", partial(_by_place, current, roads, kinds))
-    return [*filter(None, found), *filter(None, [learned])]
+    items = counted(searches.items(), "terms that follow the clock", len(searches))
+    terms = [attempt(_words(name), partial(_search_twice, current, name, search)) for name, search in items]
+    place_term = attempt("a slope or a torque by place", partial(_by_place, current, roads, kinds))
+    return [*filter(None, terms), *filter(None, [place_term])]
 
 
 def _words(name: str) -> str:
@@ -256,10 +256,10 @@ def _words(name: str) -> str:
 
 def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term | None:
     """A slope or a torque by place, of a kind that the fit lacks, confirmed on passes not used for learning."""
-    left = [kind for kind in kinds if BY_PLACE[kind] not in current.effect_names]
-    if roads is None or not left or any(slope in current.effect_names for slope in SLOPES):
+    missing = [kind for kind in kinds if BY_PLACE[kind] not in current.effect_names]
+    if roads is None or not missing or any(slope in current.effect_names for slope in SLOPES):
         return None
-    return find_route(current, roads, left)
+    return find_route(current, roads, missing)
 
 
 def slow_term(final: Fit) -> Term | None:
@@ -267,8 +267,8 @@ def slow_term(final: Fit) -> Term | None:
     term = attempt("a drift", lambda: _recordings(final) or _drift(final))
     if term is None:
         return None
-    told = replace(term, sentences=(*term.sentences, closest_to_slow(final, LEAST_DRIFT_S)))
-    return possible_in(told, final.problem.base.noun)
+    described_term = replace(term, sentences=(*term.sentences, closest_to_slow(final, LEAST_DRIFT_S)))
+    return possible_in(described_term, final.problem.base.noun)
 
 
 def closest_to_slow(final: Fit, seconds: float) -> str:
@@ -285,7 +285,7 @@ def _recordings(final: Fit) -> Term | None:
     sessions = final.problem.sessions
     levels, size, share = by_recording(torque_blocks(final, torque_residuals(final), [s.used for s in sessions]))
     large = size > LEAST_DRIFT * rms([s.torque for s in sessions], final)
-    return of_recordings(final, levels) if large and share > BETWEEN else None
+    return recordings_term(final, levels) if large and share > BETWEEN else None
 
 
 def by_recording(b: Blocks) -> tuple[Array, float, float]:
@@ -312,7 +312,7 @@ def _drift(final: Fit) -> Term | None:
     white = -0.5 * float(np.sum((b.mean - mean) ** 2 * b.count / variance + np.log(2.0 * math.pi * variance / b.count)))
     slow = drifting.seconds >= LEAST_DRIFT_S and likelihood > white + SURE
     large = drifting.size > LEAST_DRIFT * rms([s.torque for s in final.problem.sessions], final)
-    return of_drift(final, drifting) if slow and large else None
+    return drift_term(final, drifting) if slow and large else None
 
 
 MOVING_MPS = 0.3
@@ -321,46 +321,46 @@ MOST_BEGIN = 0.7  # of the spells
 MOST_OF_IT = (0.025, 0.975)  # quantiles
 
 
-def described(term: Term, final: Fit) -> Term:
+def describe(term: Term, final: Fit) -> Term:
     """A term without a name with its sentences and the values of the final fit."""
     noun = final.problem.base.noun
-    term = possible_in(_described(term, final, noun), noun)
+    term = possible_in(_with_sentences(term, final, noun), noun)
     if term.predictable or isinstance(term.pattern, Payload):
         return term
-    adds = against_travel(final.problem.sessions, term.adds)
-    return replace(term, sentences=(*term.sentences, closest_channel(final, adds)))
+    torques = against_travel(final.problem.sessions, term.adds)
+    return replace(term, sentences=(*term.sentences, closest_channel(final, torques)))
 
 
-def _described(term: Term, final: Fit, noun: str) -> Term:
+def _with_sentences(term: Term, final: Fit, noun: str) -> Term:
     effect, pattern, numbers = term.effect, term.pattern, active_of(final, term.name).numbers
     if isinstance(effect, EmpiricalEffect):
-        return of_learned(term, noun)
+        return describe_form(term, noun)
     level = numbers[0]
     if isinstance(effect, ClockTerm):
-        return of_clock(term, effect, level, noun)
+        return describe_clock(term, effect, level, noun)
     if isinstance(pattern, Wave):
-        return of_wave(term, pattern, level, part_of(pattern.length_m, final.problem.base.parts))
+        return describe_wave(term, pattern, level, part_of(pattern.length_m, final.problem.base.parts))
     if isinstance(pattern, Place):
-        return of_place(term, level, pattern, noun)
+        return describe_place(term, level, pattern, noun)
     if isinstance(pattern, Payload):
-        return of_payload(term, level, pattern, noun)
+        return describe_payload(term, level, pattern, noun)
     if isinstance(pattern, Route):
-        adds = against_travel(final.problem.sessions, term.adds)
-        used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
+        torques = against_travel(final.problem.sessions, term.adds)
+        used = np.concatenate([x[m] for x, m in zip(torques, final.problem.masks, strict=True)])
         least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
-        return of_route(term, float(np.sqrt(np.mean(used**2))), least, most, pattern, noun)
+        return describe_route(term, float(np.sqrt(np.mean(used**2))), least, most, pattern, noun)
     assert isinstance(pattern, Chain)
     spells = _spells_of(pattern, term.name, final)
     lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
-    return of_spells(term, pattern, level, lengths, _begins_with(spells, final), noun)
+    return describe_spells(term, pattern, level, lengths, _common_start(spells, final), noun)
 
 
 def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
     """Spells on all laps: session, first sample and end. A spell continues over a stop, where no torque shows it."""
     b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
-    there = spell_probability(b, chain)
-    begins = np.flatnonzero(beginnings(b, there))
-    ends = np.flatnonzero(beginnings(b, there, backwards=True))
+    probability = spell_probability(b, chain)
+    begins = np.flatnonzero(beginnings(b, probability))
+    ends = np.flatnonzero(beginnings(b, probability, backwards=True))
     return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begins, ends, strict=True)]
 
 
@@ -371,13 +371,13 @@ def variable_of(term: Term, final: Fit) -> list[Array]:
     return list(term.pattern.course) if isinstance(term.pattern, Place | Route) else []
 
 
-def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
+def _common_start(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
     """The common event at the beginning of most spells, in words; empty without one."""
     after_stop = []
     for i, begin, _ in spells:
         session = final.problem.sessions[i]
-        near = slice(max(0, begin - round(BEGINNINGS_S / session.step)), begin + round(BLOCK_S / session.step))
-        after_stop.append(bool((np.abs(session.speed[near]) < MOVING_MPS).any()))
+        rows = slice(max(0, begin - round(BEGINNINGS_S / session.step)), begin + round(BLOCK_S / session.step))
+        after_stop.append(bool((np.abs(session.speed[rows]) < MOVING_MPS).any()))
     return ", mostly after a stop" if after_stop and np.mean(after_stop) > MOST_BEGIN else ""
 
 
@@ -392,64 +392,64 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], shown: fl
     """
     assert isinstance(term.pattern, Chain)
     chain = term.pattern
-    with_spells = torque_blocks(final, residuals_without(final, term.name))
-    there = spell_probability(with_spells, chain)
-    b = _over(final, expected, shown)
-    level, rest, noise = levels_given(b, there)
-    found = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _of_blocks(noise, final))
-    count = int(beginnings(b, there).sum())
-    return _learned(
-        found,
+    spell_blocks = torque_blocks(final, residuals_without(final, term.name))
+    probability = spell_probability(spell_blocks, chain)
+    b = _blocks_over(final, expected, shown)
+    level, rest, noise = spell_levels(b, probability)
+    spells = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _block_noise(noise, final))
+    count = int(beginnings(b, probability).sum())
+    return _disturbance(
+        spells,
         {
-            "level": _about(level, found.noise / math.sqrt(there.sum())),
-            "rest": _about(rest, found.noise / math.sqrt((1.0 - there).sum())),
-            "mean_there": _times(found.mean_there, count),
-            "mean_away": _times(found.mean_away, count),
-            "noise": _times(found.noise, 2 * len(b.mean)),
+            "level": _normal_range(level, spells.noise / math.sqrt(probability.sum())),
+            "rest": _normal_range(rest, spells.noise / math.sqrt((1.0 - probability).sum())),
+            "mean_there": _lognormal_range(spells.mean_there, count),
+            "mean_away": _lognormal_range(spells.mean_away, count),
+            "noise": _lognormal_range(spells.noise, 2 * len(b.mean)),
         },
     )
 
 
 def drift_to_watch(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> LearnedDisturbance:
     """Drift relative to the written file's torque [Nm], for each session; see `spells_to_watch` for `shown`."""
-    b = _over(final, expected, shown)
+    b = _blocks_over(final, expected, shown)
     drifting, _ = find_drifting_level(b)
-    found = Drift(drifting.size, drifting.seconds, _of_blocks(drifting.noise, final))
-    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
-    return _learned(
-        found,
+    drift = Drift(drifting.size, drifting.seconds, _block_noise(drifting.noise, final))
+    stretches = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
+    return _disturbance(
+        drift,
         {
-            "size": _times(found.size, 2.0 * apart),
-            "time_constant": _times(found.time_constant, apart),
-            "noise": _times(found.noise, 2 * len(b.mean)),
+            "size": _lognormal_range(drift.size, 2.0 * stretches),
+            "time_constant": _lognormal_range(drift.time_constant, stretches),
+            "noise": _lognormal_range(drift.noise, 2 * len(b.mean)),
         },
     )
 
 
 def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
     """Hold-out improvement by following a drift live, with the forecast from earlier blocks."""
-    sessions, without = final.problem.sessions, [p.torque for p in final.predicted]
-    drifting, _ = find_drifting_level(_over(final, without))
+    sessions, expected = final.problem.sessions, [p.torque for p in final.predicted]
+    drifting, _ = find_drifting_level(_blocks_over(final, expected))
     b = torque_blocks(final, torque_residuals(final), [s.used for s in sessions])
     shape = [np.zeros(len(s)) for s in sessions]
     fill(shape, b, expected_level(b, drifting)[0])
-    return laps.improvement(without, [e + x for e, x in zip(without, against_travel(sessions, shape), strict=True)])
+    return laps.improvement(expected, [e + x for e, x in zip(expected, against_travel(sessions, shape), strict=True)])
 
 
-def _over(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> Blocks:
+def _blocks_over(final: Fit, expected: Sequence[Array], shown: float = 1.0) -> Blocks:
     return torque_blocks(final, [(s.torque - e) / shown for s, e in zip(final.problem.sessions, expected, strict=True)])
 
 
-def _of_blocks(noise: float, final: Fit) -> float:
+def _block_noise(noise: float, final: Fit) -> float:
     """Noise of a block's mean, from that of one sample [Nm]."""
     return noise / math.sqrt(BLOCK_S / final.problem.sessions[0].step)
 
 
-def _about(value: float, std: float) -> Range:
+def _normal_range(value: float, std: float) -> Range:
     return value - 2.0 * std, value + 2.0 * std
 
 
-def _times(value: float, count: float) -> Range:
+def _lognormal_range(value: float, count: float) -> Range:
     """Range of +-2 standard deviations of the logarithm, each 1 / sqrt(count): for the mean of `count` exponential times,
     or for a standard deviation with twice that count.
     """
@@ -457,13 +457,13 @@ def _times(value: float, count: float) -> Range:
     return value / factor, value * factor
 
 
-def _learned(found: Spells | Drift, ranges: Mapping[str, Range]) -> LearnedDisturbance:
+def _disturbance(disturbance: Spells | Drift, ranges: Mapping[str, Range]) -> LearnedDisturbance:
     """Disturbance with values and ranges within the limits of a vehicle file."""
-    limits = DISTURBANCES[found.form]
+    limits = DISTURBANCES[disturbance.form]
 
-    def within(name: str, value: float) -> float:
+    def limited(name: str, value: float) -> float:
         return min(max(value, limits[name].low), limits[name].high)
 
-    values = {item.name: within(item.name, getattr(found, item.name)) for item in fields(found)}
-    clipped = {name: (within(name, low), within(name, high)) for name, (low, high) in ranges.items()}
-    return LearnedDisturbance(type(found)(**values), clipped)
+    values = {item.name: limited(item.name, getattr(disturbance, item.name)) for item in fields(disturbance)}
+    clipped = {name: (limited(name, low), limited(name, high)) for name, (low, high) in ranges.items()}
+    return LearnedDisturbance(type(disturbance)(**values), clipped)

@@ -36,58 +36,60 @@ LEAST_KEPT = 0.01  # share of the squares of a column that the fit's own paramet
 LONG_STOP_S = 20.0  # a stop after which oil has run off, a belt has set and a brake has been applied
 
 
-Found = list[tuple[EmpiricalEffect | ClockTerm, Array]]
+SizedForms = list[tuple[EmpiricalEffect | ClockTerm, Array]]
 """Forms, each with its torque in all sessions per unit of its size, shape (n,)."""
 
 
-def found_by_scan(fit: Fit, levels: Levels, series: Mapping[int, list[Array]]) -> Found:
+def scanned_forms(fit: Fit, levels: Levels, series: Mapping[int, list[Array]]) -> SizedForms:
     """The best step, hinges and latch of each variable; `series` has its values in each session, by its code."""
-    scan, found = _Scan(fit, levels), Found()
+    scan, forms = _Scan(fit, levels), SizedForms()
     for code, x in series.items():
         grid, low, high = scan.grid(x)
         if not len(grid):
             continue
         for kind in (STEP, ABOVE, BELOW):
-            gain, at = scan.best(partial(shapes, kind, x, (low, high)), grid)
+            gain, threshold = scan.best(partial(shapes, kind, x, (low, high)), grid)
             if gain > 0.0:
-                found.append((Corner(code, kind, low, at, high), scan.along(shapes(kind, x, (low, high), np.array([at])))))
+                forms.append(
+                    (Corner(code, kind, low, threshold, high), scan.along(shapes(kind, x, (low, high), np.array([threshold]))))
+                )
         if code in LATCHED:
             gain, off, on = scan.best_latch(x, grid)
             if gain > 0.0:
-                states = [latched_states(one, np.array([off]), np.array([on])) for one in x]
-                found.append((Latch(code, low, off, on, high), scan.along(states)))
-    return found
+                states = [latched_states(values, np.array([off]), np.array([on])) for values in x]
+                forms.append((Latch(code, low, off, on, high), scan.along(states)))
+    return forms
 
 
-def found_by_clock(fit: Fit, levels: Levels) -> Found:
+def clock_forms(fit: Fit, levels: Levels) -> SizedForms:
     """The best step, hinge and fade over each variable of the clock."""
-    scan, found = _Scan(fit, levels), Found()
+    scan, forms = _Scan(fit, levels), SizedForms()
     facts, sessions = fit.problem.base.facts, fit.problem.sessions
     ends = np.cumsum([len(s) for s in sessions])[:-1]
-    for variable, of in CLOCKS.items():
-        x = [of(s) for s in sessions]
+    for variable, values_of in CLOCKS.items():
+        x = [values_of(s) for s in sessions]
         grid, low, high = scan.grid(x)
         if not len(grid):
             continue
         for kind in (STEP, ABOVE, BELOW, FADE):
-            own = grid if kind != FADE else np.geomspace(max(grid[0], 0.01 * high), high, GRID)
-            gain, at = scan.best(partial(shapes, kind, x, (low, high)), own)
+            thresholds = grid if kind != FADE else np.geomspace(max(grid[0], 0.01 * high), high, GRID)
+            gain, threshold = scan.best(partial(shapes, kind, x, (low, high)), thresholds)
             if gain > 0.0:
-                rows = scan.along(shapes(kind, x, (low, high), np.array([at])))
+                rows = scan.along(shapes(kind, x, (low, high), np.array([threshold])))
                 size = facts.weight * facts.radius
-                found.append((ClockTerm(variable, kind, at, (low, high), np.split(rows, ends), size), rows))
-    return found
+                forms.append((ClockTerm(variable, kind, threshold, (low, high), np.split(rows, ends), size), rows))
+    return forms
 
 
 def time_since_long_stop(session: DriveSession) -> Array:
     """Time since the end of the last stop of at least `LONG_STOP_S` [s]; the start of a recording ends one."""
-    still = np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS
-    since, stood = np.empty(len(session)), math.inf
-    moved = 0.0
-    for i, stands in enumerate(still.tolist()):
-        stood = stood + session.step if stands else 0.0
-        moved = 0.0 if stood >= LONG_STOP_S else moved + session.step
-        since[i] = moved
+    standstill = np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS
+    since, stop_s = np.empty(len(session)), math.inf
+    seconds = 0.0
+    for i, is_still in enumerate(standstill.tolist()):
+        stop_s = stop_s + session.step if is_still else 0.0
+        seconds = 0.0 if stop_s >= LONG_STOP_S else seconds + session.step
+        since[i] = seconds
     return since
 
 
@@ -104,15 +106,15 @@ def shapes(kind: int, series: Sequence[Array], ends: tuple[float, float], thresh
     low, high = ends
     columns = []
     for x in series:
-        at = x[:, np.newaxis]
+        values = x[:, np.newaxis]
         if kind == STEP:
-            column = (at > thresholds).astype(float)
+            column = (values > thresholds).astype(float)
         elif kind == ABOVE:
-            column = np.clip((at - thresholds) / (high - thresholds), 0.0, 1.0)
+            column = np.clip((values - thresholds) / (high - thresholds), 0.0, 1.0)
         elif kind == BELOW:
-            column = np.clip((thresholds - at) / (thresholds - low), 0.0, 1.0)
+            column = np.clip((thresholds - values) / (thresholds - low), 0.0, 1.0)
         else:
-            column = np.exp(-np.maximum(at - low, 0.0) / thresholds)
+            column = np.exp(-np.maximum(values - low, 0.0) / thresholds)
         columns.append(np.nan_to_num(column))
     return columns
 
@@ -133,12 +135,12 @@ class _Scan:
         low, high = (float(q) for q in np.quantile(known, RANGE))
         levels = np.unique(known)
         if len(levels) > GRID:
-            at = np.unique(np.quantile(known, np.linspace(FEWEST_BEYOND, 1.0 - FEWEST_BEYOND, GRID)))
+            thresholds = np.unique(np.quantile(known, np.linspace(FEWEST_BEYOND, 1.0 - FEWEST_BEYOND, GRID)))
         else:
-            at = 0.5 * (levels[1:] + levels[:-1])
-        share = np.array([np.mean(known > t) for t in at])
-        inside = (share >= FEWEST_BEYOND) & (share <= 1.0 - FEWEST_BEYOND) & (at > low) & (at < high)
-        return at[inside], low, high
+            thresholds = 0.5 * (levels[1:] + levels[:-1])
+        share = np.array([np.mean(known > t) for t in thresholds])
+        inside = (share >= FEWEST_BEYOND) & (share <= 1.0 - FEWEST_BEYOND) & (thresholds > low) & (thresholds < high)
+        return thresholds[inside], low, high
 
     def along(self, columns: Sequence[Array]) -> Array:
         """A single column as a torque against travel, all sessions concatenated, shape (n,)."""
@@ -147,9 +149,9 @@ class _Scan:
     def gains(self, columns: Sequence[Array]) -> Array:
         """Square of the block scatter that each column explains, shape (columns,)."""
         z = self._levels.means(np.concatenate([c * d[:, np.newaxis] for c, d in zip(columns, self._direction, strict=True)]))
-        left = self._levels.beyond(z)
-        size, kept = (z**2).sum(axis=0), (left**2).sum(axis=0)
-        return np.where(kept > LEAST_KEPT * size, (left.T @ self._rest) ** 2 / np.maximum(kept, 1e-12), 0.0)
+        remainder = self._levels.beyond(z)
+        size, remaining = (z**2).sum(axis=0), (remainder**2).sum(axis=0)
+        return np.where(remaining > LEAST_KEPT * size, (remainder.T @ self._rest) ** 2 / np.maximum(remaining, 1e-12), 0.0)
 
     def best(self, columns: Columns, grid: Array) -> tuple[float, float]:
         """The largest gain, and its threshold."""
@@ -176,25 +178,25 @@ class _Scan:
         return best
 
 
-def _finer(grid: Array, at: float) -> Array:
+def _finer(grid: Array, threshold: float) -> Array:
     """Thresholds around one of a grid, up to but excluding its neighbours."""
-    i = int(np.searchsorted(grid, at))
+    i = int(np.searchsorted(grid, threshold))
     begin, end = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-    return np.unique(np.append(np.linspace(begin, end, FINER + 2)[1:-1], at))
+    return np.unique(np.append(np.linspace(begin, end, FINER + 2)[1:-1], threshold))
 
 
 def latched_states(x: Array, off: Array, on: Array) -> Array:
     """State of latches along a series, initially off, shape (n, latches); see `effects.learned.latched`."""
     set_, reset = x[:, np.newaxis] > on, ~(x[:, np.newaxis] >= off)
     row = np.arange(1, len(x) + 1)[:, np.newaxis]
-    last_set, last_reset = (np.maximum.accumulate(np.where(at, row, 0), axis=0) for at in (set_, reset))
+    last_set, last_reset = (np.maximum.accumulate(np.where(event, row, 0), axis=0) for event in (set_, reset))
     return (last_set > last_reset).astype(float)
 
 
 def most_on_side(x: Array, side: int) -> float:
     """The largest value of a sign, as a quantile of those of that sign; 0 with hardly any."""
-    there = side * x[side * x > 0.0]
-    return float(np.quantile(there, RANGE[1])) if len(there) > FEWEST_BEYOND * len(x) else 0.0
+    values = side * x[side * x > 0.0]
+    return float(np.quantile(values, RANGE[1])) if len(values) > FEWEST_BEYOND * len(x) else 0.0
 
 
 DRIVEN = (0.02, 0.98)  # quantiles that bound the knots
@@ -212,22 +214,22 @@ FEWEST_REVERSE = 60  # samples in reverse
 
 def series(code: int, fit: Fit) -> list[Array]:
     """A variable of learned effects in each session of a fit, as in the live step."""
-    facts, found = fit.problem.base.facts, []
+    facts, values = fit.problem.base.facts, []
     for s, p in zip(fit.problem.sessions, fit.predicted, strict=True):
         turning = np.abs(s.yaw_rate)
         curvature = turning / np.hypot(s.speed, facts.contact_length * turning + STANDSTILL_MPS)
         recorded: Any = s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance
         simulated: Any = p.at_sprockets, np.tanh(s.speed / facts.standstill), curvature, p.belt
-        at = Conditions(facts, *recorded, *simulated)
-        found.append(np.asarray(np.broadcast_to(learned.variable(at, code), len(s)), dtype=float))
-    return found
+        conditions = Conditions(facts, *recorded, *simulated)
+        values.append(np.asarray(np.broadcast_to(learned.variable(conditions, code), len(s)), dtype=float))
+    return values
 
 
 def driven(code: int, fit: Fit) -> Array:
     """Values of the variable at compared samples; empty if it is not always known, or too imprecise."""
-    found = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
-    known = np.isfinite(found).all() and (code not in (learned.ACCELERATION, learned.DRIVING_TORQUE) or _resolved(fit))
-    return found if known else np.empty(0)
+    values = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
+    known = np.isfinite(values).all() and (code not in (learned.ACCELERATION, learned.DRIVING_TORQUE) or _resolved(fit))
+    return values if known else np.empty(0)
 
 
 def _resolved(fit: Fit) -> bool:
@@ -257,14 +259,14 @@ def knots(code: int, x: Array, count: int) -> list[float]:
     even = np.quantile(x, np.linspace(*DRIVEN, count))
     if code == learned.SPEED:  # for rarely driven speeds: half by frequency, half by distance
         even = 0.5 * (even + np.linspace(low, high, count))
-    found = [float(even[0])]
+    kept = [float(even[0])]
     for knot in even[1:].tolist():
-        if knot - found[-1] > LEAST_RANGE * (high - low):
-            found.append(knot)
-    return found
+        if knot - kept[-1] > LEAST_RANGE * (high - low):
+            kept.append(knot)
+    return kept
 
 
-def followed(fit: Fit) -> list[int]:
+def variable_codes(fit: Fit) -> list[int]:
     """Codes of the variables that a form may follow here.
 
     Notes
@@ -280,15 +282,15 @@ def followed(fit: Fit) -> list[int]:
 def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
     """All forms with knots of their own here, by their names."""
     facts = fit.problem.base.facts
-    found: list[EmpiricalEffect] = []
+    forms: list[EmpiricalEffect] = []
     x = {code: driven(code, fit) for code in learned.VARIABLES}
-    shown = followed(fit)
-    found += [Curve(code, knots(code, x[code], KNOTS[code])) for code in shown]
-    if learned.DRIVING_TORQUE in shown:
-        most = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in (learned.DRIVES, learned.BRAKES)}
+    codes = variable_codes(fit)
+    forms += [Curve(code, knots(code, x[code], KNOTS[code])) for code in codes]
+    if learned.DRIVING_TORQUE in codes:
+        limits = {side: most_on_side(x[learned.DRIVING_TORQUE], side) for side in (learned.DRIVES, learned.BRAKES)}
         reverse = np.concatenate([s.speed[m] < 0.0 for s, m in zip(fit.problem.sessions, fit.problem.masks, strict=True)])
         if reverse.sum() >= FEWEST_REVERSE:  # forwards, a negative torque brakes
-            most[learned.NEGATIVE] = most_on_side(np.where(reverse, 1.0, -1.0) * x[learned.DRIVING_TORQUE], 1)
-        found += [SidedGain(side, one) for side, one in most.items() if min(most.values()) > 0.0]
+            limits[learned.NEGATIVE] = most_on_side(np.where(reverse, 1.0, -1.0) * x[learned.DRIVING_TORQUE], 1)
+        forms += [SidedGain(side, largest) for side, largest in limits.items() if min(limits.values()) > 0.0]
     size = facts.weight * facts.radius
-    return {effect.name: learned.sized(effect, size) for effect in found}
+    return {effect.name: learned.sized(effect, size) for effect in forms}

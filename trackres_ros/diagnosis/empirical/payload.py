@@ -28,7 +28,7 @@ from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 Indices = NDArray[np.int64]
-_Others = Callable[[Array], Array]
+_OtherValues = Callable[[Array], Array]
 
 PAYLOAD = "payload"
 STOP_S = 5.0  # a shorter stop changes no load
@@ -86,10 +86,10 @@ class JointValues:
         parts, torques = problem.split(columns), len(problem.sessions)
         others = problem.white(parts, current.noises)[torques:]
         prior = np.array([(f.scale / f.std) ** 2 for f in free])
-        known = np.diag(LEAST_KNOWN + prior) + sum(w.T @ w for w in map(np.nan_to_num, others))
+        information = np.diag(LEAST_KNOWN + prior) + sum(w.T @ w for w in map(np.nan_to_num, others))
         torque = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x in parts[:torques])
-        pull = prior * [(f.nominal - current.at[f.key]) / f.scale for f in free]
-        return cls(tuple(np.zeros(x.shape[0]) for x in torque), torque, sparse.csc_matrix(known), pull)
+        pull = prior * [(f.nominal - current.estimates[f.key]) / f.scale for f in free]
+        return cls(tuple(np.zeros(x.shape[0]) for x in torque), torque, sparse.csc_matrix(information), pull)
 
     def together_with(self, other: JointValues | None) -> JointValues:
         """Both sets of values."""
@@ -109,21 +109,21 @@ class _Normal:
     right: Array  # (stretches,)
     session: Indices  # (stretches,)
 
-    def solved(self, std: float, alike: float, mean: float) -> _Solution:
+    def solved(self, std: float, correlation: float, mean: float) -> _Solution:
         """Most likely masses, given the standard deviations of payload and mean [kg], and the correlation."""
         count = np.arange(len(self.right))
-        together = np.equal.outer(self.session, self.session)
-        prior = mean**2 + std**2 * together * alike ** np.abs(np.subtract.outer(count, count))
-        grown = np.eye(len(count)) + prior @ self.matrix
-        covariance = np.linalg.solve(grown, prior)
+        is_same = np.equal.outer(self.session, self.session)
+        prior = mean**2 + std**2 * is_same * correlation ** np.abs(np.subtract.outer(count, count))
+        growth = np.eye(len(count)) + prior @ self.matrix
+        covariance = np.linalg.solve(growth, prior)
         masses = covariance @ self.right
         pulls = self.right - self.matrix @ masses  # of the samples, against those of the prior
-        cost = 0.5 * float(np.linalg.slogdet(grown)[1])
+        cost = 0.5 * float(np.linalg.slogdet(growth)[1])
         evidence = 0.5 * float(self.right @ masses) - cost
         stds = np.sqrt(np.diag(covariance))
-        settled = float((self.matrix * covariance).sum())
-        of_mean, taken = mean**2 * float(pulls.sum()), cost + 0.5 * float(masses @ pulls)
-        return _Solution(std, alike, evidence, taken, of_mean, settled, self._split(masses), self._split(stds))
+        determined = float((self.matrix * covariance).sum())
+        mean_payload, total_cost = mean**2 * float(pulls.sum()), cost + 0.5 * float(masses @ pulls)
+        return _Solution(std, correlation, evidence, total_cost, mean_payload, determined, self._split(masses), self._split(stds))
 
     def _split(self, series: Array) -> list[Array]:
         return np.split(series, np.flatnonzero(np.diff(self.session)) + 1)
@@ -164,25 +164,28 @@ def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | 
     sessions, masks = current.problem.sessions, current.problem.masks
     numbers = [stretch_numbers(s) for s in sessions]
     mass = mass_of(current)
-    per_kg = torque_of_a_kilogram(current, mass)
+    per_kg = torque_per_kilogram(current, mass)
     typical = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
     against, joint_values = [typical * np.sign(s.speed) for s in sessions], JointValues.values_of(current).together_with(joint)
     samples = _Samples(per_kg, numbers, residuals, joint_values, mass)
-    best, noise, left = samples.most_likely(masks, current.noise)
-    of_level = _Samples(against, numbers, residuals, joint_values, mass).most_likely(masks, current.noise)[0]
-    if best.evidence < of_level.evidence + SURE:
+    best, noise, remainder = samples.most_likely(masks, current.noise)
+    level_solution = _Samples(against, numbers, residuals, joint_values, mass).most_likely(masks, current.noise)[0]
+    if best.evidence < level_solution.evidence + SURE:
         return None  # the difference does not have the signature of a mass
-    later = [halves(number, mask) for number, mask in zip(numbers, masks, strict=True)]
-    of_half = [samples.masses([m & (x == half) for m, x in zip(masks, later, strict=True)], best, noise, left) for half in (0, 1)]
-    torques, known, stretches = [], [], list[Stretch]()
-    for i, (session, number, by_mass, residual, masses, stds) in enumerate(
+    half_numbers = [halves(number, mask) for number, mask in zip(numbers, masks, strict=True)]
+    half_masses = [
+        samples.masses([m & (x == half) for m, x in zip(masks, half_numbers, strict=True)], best, noise, remainder)
+        for half in (0, 1)
+    ]
+    torques, forecasts, stretches = [], [], list[Stretch]()
+    for i, (session, number, per_mass, residual, masses, stds) in enumerate(
         zip(sessions, numbers, per_kg, residuals, best.masses, best.stds, strict=True)
     ):
-        smoothed = by_mass * masses[number]
-        live = np.where(session.used, by_mass * _followed(by_mass, residual, number, session.used, noise, best), 0.0)
-        torques.append(np.where(masks[i], smoothed, live))
-        of_other_half = np.where(later[i] == 0, of_half[1][i][number], of_half[0][i][number])
-        known.append(np.where(masks[i], by_mass * of_other_half, live))
+        smoothed = per_mass * masses[number]
+        forecast = np.where(session.used, per_mass * _forecast(per_mass, residual, number, session.used, noise, best), 0.0)
+        torques.append(np.where(masks[i], smoothed, forecast))
+        other_half = np.where(half_numbers[i] == 0, half_masses[1][i][number], half_masses[0][i][number])
+        forecasts.append(np.where(masks[i], per_mass * other_half, forecast))
         for k in np.unique(number[masks[i]]).tolist():
             rows = np.flatnonzero(number == k)
             begin, end = float(session.time[rows[0]]), float(session.time[rows[-1]] + session.step)
@@ -193,7 +196,7 @@ def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | 
     if not level > 0.0:
         return None
     cost = best.cost + math.log(len(SIZES) * len(ALIKE))
-    shape, ahead = (tuple(t / level for t in of) for of in (torques, known))
+    shape, ahead = (tuple(t / level for t in series) for series in (torques, forecasts))
     return Payload(tuple(stretches), level, shape, ahead, cost)
 
 
@@ -211,53 +214,55 @@ class _Samples:
         self._columns = [sparse.hstack([x, z]).tocsr() for x, z in zip(by_stretch(by, numbers), joint.columns, strict=True)]
         self._whole = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
 
-    def _equations(self, masks: Sequence[Mask], left: Sequence[Array], noise: Noise) -> tuple[_Normal, _Others, float, int]:
+    def _equations(
+        self, masks: Sequence[Mask], remainder: Sequence[Array], noise: Noise
+    ) -> tuple[_Normal, _OtherValues, float, int]:
         rows = WhitenedRows.of(self._columns, self._whole, masks, noise)
-        weights = noise.weights(WhitenedRows.of(self._columns, left, masks, noise).white)
+        weights = noise.weights(WhitenedRows.of(self._columns, remainder, masks, noise).white)
         return *_normal(rows, weights, self._session, self._joint), len(rows.white)
 
     def most_likely(self, masks: Sequence[Mask], noise: Noise) -> tuple[_Solution, Noise, list[Array]]:
         """Most likely sizes by stretch from some samples, the remaining noise, and the residual of all samples [Nm]."""
-        left = list(self.residuals)
+        remainder = list(self.residuals)
         for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
-            normal, others, settled, count = self._equations(masks, left, noise)
-            tried = (normal.solved(size * self._mass, alike, MEAN * self._mass) for size in SIZES for alike in ALIKE)
-            best = max(tried, key=lambda one: one.evidence)
+            normal, others, settled, count = self._equations(masks, remainder, noise)
+            solutions = (normal.solved(size * self._mass, alike, MEAN * self._mass) for size in SIZES for alike in ALIKE)
+            best = max(solutions, key=lambda solution: solution.evidence)
             values = np.concatenate(best.masses)
             values = np.concatenate([values, others(values)])
-            left = [r - x @ values for r, x in zip(self._whole, self._columns, strict=True)]
-            noise = estimate_noise(left, masks)
+            remainder = [r - x @ values for r, x in zip(self._whole, self._columns, strict=True)]
+            noise = estimate_noise(remainder, masks)
             # Fitting so many values makes the residual smaller than the noise.
             shrinks = math.sqrt(max(1.0 - (best.settled + settled) / count, LEAST_LEFT))
             noise = replace(noise, scale=noise.scale / shrinks)
-        return best, noise, left
+        return best, noise, remainder
 
-    def masses(self, masks: Sequence[Mask], like: _Solution, noise: Noise, left: Sequence[Array]) -> list[Array]:
+    def masses(self, masks: Sequence[Mask], solution: _Solution, noise: Noise, remainder: Sequence[Array]) -> list[Array]:
         """Masses of the stretches of each session from fewer samples, their scatter and the noise known [kg]."""
-        return self._equations(masks, left, noise)[0].solved(like.std, like.alike, MEAN * self._mass).masses
+        return self._equations(masks, remainder, noise)[0].solved(solution.std, solution.alike, MEAN * self._mass).masses
 
 
 def halves(number: Indices, mask: Mask) -> Indices:
     """Half of its stretch in which each sample lies, by the fitted samples: 0 or 1."""
-    later = np.zeros(len(number), dtype=np.int64)
+    half = np.zeros(len(number), dtype=np.int64)
     for k in np.unique(number[mask]).tolist():
         rows = np.flatnonzero((number == k) & mask)
-        later[rows[len(rows) // 2 :]] = 1
-    return later
+        half[rows[len(rows) // 2 :]] = 1
+    return half
 
 
-def _normal(rows: WhitenedRows, weights: Array, session: Indices, joint: JointValues) -> tuple[_Normal, _Others, float]:
+def _normal(rows: WhitenedRows, weights: Array, session: Indices, joint: JointValues) -> tuple[_Normal, _OtherValues, float]:
     """Normal equations of the masses, a function for the other values, and the number of those that the samples determine."""
     count = len(session)
     weighted = rows.columns.multiply(weights[:, np.newaxis]).tocsr()
     matrix, right = (rows.columns.T @ weighted).tocsc(), np.asarray(weighted.T @ rows.white)
-    of_masses, across = matrix[:count, :count].toarray(), matrix[count:, :count].toarray()
+    mass_block, coupling = matrix[:count, :count].toarray(), matrix[count:, :count].toarray()
     solve = splu((matrix[count:, count:] + joint.precision).tocsc()).solve
-    taken, of_others = solve(across), solve(right[count:] + joint.pull)
-    normal = _Normal(of_masses - across.T @ taken, right[:count] - across.T @ of_others, session)
-    probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(across), PROBES))
-    settled = float(np.mean((probes * solve(matrix[count:, count:] @ probes)).sum(axis=0)))
-    return normal, lambda masses: of_others - taken @ masses, settled
+    elimination, other_values = solve(coupling), solve(right[count:] + joint.pull)
+    normal = _Normal(mass_block - coupling.T @ elimination, right[:count] - coupling.T @ other_values, session)
+    probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(coupling), PROBES))
+    determined = float(np.mean((probes * solve(matrix[count:, count:] @ probes)).sum(axis=0)))
+    return normal, lambda masses: other_values - elimination @ masses, determined
 
 
 def by_stretch(by: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.csr_matrix]:
@@ -273,7 +278,7 @@ def by_stretch(by: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.c
 def loads(current: Fit) -> list[Array]:
     """Torque of each session for a mass change of one standard deviation on each stretch, shape (samples, stretches)."""
     mass = mass_of(current)
-    columns = by_stretch(torque_of_a_kilogram(current, mass), [stretch_numbers(s) for s in current.problem.sessions])
+    columns = by_stretch(torque_per_kilogram(current, mass), [stretch_numbers(s) for s in current.problem.sessions])
     return [LOADED * mass * x.toarray() for x in columns]
 
 
@@ -284,46 +289,48 @@ def mass_of(current: Fit) -> float:
 
 def stretch_numbers(session: DriveSession) -> Indices:
     """Number of the stretch of each sample; a stop belongs to the stretch before it."""
-    next_one = np.zeros(len(session), dtype=np.int64)
+    starts = np.zeros(len(session), dtype=np.int64)
     for begin, end in runs_of(np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS):
         if (end - begin) * session.step >= STOP_S and begin > 0 and end < len(session):
-            next_one[end] = 1
-    return np.cumsum(next_one)
+            starts[end] = 1
+    return np.cumsum(starts)
 
 
-def torque_of_a_kilogram(current: Fit, mass: float) -> list[Array]:
+def torque_per_kilogram(current: Fit, mass: float) -> list[Array]:
     """Torque of an additional kilogram, of each session [Nm]; unlike the model's mass it has no rotating part."""
     problem, facts = current.problem, current.problem.base.facts
     expected = []
-    for more in (0.0, MORE):
-        weight = (1.0 + more) * mass * GRAVITY
+    for step in (0.0, MORE):
+        weight = (1.0 + step) * mass * GRAVITY
         loaded = [replace(s, weight=np.full(len(s), weight), given=s.given | {"load"}) for s in problem.sessions]
         expected.append([p.torque for p in problem.base.predict(loaded, *current.model_at(current.point))])
     rotating = current.base_values.get("rotating_mass_factor", problem.base.rotating_mass_factor) - 1.0
     return [
-        np.where(np.abs(s.speed) > STANDSTILL_MPS, (with_more - without) / (MORE * mass) - rotating * s.accel * facts.radius, 0.0)
-        for s, without, with_more in zip(problem.sessions, *expected, strict=True)
+        np.where(
+            np.abs(s.speed) > STANDSTILL_MPS, (torque_loaded - torque) / (MORE * mass) - rotating * s.accel * facts.radius, 0.0
+        )
+        for s, torque, torque_loaded in zip(problem.sessions, *expected, strict=True)
     ]
 
 
-def _followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise: Noise, like: _Solution) -> Array:
+def _forecast(per_mass: Array, residual: Array, number: Indices, used: Mask, noise: Noise, solution: _Solution) -> Array:
     """Live estimate of the mass at each sample of a session from earlier ones: a Kalman filter [kg].
 
     `number` is the stretch of each sample, and `noise` that of the residual without the payload.
     """
-    white = whitened(np.column_stack([by_mass, residual]), used, noise.phi) / noise.std
+    white = whitened(np.column_stack([per_mass, residual]), used, noise.phi) / noise.std
     begins = np.diff(number, prepend=-1) > 0
-    known = np.empty(len(number))
-    mean, variance = like.mean, like.std**2
-    for t, ((slope, shown), first) in enumerate(zip(white.tolist(), begins.tolist(), strict=True)):
+    masses = np.empty(len(number))
+    mean, variance = solution.mean, solution.std**2
+    for t, ((slope, residual_white), first) in enumerate(zip(white.tolist(), begins.tolist(), strict=True)):
         if first and t:
-            mean = like.mean + like.alike * (mean - like.mean)
-            variance = like.alike**2 * variance + (1.0 - like.alike**2) * like.std**2
-        known[t] = mean
-        if math.isnan(shown):
+            mean = solution.mean + solution.alike * (mean - solution.mean)
+            variance = solution.alike**2 * variance + (1.0 - solution.alike**2) * solution.std**2
+        masses[t] = mean
+        if math.isnan(residual_white):
             continue
-        off, by_payload = shown - slope * mean, slope**2 * variance
-        weight = float(noise.weights(np.array(off / math.sqrt(1.0 + by_payload))))
-        gain = variance * slope / (by_payload + 1.0 / weight)
-        mean, variance = mean + gain * off, variance * (1.0 - gain * slope)
-    return known
+        innovation, variance_ahead = residual_white - slope * mean, slope**2 * variance
+        weight = float(noise.weights(np.array(innovation / math.sqrt(1.0 + variance_ahead))))
+        gain = variance * slope / (variance_ahead + 1.0 / weight)
+        mean, variance = mean + gain * innovation, variance * (1.0 - gain * slope)
+    return masses

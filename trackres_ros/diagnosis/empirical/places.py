@@ -60,44 +60,44 @@ class _Piece:
     valid: NDArray[np.bool_]
 
 
-def find_wave(found: Fit) -> Wave | None:
+def find_wave(fit: Fit) -> Wave | None:
     """The wave with the largest gain in the residual of a fit; None if not significant."""
-    pieces = _pieces(found)
+    pieces = _pieces(fit)
     if not pieces:
         return None
     longest = max(float(p.edges[-1] - p.edges[0]) for p in pieces)
     waves = np.arange(1.0 / LONGEST_M, 1.0 / SHORTEST_M, 1.0 / (WAVE_STEPS * longest))  # per metre
-    gains = np.sum([_gains(found, p, waves) for p in pieces], axis=0)
+    gains = np.sum([_gains(fit, p, waves) for p in pieces], axis=0)
     scale = max(1.0, float(np.median(gains)) / float(gammainccinv(len(pieces), 0.5)))
     per_metre, gain = max(
         (
-            (float(waves[i]), sum(_fitted(found, p, float(waves[i]))[1] for p in pieces))
+            (float(waves[i]), sum(_fitted(fit, p, float(waves[i]))[1] for p in pieces))
             for i in np.argsort(gains)[-NEARLY_LARGEST:]
         ),
-        key=lambda one: one[1],
+        key=lambda pair: pair[1],
     )
-    return None if gain / scale < float(gammainccinv(len(pieces), CHANCE / len(waves))) else _wave(found, pieces, per_metre)
+    return None if gain / scale < float(gammainccinv(len(pieces), CHANCE / len(waves))) else _wave(fit, pieces, per_metre)
 
 
 def part_of(length_m: float, parts: Mapping[str, float]) -> str:
     """Part with this length per turn, or per a few turns [m]; empty without one."""
-    for name, once in parts.items():
+    for name, turn_m in parts.items():
         for times in range(1, MOST_PARTS + 1):
-            if abs(times * once / length_m - 1.0) < SAME_LENGTH:
+            if abs(times * turn_m / length_m - 1.0) < SAME_LENGTH:
                 return f"one turn of the {name}" if times == 1 else f"{times} turns of the {name}"
-            if times > 1 and abs(once / times / length_m - 1.0) < SAME_LENGTH:
+            if times > 1 and abs(turn_m / times / length_m - 1.0) < SAME_LENGTH:
                 return f"1/{times} of a turn of the {name}"
     return ""
 
 
-def _pieces(found: Fit) -> list[_Piece]:
+def _pieces(fit: Fit) -> list[_Piece]:
     pieces = []
-    for i, (session, white) in enumerate(zip(found.problem.sessions, found.white, strict=False)):
+    for i, (session, white) in enumerate(zip(fit.problem.sessions, fit.white, strict=False)):
         edges = np.concatenate(([0.0], np.cumsum(np.abs(np.nan_to_num(session.speed))) * session.step))
         number = (edges[:-1] // PIECE_M).astype(int)
         for n in np.unique(number):
-            at = np.flatnonzero(number == n)
-            rows = slice(int(at[0]), int(at[-1]) + 1)
+            indices = np.flatnonzero(number == n)
+            rows = slice(int(indices[0]), int(indices[-1]) + 1)
             valid = np.isfinite(white[rows])
             if valid.sum() >= FEWEST_SAMPLES:
                 pieces.append(_Piece(i, rows, edges[rows.start : rows.stop + 1], white[rows], valid))
@@ -107,80 +107,80 @@ def _pieces(found: Fit) -> list[_Piece]:
 def _mean_wave(edges: Array, per_metre: float) -> NDArray[np.complex128]:
     """Mean over each step of a wave of size 1."""
     turns = 2.0 * math.pi * per_metre * edges
-    far, near = np.diff(turns), np.exp(0.5j * (turns[1:] + turns[:-1]))
-    return np.asarray(near * np.sinc(far / (2.0 * math.pi)))
+    angles, middles = np.diff(turns), np.exp(0.5j * (turns[1:] + turns[:-1]))
+    return np.asarray(middles * np.sinc(angles / (2.0 * math.pi)))
 
 
-def _fitted(found: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
+def _fitted(fit: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
     """Complex size of the wave in a piece [Nm], and the gain in log-likelihood."""
-    noise, wave, e = found.noise, _mean_wave(piece.edges, per_metre), piece.white[piece.valid]
-    everywhere = np.ones(len(wave), dtype=bool)
-    parts = [np.nan_to_num(whitened(part, everywhere, noise.phi) / noise.std) for part in (wave.real, -wave.imag)]
+    noise, wave, e = fit.noise, _mean_wave(piece.edges, per_metre), piece.white[piece.valid]
+    mask = np.ones(len(wave), dtype=bool)
+    parts = [np.nan_to_num(whitened(part, mask, noise.phi) / noise.std) for part in (wave.real, -wave.imag)]
     design, weight = np.stack(parts, axis=1)[piece.valid], noise.weights(e)
     normal = (design * weight[:, np.newaxis]).T @ design + 1e-9 * np.eye(2)
     right = design.T @ (weight * e)
-    solved = np.linalg.solve(normal, right)
-    return complex(solved[0], solved[1]), 0.5 * float(right @ solved)
+    size = np.linalg.solve(normal, right)
+    return complex(size[0], size[1]), 0.5 * float(right @ size)
 
 
-def _gains(found: Fit, piece: _Piece, waves: Array) -> Array:
+def _gains(fit: Fit, piece: _Piece, waves: Array) -> Array:
     """Gains of many waves, for a steady speed over the lags of the whitening; `_fitted` is exact."""
-    noise = found.noise
+    noise = fit.noise
     weighted = np.where(piece.valid, noise.weights(np.nan_to_num(piece.white)) * np.nan_to_num(piece.white), 0.0) / noise.std
     adjoint = weighted.copy()  # of the whitening
     for lag, coefficient in enumerate(noise.phi, start=1):
         adjoint[:-lag] -= coefficient * weighted[lag:]
-    middle, far = 0.5 * (piece.edges[1:] + piece.edges[:-1]), np.diff(piece.edges)
-    rows = np.flatnonzero((far > 0.0) | (adjoint != 0.0))
-    middle, far, adjoint, valid = middle[rows], far[rows], adjoint[rows], piece.valid[rows]
-    finer = (waves[1] - waves[0]) * np.arange(WAVES_AT_ONCE)[:, np.newaxis]  # the same from the first wave of each block
-    turned, half_turned = np.exp(2j * math.pi * finer * middle), np.exp(1j * math.pi * finer * far)
-    found_gains = []
+    middle, lengths = 0.5 * (piece.edges[1:] + piece.edges[:-1]), np.diff(piece.edges)
+    rows = np.flatnonzero((lengths > 0.0) | (adjoint != 0.0))
+    middle, lengths, adjoint, valid = middle[rows], lengths[rows], adjoint[rows], piece.valid[rows]
+    offsets = (waves[1] - waves[0]) * np.arange(WAVES_AT_ONCE)[:, np.newaxis]  # the same from the first wave of each block
+    rotations, half_rotations = np.exp(2j * math.pi * offsets * middle), np.exp(1j * math.pi * offsets * lengths)
+    gains = []
     for first in waves[::WAVES_AT_ONCE]:
-        half = half_turned * np.exp(1j * math.pi * first * far)
-        angle = math.pi * (first + finer) * far
+        half = half_rotations * np.exp(1j * math.pi * first * lengths)
+        angle = math.pi * (first + offsets) * lengths
         size = np.divide(half.imag, angle, out=np.ones_like(angle), where=angle > 0.0)
-        like = (turned * size) @ (np.exp(2j * math.pi * first * middle) * adjoint)
-        norm = 0.5 * (_passed(noise.phi, half.real) * size**2) @ valid / noise.std**2
-        found_gains.append(0.5 * np.abs(like) ** 2 / np.maximum(norm, 1e-9))
-    return np.concatenate(found_gains)[: len(waves)]
+        projections = (rotations * size) @ (np.exp(2j * math.pi * first * middle) * adjoint)
+        norm = 0.5 * (_power_share(noise.phi, half.real) * size**2) @ valid / noise.std**2
+        gains.append(0.5 * np.abs(projections) ** 2 / np.maximum(norm, 1e-9))
+    return np.concatenate(gains)[: len(waves)]
 
 
-def _passed(phi: Array, cosine: Array) -> Array:
+def _power_share(phi: Array, cosine: Array) -> Array:
     """Share of a wave's power after whitening, |1 - phi_1 z - ...|^2, from the cosine of half the angle of z."""
     filtered = np.concatenate(([1.0], -phi))
     series = np.correlate(filtered, filtered, "full")[len(phi) :]
     return np.asarray(chebval(2.0 * cosine**2 - 1.0, np.append(series[0], 2.0 * series[1:])))
 
 
-def _wave(found: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
-    sizes = [_fitted(found, piece, per_metre)[0] for piece in pieces]
-    shape = [np.zeros(len(s)) for s in found.problem.sessions]
+def _wave(fit: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
+    sizes = [_fitted(fit, piece, per_metre)[0] for piece in pieces]
+    shape = [np.zeros(len(s)) for s in fit.problem.sessions]
     for piece, size in zip(pieces, sizes, strict=True):
         wave = _mean_wave(piece.edges, per_metre)
-        turned = np.exp(1j * np.angle(size)) * wave
-        shape[piece.session][piece.rows] = turned.real
+        course = np.exp(1j * np.angle(size)) * wave
+        shape[piece.session][piece.rows] = course.real
     weights = [piece.valid.sum() for piece in pieces]
     return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), len(pieces), tuple(shape))
 
 
-def followed(wave: Wave, residuals: Sequence[Array], sessions: Sequence[DriveSession]) -> list[Array]:
+def wave_forecast(wave: Wave, residuals: Sequence[Array], sessions: Sequence[DriveSession]) -> list[Array]:
     """The wave at each sample over its size, with phase and size from earlier samples: an exponential mean."""
-    found = []
+    forecasts = []
     for residual, session in zip(residuals, sessions, strict=True):
         metres = np.abs(np.nan_to_num(session.speed)) * session.step
-        turned = _mean_wave(np.concatenate(([0.0], np.cumsum(metres))), 1.0 / wave.length_m)
-        shown = np.where(session.used & np.isfinite(residual), residual, 0.0) / wave.size
+        waves = _mean_wave(np.concatenate(([0.0], np.cumsum(metres))), 1.0 / wave.length_m)
+        ratios = np.where(session.used & np.isfinite(residual), residual, 0.0) / wave.size
         keeps = np.exp(-metres / REMEMBERED_M)
-        like, weight, known = 0.0j, FEWEST_SAMPLES / 4.0, np.zeros(len(session))
+        correlation, weight, forecast = 0.0j, FEWEST_SAMPLES / 4.0, np.zeros(len(session))
         for t, (x, w, keep, used) in enumerate(
-            zip(shown.tolist(), turned.tolist(), keeps.tolist(), session.used.tolist(), strict=True)
+            zip(ratios.tolist(), waves.tolist(), keeps.tolist(), session.used.tolist(), strict=True)
         ):
-            known[t] = (like.conjugate() * w).real / weight if used else 0.0
-            like = keep * like + 2.0 * x * w
+            forecast[t] = (correlation.conjugate() * w).real / weight if used else 0.0
+            correlation = keep * correlation + 2.0 * x * w
             weight = keep * (weight - FEWEST_SAMPLES / 4.0) + abs(w) ** 2 * used + FEWEST_SAMPLES / 4.0
-        found.append(known)
-    return found
+        forecasts.append(forecast)
+    return forecasts
 
 
 Indices = NDArray[np.int64]
@@ -223,7 +223,7 @@ class Place:
 class _Bins:
     """Stretches of `BIN_M` of all sessions, with compared samples; arrays of shape (n,)."""
 
-    at: Array  # middle of each from the start of its session [m], negative as in `finders.driven_along`
+    positions: Array  # middle of each from the start of its session [m], negative as in `finders.driven_along`
     session: Indices
     white: Array  # mean residual, whitened over distance, limited to `FURTHEST`
 
@@ -242,22 +242,22 @@ class _Rows:
 
     @classmethod
     def of(
-        cls, distances: Sequence[Array], residuals: Sequence[Array], left: Sequence[Array], masks: Sequence[Mask],
+        cls, distances: Sequence[Array], residuals: Sequence[Array], remainder: Sequence[Array], masks: Sequence[Mask],
         loads: Sequence[Array],
     ) -> _Rows:  # fmt: skip
-        """Whiten the residuals, with the noise of the remainder `left`."""
-        noise = estimate_noise(left, masks, SHORT_ROOT)
-        white, without = (
-            np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(of, masks, strict=True)])
-            for of in (residuals, left)
+        """Whiten the residuals, with the noise of the `remainder`."""
+        noise = estimate_noise(remainder, masks, SHORT_ROOT)
+        white, remainder_white = (
+            np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(series, masks, strict=True)])
+            for series in (residuals, remainder)
         )
         spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
-        return cls(distances, loads, masks, noise, white, noise.weights(without), spread)
+        return cls(distances, loads, masks, noise, white, noise.weights(remainder_white), spread)
 
     def columns(self, shapes: Sequence[Array]) -> Array:
         """Shapes of each session, scaled with the load, whitened; shape (n, shapes)."""
-        grown = (x * load[:, np.newaxis] for x, load in zip(shapes, self.loads, strict=True))
-        return np.concatenate([whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(grown, self.masks, strict=True)])
+        loaded = (x * load[:, np.newaxis] for x, load in zip(shapes, self.loads, strict=True))
+        return np.concatenate([whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(loaded, self.masks, strict=True)])
 
     def gains(self, shapes: Sequence[Array]) -> tuple[Array, Array]:
         """Gain in log-likelihood of each shape in addition to a mean, and its torque [Nm]."""
@@ -278,10 +278,10 @@ class _Folding:
     width: int
     prior: float
 
-    def places(self, at: Array) -> tuple[Indices, int]:
+    def places(self, positions: Array) -> tuple[Indices, int]:
         """The place in the lap of each stretch, and the number of places."""
         count = max(1, round(self.lap_m / (BIN_M * self.width)))
-        return np.minimum((at % self.lap_m / self.lap_m * count).astype(np.int64), count - 1), count
+        return np.minimum((positions % self.lap_m / self.lap_m * count).astype(np.int64), count - 1), count
 
 
 def find_place(
@@ -307,34 +307,34 @@ def find_place(
     means, known = _means(distances, residuals, masks)
     if sum(int(whole_past(k, MOST_LAGS).sum()) for k in known) < FEWEST_BINS:  # a jump over bins leaves none in a row
         return None
-    longest, ways = max(float(np.abs(d).max()) for d in distances), [_way(d) for d in distances]
+    longest, directions = max(float(np.abs(d).max()) for d in distances), [_direction(d) for d in distances]
     laps = _laps(longest, len(distances))
-    away = _whitened(means, known, ways, estimate_noise(means, known, SHORT_ROOT))
-    first = _best(away, laps, away)
-    left = [m - x for m, x in zip(means, _expected(means, known, ways, first), strict=True)]
-    noise = estimate_noise(left, known)
-    bins = _whitened(means, known, ways, noise)
-    best = _best(bins, laps, _whitened(left, known, ways, noise))
-    tried = math.log(len(laps) * len(WIDTHS) * len(PRIORS))
-    if best.evidence < tried + SURE or not _shows_on_others(bins, best):
+    first_bins = _whitened(means, known, directions, estimate_noise(means, known, SHORT_ROOT))
+    first = _best(first_bins, laps, first_bins)
+    remainder = [m - x for m, x in zip(means, _expected(means, known, directions, first), strict=True)]
+    noise = estimate_noise(remainder, known)
+    bins = _whitened(means, known, directions, noise)
+    best = _best(bins, laps, _whitened(remainder, known, directions, noise))
+    search_cost = math.log(len(laps) * len(WIDTHS) * len(PRIORS))
+    if best.evidence < search_cost + SURE or not _shows_on_others(bins, best):
         return None
-    expected = _expected(means, known, ways, best)
-    left = [r - x[_bins_of(d)] for r, d, x in zip(residuals, distances, expected, strict=True)]
-    folded, rows = best.lap_m < longest, _Rows.of(distances, residuals, left, masks, loads)
-    place = _place(best.lap_m, folded, tried, rows)
+    expected = _expected(means, known, directions, best)
+    remainder = [r - x[_bins_of(d)] for r, d, x in zip(residuals, distances, expected, strict=True)]
+    folded, rows = best.lap_m < longest, _Rows.of(distances, residuals, remainder, masks, loads)
+    place = _place(best.lap_m, folded, search_cost, rows)
     if not folded:
         return place
-    nearby = (place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))).tolist()
-    lap_m = max(nearby, key=lambda lap: _best_edges(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3])
-    return _place(lap_m, folded, tried, rows)
+    lengths = (place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))).tolist()
+    lap_m = max(lengths, key=lambda lap: _best_edges(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3])
+    return _place(lap_m, folded, search_cost, rows)
 
 
 def _bins_of(distance: Array) -> Indices:
     """Number of the stretch of each sample, from the start of its session."""
-    return np.asarray(np.maximum(_way(distance) * distance, 0.0) // BIN_M, dtype=np.int64)
+    return np.asarray(np.maximum(_direction(distance) * distance, 0.0) // BIN_M, dtype=np.int64)
 
 
-def _way(distance: Array) -> float:
+def _direction(distance: Array) -> float:
     """1, or -1 for laps in the other direction."""
     return -1.0 if distance[-1] < 0.0 else 1.0
 
@@ -343,36 +343,40 @@ def _middles(means: Array) -> Array:
     return np.asarray((np.arange(len(means)) + 0.5) * BIN_M, dtype=np.float64)
 
 
-def _best(bins: _Bins, laps: Array, left: _Bins) -> _Folding:
-    """The most likely folding; the remainder `left` shows the gain by chance for a noise that is not quite white."""
-    found = []
+def _best(bins: _Bins, laps: Array, remainder: _Bins) -> _Folding:
+    """The most likely folding; the `remainder` shows the gain by chance for a noise that is not quite white."""
+    foldings = []
     for width in WIDTHS:
-        by_chance = [square.sum(axis=1) / (passes > 0.0).sum(axis=1) for square, passes in _squares(left, laps[::SOME], width)]
-        scale, first = max(1.0, float(np.median(np.concatenate(by_chance)))), 0
+        chance_gains = [
+            square.sum(axis=1) / (passes > 0.0).sum(axis=1) for square, passes in _squares(remainder, laps[::SOME], width)
+        ]
+        scale, first = max(1.0, float(np.median(np.concatenate(chance_gains)))), 0
         for square, passes in _squares(bins, laps, width):
             places = (passes > 0.0).sum(axis=1, keepdims=True)
             # Places use up degrees of freedom.
-            square /= scale / np.maximum(1.0 - places / len(bins.at), 1.0 / FEWEST_PASSES)
+            square /= scale / np.maximum(1.0 - places / len(bins.positions), 1.0 / FEWEST_PASSES)
             typical = passes.sum(axis=1, keepdims=True) / places
             for prior in PRIORS:
-                grown = prior * passes / typical
-                evidence = 0.5 * (square * grown / (1.0 + grown) - np.log1p(grown)).sum(axis=1)
+                growth = prior * passes / typical
+                evidence = 0.5 * (square * growth / (1.0 + growth) - np.log1p(growth)).sum(axis=1)
                 i = int(np.argmax(evidence))
-                found.append(_Folding(float(evidence[i]), float(laps[first + i]), width, prior / float(typical[i, 0])))
+                foldings.append(_Folding(float(evidence[i]), float(laps[first + i]), width, prior / float(typical[i, 0])))
             first += len(square)
-    return max(found, key=lambda one: one.evidence)
+    return max(foldings, key=lambda folding: folding.evidence)
 
 
-def _expected(means: Sequence[Array], known: Sequence[Mask], ways: Sequence[float], folding: _Folding) -> list[Array]:
+def _expected(means: Sequence[Array], known: Sequence[Mask], directions: Sequence[float], folding: _Folding) -> list[Array]:
     """Mean of each place over its passes, at each bin."""
-    found = [folding.places(way * _middles(m)) for m, way in zip(means, ways, strict=True)]
-    count = found[0][1]
+    places = [folding.places(way * _middles(m)) for m, way in zip(means, directions, strict=True)]
+    count = places[0][1]
     total, passes = (
-        np.sum([np.bincount(p[k], weights=x[k], minlength=count) for (p, _), x, k in zip(found, of, known, strict=True)], axis=0)
-        for of in (means, [np.ones(len(m)) for m in means])
+        np.sum(
+            [np.bincount(p[k], weights=x[k], minlength=count) for (p, _), x, k in zip(places, series, known, strict=True)], axis=0
+        )
+        for series in (means, [np.ones(len(m)) for m in means])
     )
     profile = total / np.maximum(passes, 1.0)
-    return [np.asarray(profile[p]) for p, _ in found]
+    return [np.asarray(profile[p]) for p, _ in places]
 
 
 def _laps(longest: float, sessions: int) -> Array:
@@ -395,12 +399,12 @@ def _means(distances: Sequence[Array], residuals: Sequence[Array], masks: Sequen
     return [np.where(k, m - mean, 0.0) for m, k in zip(means, known, strict=True)], known
 
 
-def _whitened(means: Sequence[Array], known: Sequence[Mask], ways: Sequence[float], noise: Noise) -> _Bins:
+def _whitened(means: Sequence[Array], known: Sequence[Mask], directions: Sequence[float], noise: Noise) -> _Bins:
     white = np.concatenate([whitened(m, k, noise.phi) / noise.std for m, k in zip(means, known, strict=True)])
-    at = np.concatenate([way * _middles(m) for m, way in zip(means, ways, strict=True)])
+    positions = np.concatenate([way * _middles(m) for m, way in zip(means, directions, strict=True)])
     session = np.repeat(np.arange(len(means)), [len(m) for m in means])
     valid = np.isfinite(white)
-    return _Bins(at[valid], session[valid], np.clip(white[valid], -FURTHEST, FURTHEST))
+    return _Bins(positions[valid], session[valid], np.clip(white[valid], -FURTHEST, FURTHEST))
 
 
 def _squares(bins: _Bins, laps: Array, width: int) -> Iterator[tuple[Array, Array]]:
@@ -408,37 +412,37 @@ def _squares(bins: _Bins, laps: Array, width: int) -> Iterator[tuple[Array, Arra
     lap lengths at once.
     """
     most = round(float(laps.max()) / (BIN_M * width)) + 1
-    for some in np.array_split(laps, math.ceil(len(laps) * max(len(bins.at), most) / AT_ONCE)):
-        lap = some[:, np.newaxis]
+    for lengths in np.array_split(laps, math.ceil(len(laps) * max(len(bins.positions), most) / AT_ONCE)):
+        lap = lengths[:, np.newaxis]
         count = np.maximum(1.0, np.round(lap / (BIN_M * width)))
-        turns = bins.at / lap
+        turns = bins.positions / lap
         turns -= np.floor(turns)  # ten times faster than a remainder
         place = np.minimum(turns * count, count - 0.5).astype(np.int64)
-        place = (place + most * np.arange(len(some))[:, np.newaxis]).ravel()
-        total = np.bincount(place, weights=np.tile(bins.white, len(some)), minlength=most * len(some))
-        passes = np.bincount(place, minlength=most * len(some))
-        yield (total**2 / np.maximum(passes, 1)).reshape(len(some), most), passes.reshape(len(some), most).astype(float)
+        place = (place + most * np.arange(len(lengths))[:, np.newaxis]).ravel()
+        total = np.bincount(place, weights=np.tile(bins.white, len(lengths)), minlength=most * len(lengths))
+        passes = np.bincount(place, minlength=most * len(lengths))
+        yield (total**2 / np.maximum(passes, 1)).reshape(len(lengths), most), passes.reshape(len(lengths), most).astype(float)
 
 
 def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:
     """Whether nearly each pass follows the mean of the others."""
-    place, count = folding.places(bins.at)
-    number, prior = (bins.at // folding.lap_m).astype(np.int64), folding.prior
-    _, of_pass = np.unique(np.stack([bins.session, number]), axis=1, return_inverse=True)
-    of_pass = of_pass.ravel()
+    place, count = folding.places(bins.positions)
+    number, prior = (bins.positions // folding.lap_m).astype(np.int64), folding.prior
+    _, pass_of_bin = np.unique(np.stack([bins.session, number]), axis=1, return_inverse=True)
+    pass_of_bin = pass_of_bin.ravel()
     total, passes = np.bincount(place, weights=bins.white, minlength=count), np.bincount(place, minlength=count)
-    helped = []
-    for one in range(of_pass.max() + 1):
-        at, own = place[of_pass == one], bins.white[of_pass == one]
-        if len(np.unique(at)) < WHOLE * count:
+    is_better = []
+    for k in range(pass_of_bin.max() + 1):
+        places, values = place[pass_of_bin == k], bins.white[pass_of_bin == k]
+        if len(np.unique(places)) < WHOLE * count:
             continue
-        others = total - np.bincount(at, weights=own, minlength=count), passes - np.bincount(at, minlength=count)
-        expected = (prior * others[0] / (1.0 + prior * others[1]))[at]
-        helped.append(float((expected * (2.0 * own - expected)).sum()) > 0.0)
-    return len(helped) >= FEWEST_PASSES and bool(np.mean(helped) >= 1.0 - MOST_WORSE)
+        others = total - np.bincount(places, weights=values, minlength=count), passes - np.bincount(places, minlength=count)
+        expected = (prior * others[0] / (1.0 + prior * others[1]))[places]
+        is_better.append(float((expected * (2.0 * values - expected)).sum()) > 0.0)
+    return len(is_better) >= FEWEST_PASSES and bool(np.mean(is_better) >= 1.0 - MOST_WORSE)
 
 
-def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
+def _place(lap_m: float, folded: bool, search_cost: float, rows: _Rows) -> Place:
     """The torque by the place in a lap of a given length."""
     distances, masks = rows.distances, rows.masks
     course = tuple(d % lap_m for d in distances)
@@ -446,25 +450,25 @@ def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
     for width in WIDTHS:
         count = max(FEWEST_PLACES, round(lap_m / (BIN_M * width)))
         design = [_place_weights(c / lap_m * count, count) for c in course]
-        profiles.append((*_learned(rows.columns(design), rows), design))
-    evidence, cost, profile, design = max(profiles, key=lambda one: one[0])
+        profiles.append((*_most_likely_profile(rows.columns(design), rows), design))
+    evidence, cost, profile, design = max(profiles, key=lambda entry: entry[0])
     profile, count = profile - np.median(profile), len(profile)
     first, last = _peak_range(profile)
     begin, end = first / count * lap_m, (last + 1) / count * lap_m
     for edge_m in EDGES_M:
         begin, end, size, gain = _best_edges(begin, end, edge_m, lap_m, rows)
     middle = 0.5 * (begin + end)
-    there = [np.abs((d - middle + 0.5 * lap_m) % lap_m - 0.5 * lap_m) < 0.5 * (end - begin) for d in distances]
+    inside = [np.abs((d - middle + 0.5 * lap_m) % lap_m - 0.5 * lap_m) < 0.5 * (end - begin) for d in distances]
     passes = sum(
-        len(np.unique((d[m & t] - middle + 0.5 * lap_m) // lap_m)) for d, m, t in zip(distances, masks, there, strict=True)
+        len(np.unique((d[m & t] - middle + 0.5 * lap_m) // lap_m)) for d, m, t in zip(distances, masks, inside, strict=True)
     )
     edges = 2.0 * len(EDGES_M) * math.log(2.0 * MOST_MOVED + 1.0)
     if gain - edges > evidence:  # constant within, and zero elsewhere
         cost, shape = edges, tuple(load * ((c - begin) % lap_m < end - begin) for c, load in zip(course, rows.loads, strict=True))
     else:
-        scale = profile @ np.concatenate([x[m & t] for x, m, t in zip(design, masks, there, strict=True)]).mean(axis=0)
+        scale = profile @ np.concatenate([x[m & t] for x, m, t in zip(design, masks, inside, strict=True)]).mean(axis=0)
         shape = tuple(load * (x @ profile) / scale for x, load in zip(design, rows.loads, strict=True))
-    return Place(lap_m, size, begin, end, passes, folded, cost + tried, course, shape)
+    return Place(lap_m, size, begin, end, passes, folded, cost + search_cost, course, shape)
 
 
 def _best_edges(begin: float, end: float, edge_m: float, lap_m: float, rows: _Rows) -> tuple[float, float, float, float]:
@@ -485,26 +489,26 @@ def _best_edges(begin: float, end: float, edge_m: float, lap_m: float, rows: _Ro
     return begin - turns * lap_m, end - turns * lap_m, size, gain
 
 
-def _learned(columns: Array, rows: _Rows) -> tuple[float, float, Array]:
+def _most_likely_profile(columns: Array, rows: _Rows) -> tuple[float, float, Array]:
     """Log-evidence, its cost for the places, and the torque at each, for the most likely size of places."""
     valid, spread = np.isfinite(rows.white), rows.spread
     mean = np.full(valid.sum(), rows.noise.dc_gain / rows.noise.std)  # the base's
     x, y, weight = np.column_stack([columns[valid], mean]), rows.white[valid], rows.weight[valid]
     normal, right = (x.T * weight) @ x, (x.T * weight) @ y
-    found = []
+    solutions = []
     for size in SIZES:
         std = np.append(np.full(x.shape[1] - 1, size * spread), spread)
-        solved: Array = np.linalg.solve(normal + np.diag(std**-2.0), right)
+        torques: Array = np.linalg.solve(normal + np.diag(std**-2.0), right)
         occam = 0.5 * float(np.linalg.slogdet(np.eye(len(std)) + normal * np.outer(std, std))[1])
-        found.append((0.5 * float(right @ solved) - occam, occam, solved[:-1]))
-    return max(found, key=lambda one: one[0])
+        solutions.append((0.5 * float(right @ torques) - occam, occam, torques[:-1]))
+    return max(solutions, key=lambda solution: solution[0])
 
 
-def _place_weights(at: Array, count: int) -> Array:
+def _place_weights(positions: Array, count: int) -> Array:
     """Weights of places with their middles at 0.5, 1.5, ..., cyclic after `count`; shape (n, count)."""
-    low = np.floor(at - 0.5)
-    share = at - 0.5 - low
-    design, rows = np.zeros((len(at), count)), np.arange(len(at))
+    low = np.floor(positions - 0.5)
+    share = positions - 0.5 - low
+    design, rows = np.zeros((len(positions), count)), np.arange(len(positions))
     np.add.at(design, (rows, low.astype(int) % count), 1.0 - share)
     np.add.at(design, (rows, (low.astype(int) + 1) % count), share)
     return design

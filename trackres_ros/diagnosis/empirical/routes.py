@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.patterns import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, PlaceValues, StreetGraph, gains, learn
 from trackres_ros.diagnosis.empirical.payload import loads, may_differ
-from trackres_ros.diagnosis.empirical.term import SURE_OF_KIND, Route, Term, compared
+from trackres_ros.diagnosis.empirical.term import SURE_OF_KIND, Route, Term, term_of_fit
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
 from trackres_ros.diagnosis.prepare.gate import way_of
@@ -53,12 +53,14 @@ class _ByPlace:
     expected: list[Array]  # sine of the slope, or torque against travel, of each session
     slope_gain: float
 
-    def moved(self, before: _ByPlace, masks: Sequence[Mask]) -> float:
+    def moved(self, previous: _ByPlace, masks: Sequence[Mask]) -> float:
         """Relative root-mean-square change from a previous one; infinite for another kind."""
-        if self.kind != before.kind:
+        if self.kind != previous.kind:
             return math.inf
-        now, then = (np.concatenate([x[m] for x, m in zip(of.expected, masks, strict=True)]) for of in (self, before))
-        return float(np.sqrt(np.mean((now - then) ** 2) / max(float(np.mean(now**2)), 1e-30)))
+        values, previous_values = (
+            np.concatenate([x[m] for x, m in zip(term.expected, masks, strict=True)]) for term in (self, previous)
+        )
+        return float(np.sqrt(np.mean((values - previous_values) ** 2) / max(float(np.mean(values**2)), 1e-30)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,33 +70,33 @@ class Roads:
     frame: Frame
     places: Places
     streets: StreetGraph
-    at: tuple[Matched, ...]  # place at the middle of each step of each session
+    middles: tuple[Matched, ...]  # place at the middle of each step of each session
     within: tuple[Matched, ...]  # place at each of the positions within the steps
 
     def passes(self, masks: Sequence[Mask]) -> NDArray[np.int64]:
         """Number of passes of each place on used samples, shape (places,)."""
-        found = set()
+        pairs = set()
         for track, mask in zip(self.within, masks, strict=True):
             used = np.repeat(mask, len(track.number) // len(mask)) & track.known
-            nearer = np.where(track.share[used, 1] > 0.5, track.place[used, 1], track.place[used, 0])
-            found |= set(zip(nearer.tolist(), track.number[used].tolist(), strict=True))
-        return np.bincount(np.array([place for place, _ in found], dtype=np.int64), minlength=len(self.places))
+            nearest = np.where(track.share[used, 1] > 0.5, track.place[used, 1], track.place[used, 0])
+            pairs |= set(zip(nearest.tolist(), track.number[used].tolist(), strict=True))
+        return np.bincount(np.array([place for place, _ in pairs], dtype=np.int64), minlength=len(self.places))
 
 
 def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     """Match sessions to themselves; None without a recorded position."""
     ways = [way_of(s) for s in sessions]
     latitude, longitude = (np.concatenate([getattr(w, name) for w in ways]) for name in ("latitude", "longitude"))
-    there = np.isfinite(latitude) & np.isfinite(longitude)
-    if not there.any():
+    known = np.isfinite(latitude) & np.isfinite(longitude)
+    if not known.any():
         return None
     frame = Frame.about(latitude, longitude)
     tracks = [track_of(w.driven, *frame.metres(w.latitude, w.longitude)) for w in ways]
     places = places_of(tracks)
-    whole = matched(places, tracks)
-    within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(whole, tracks, ways, strict=True))
-    at = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
-    return Roads(frame, places, StreetGraph.of(neighbours(whole), places.table, whole), at, within)
+    matches = matched(places, tracks)
+    within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(matches, tracks, ways, strict=True))
+    middles = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
+    return Roads(frame, places, StreetGraph.of(neighbours(matches), places.table, matches), middles, within)
 
 
 def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Term | None:
@@ -115,41 +117,41 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
     noise = estimate_noise(residuals, masks, SHORT_ROOT)
     best: _ByPlace | None = None
     for _ in range(TURNS):
-        before = best
+        previous = best
         best = _slope_or_torque(current, fitted, roads, residuals, noise, kinds)
         if best is None:
             return None
         effect = _effect(current, roads, best, passes)
-        fitted = _fitted_with(current, effect, fitted, SHORT_ROOT)
-        left = torque_residuals(fitted)
-        noise = estimate_noise(left, masks, SHORT_ROOT)
+        fitted = _fit_with(current, effect, fitted, SHORT_ROOT)
+        remainder = torque_residuals(fitted)
+        noise = estimate_noise(remainder, masks, SHORT_ROOT)
         noise = replace(noise, scale=noise.scale / best.learned.shrinks)
-        residuals = [r + x for r, x in zip(left, fitted.contribution(effect.name), strict=True)]
-        if before is not None and best.moved(before, masks) < SETTLED:
+        residuals = [r + x for r, x in zip(remainder, fitted.contribution(effect.name), strict=True)]
+        if previous is not None and best.moved(previous, masks) < SETTLED:
             break
     assert best is not None
-    found = compared(current, _fitted_with(current, effect, fitted), effect, best.learned.cost + math.log(2.0))
-    if not found.matters:
+    term = term_of_fit(current, _fit_with(current, effect, fitted), effect, best.learned.cost + math.log(2.0))
+    if not term.matters:
         return None
     metres = SPACING_M * int((passes > 0).sum())
-    course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.at)
-    again = int(np.median(passes[passes > 1]))
-    return replace(found, pattern=Route(best.slope_gain, metres, again_m, again, course, best.places, best.learned))
+    course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.middles)
+    typical_passes = int(np.median(passes[passes > 1]))
+    return replace(term, pattern=Route(best.slope_gain, metres, again_m, typical_passes, course, best.places, best.learned))
 
 
 def _slope_or_torque(
     current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise, kinds: Collection[str]
 ) -> _ByPlace | None:
     """A slope or a torque, with the base fitted too; None if other passes do not show it, or it is of no requested kind."""
-    problem, masks, per = current.problem, current.problem.masks, _torque_per(current)
+    problem, masks, unit_torques = current.problem, current.problem.masks, _unit_torques(current)
     spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
     columns = {
-        SLOPE: PlaceColumns.of_slope(roads.within, per[SLOPE], roads.streets),
-        TORQUE: PlaceColumns.of_torque(roads.within, per[TORQUE], roads.streets),
+        SLOPE: PlaceColumns.of_slope(roads.within, unit_torques[SLOPE], roads.streets),
+        TORQUE: PlaceColumns.of_torque(roads.within, unit_torques[TORQUE], roads.streets),
     }
     typical = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius), TORQUE: spread}
-    base = _base_and_loads(current, fitted)
-    at_places = [m & t.known for m, t in zip(masks, roads.at, strict=True)]  # elsewhere the base alone would take a slope
+    base = _base_columns(current, fitted)
+    at_places = [m & t.known for m, t in zip(masks, roads.middles, strict=True)]  # elsewhere the base alone would take a slope
     learned = {kind: learn(c, residuals, at_places, noise, typical[kind], base) for kind, c in columns.items()}
     slope_gain = learned[SLOPE].evidence - learned[TORQUE].evidence
     kind = SLOPE if slope_gain > SURE_OF_KIND else TORQUE
@@ -165,46 +167,54 @@ def _slope_or_torque(
     return _ByPlace(kind, columns[kind], learned[kind], shape.expected(learned[kind]), slope_gain)
 
 
-def _torque_per(current: Fit) -> dict[str, list[Array]]:
-    """Torque as the sensor shows it, per sine of a slope along travel and per torque against travel. Gears add to it while
-    driving and take from it while braking, as of rolling resistance: else the two would differ, and a mean slope be told.
+def _unit_torques(current: Fit) -> dict[str, list[Array]]:
+    """Sensed torque per sine of a slope along travel, and per torque against travel [Nm].
+
+    Gear losses increase it while driving and reduce it while braking, as for rolling resistance. If only the resistance had
+    them, the difference would look like a mean slope.
     """
     problem, facts = current.problem, current.problem.base.facts
-    more = MORE * facts.weight * facts.radius
-    loaded = [replace(s, torque_by_place=s.torque_by_place + more) for s in problem.sessions]
+    increment = MORE * facts.weight * facts.radius
+    loaded = [replace(s, torque_by_place=s.torque_by_place + increment) for s in problem.sessions]
     expected = problem.base.predict(loaded, *current.model_at(current.point))
-    per = [(e.torque - p.torque) / more for e, p in zip(expected, current.predicted, strict=True)]
-    return {SLOPE: [s.weight * facts.radius * x for s, x in zip(problem.sessions, per, strict=True)], TORQUE: per}
+    unit_torques = [(e.torque - p.torque) / increment for e, p in zip(expected, current.predicted, strict=True)]
+    return {
+        SLOPE: [s.weight * facts.radius * x for s, x in zip(problem.sessions, unit_torques, strict=True)],
+        TORQUE: unit_torques,
+    }
 
 
-def _base_and_loads(current: Fit, fitted: Fit) -> BaseColumns:
+def _base_columns(current: Fit, fitted: Fit) -> BaseColumns:
     """Torque changes of each session for one standard deviation of each base parameter, and of the mass of each
     stretch if masses may differ. Otherwise a load would be learned as a slope where a vehicle accelerates. The values are those
     of a later fit; about that fit, a mass would change the slopes' torque, and explain it.
     """
     own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
     columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
-    of = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
-    off = np.array([(fitted.at[f.key] - f.nominal) / f.std for f in (current.free[i] for i in own)])
+    torques = current.problem.split(columns[:, own])[: len(current.problem.sessions)]
+    off = np.array([(fitted.estimates[f.key] - f.nominal) / f.std for f in (current.free[i] for i in own)])
     if may_differ(current):
-        of = [np.column_stack(both) for both in zip(of, loads(current), strict=True)]
-    return BaseColumns(of, np.concatenate([off, np.zeros(of[0].shape[1] - len(off))]))
+        torques = [np.column_stack(pair) for pair in zip(torques, loads(current), strict=True)]
+    return BaseColumns(torques, np.concatenate([off, np.zeros(torques[0].shape[1] - len(off))]))
 
 
 def _shows_on_others(
-    columns: PlaceColumns, found: PlaceValues, roads: Roads, residuals: Sequence[Array], masks: Sequence[Mask]
+    columns: PlaceColumns, values: PlaceValues, roads: Roads, residuals: Sequence[Array], masks: Sequence[Mask]
 ) -> bool:
     """Whether values from every other pass explain the passes between, and far better than those of shifted places."""
     total = np.zeros(1 + MOVED)
-    ways = len(found.value) // len(roads.places)
-    numbers = [t.number if ways == 1 else t.number_this_way for t in roads.at]
+    ways = len(values.value) // len(roads.places)
+    numbers = [t.number if ways == 1 else t.number_this_way for t in roads.middles]
     for half in (0, 1):
         others, used = (
-            [m & (n >= 0) & ((n % 2 == half) == own) for m, n in zip(masks, numbers, strict=True)] for own in (True, False)
+            [m & (n >= 0) & ((n % 2 == half) == is_other) for m, n in zip(masks, numbers, strict=True)]
+            for is_other in (True, False)
         )
-        value = found.relearned(columns, residuals, used)
-        moved = [ways * round(by * len(roads.places)) for by in (0.0, *np.linspace(NEAREST_MOVED, 1.0 - NEAREST_MOVED, MOVED))]
-        total += gains(columns, np.stack([np.roll(value, by) for by in moved], axis=1), residuals, others, found.noise)
+        value = values.relearned(columns, residuals, used)
+        shifts = [
+            ways * round(shift * len(roads.places)) for shift in (0.0, *np.linspace(NEAREST_MOVED, 1.0 - NEAREST_MOVED, MOVED))
+        ]
+        total += gains(columns, np.stack([np.roll(value, shift) for shift in shifts], axis=1), residuals, others, values.noise)
     elsewhere = max(0.0, float(total[1:].max()))
     return bool(total[0] > elsewhere + SURE and total[0] > OWN * elsewhere)
 
@@ -222,37 +232,37 @@ def _effect(current: Fit, roads: Roads, best: _ByPlace, passes: NDArray[np.int64
     return make(BY_PLACE[best.kind], text, [x / typical for x in shape], facts.weight * facts.radius, route, typical)
 
 
-def _fitted_with(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
+def _fit_with(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
     """Fit with the effect added, under a noise with bounded roots: for predictive values, or for tests."""
     effects = [*(a.effect for a in current.effects), effect]
-    start = {**begin.at, (effect.name, effect.parameters[0].name): effect.typical}
+    start = {**begin.estimates, (effect.name, effect.parameters[0].name): effect.typical}
     return fit(current.problem, effects, start, largest_root=largest_root)
 
 
 def _map(roads: Roads, kind: str, learned: PlaceValues, passes: NDArray[np.int64]) -> RouteMap:
     """Learned map of the places passed on the fitted laps."""
-    seen = np.flatnonzero(passes > 0)
-    x, y, east, north = roads.places.table[seen].T
+    driven = np.flatnonzero(passes > 0)
+    x, y, east, north = roads.places.table[driven].T
     if kind == SLOPE:
-        slope, spread = np.clip(learned.value[seen], -STEEPEST, STEEPEST), learned.std(seen)
+        slope, spread = np.clip(learned.value[driven], -STEEPEST, STEEPEST), learned.std(driven)
         slope = slope / np.sqrt(1.0 - slope**2)
         value, std = np.stack([slope, -slope], axis=1), np.stack([spread, spread], axis=1)
     else:
-        ways = np.stack([2 * seen, 2 * seen + 1], axis=1)
+        ways = np.stack([2 * driven, 2 * driven + 1], axis=1)
         value, std = learned.value[ways], learned.std(ways.ravel()).reshape(-1, 2)
     known = std < UNLEARNED * learned.size
     value, std = np.where(known, value, np.nan), np.where(known, std, np.nan)
     latitude, longitude = roads.frame.position(x, y)
-    return RouteMap(kind, latitude, longitude, np.arctan2(north, east), value, std, passes[seen])
+    return RouteMap(kind, latitude, longitude, np.arctan2(north, east), value, std, passes[driven])
 
 
-def _text(route: RouteMap, of_mean: float) -> str:
+def _text(route: RouteMap, mean_std: float) -> str:
     """Sentence for a map with this standard deviation of its mean."""
     low, high = (float(q) for q in np.nanquantile(route.value, (0.025, 0.975)))
     if route.kind == TORQUE:
         return f"the vehicle needs {figures(low, 2)} to {figures(high, 2)} Nm more depending on the place, the same on each pass"
     text = f"the road has slopes of up to {100.0 * max(-low, high):.1f} %, the same on each pass"
-    if of_mean > COMMON * float(np.sqrt(np.nanmean(route.value**2))):
-        off = f"{200.0 * of_mean:.1f} %"
-        text += f"; as rolling resistance looks like a mean slope on a road driven one way, all may be {off} off"
+    if mean_std > COMMON * float(np.sqrt(np.nanmean(route.value**2))):
+        error = f"{200.0 * mean_std:.1f} %"
+        text += f"; as rolling resistance looks like a mean slope on a road driven one way, all may be {error} off"
     return text

@@ -23,7 +23,7 @@ from trackres_ros.effects.learned import Corner, Curve, Latch, SidedGain
 from trackres_ros.text import figures, on_scale
 
 
-class OfVehicle(str):
+class VehicleMechanism(str):
     """A mechanism that only a vehicle has."""
 
     __slots__ = ()
@@ -31,52 +31,57 @@ class OfVehicle(str):
 
 ANY_MACHINE = ("a part that rubs, binds or slips under these conditions",)
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
-    learned.SPEED: (OfVehicle("a resonance of belt, wheels or drive train"), "a fan or pump driven by the motion"),
+    learned.SPEED: (VehicleMechanism("a resonance of belt, wheels or drive train"), "a fan or pump driven by the motion"),
     learned.ACCELERATION: ("play in the drive train", "an inertia that the model lacks"),
-    learned.LOAD: (OfVehicle("a part that touches when the springs are compressed"), OfVehicle("soft ground")),
+    learned.LOAD: (VehicleMechanism("a part that touches when the springs are compressed"), VehicleMechanism("soft ground")),
     learned.AMBIENT: ("grease or oil that thickens in the cold",),
-    learned.TURN: (OfVehicle("a part that touches on one side in turns"), OfVehicle("a steering brake")),
-    learned.TURNING: (OfVehicle("a part that touches in turns"), OfVehicle("sheared ground")),
-    learned.CURVATURE: (OfVehicle("a part that touches in turns"), OfVehicle("sheared ground")),
+    learned.TURN: (VehicleMechanism("a part that touches on one side in turns"), VehicleMechanism("a steering brake")),
+    learned.TURNING: (VehicleMechanism("a part that touches in turns"), VehicleMechanism("sheared ground")),
+    learned.CURVATURE: (VehicleMechanism("a part that touches in turns"), VehicleMechanism("sheared ground")),
     learned.DRIVING_TORQUE: (
         "play in the drive train, taken up as the torque changes its sign",
         "a gear or coupling that binds under load",
     ),
     learned.BELT: (
         "a fan or pump that is switched by temperature",
-        OfVehicle("rubber or grease with a stronger temperature dependence than in the file"),
+        VehicleMechanism("rubber or grease with a stronger temperature dependence than in the file"),
     ),
 }
-OF_LATCHES: Mapping[int, tuple[str, ...]] = {
+LATCH_MECHANISMS: Mapping[int, tuple[str, ...]] = {
     learned.SPEED: ("a gearbox that shifts up and down at different speeds", "a pump or fan that is switched by speed"),
-    learned.LOAD: (OfVehicle("a part that touches and sticks when the springs are compressed"),),
+    learned.LOAD: (VehicleMechanism("a part that touches and sticks when the springs are compressed"),),
     learned.BELT: ("a fan, pump or valve with a thermostat",),
 }
-OF_GAINS: Mapping[int, tuple[str, ...]] = {
-    learned.DRIVES: ("a torque sensor with another gain for one sign", OfVehicle("gears with a larger loss when driving")),
+GAIN_MECHANISMS: Mapping[int, tuple[str, ...]] = {
+    learned.DRIVES: ("a torque sensor with another gain for one sign", VehicleMechanism("gears with a larger loss when driving")),
     learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
     learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
 }
-OF_SPELLS = (
+SPELL_MECHANISMS = (
     "a pump, fan or compressor that switches on and off",
     "a brake that stays applied for a while",
     "another consumer on the same drive",
 )
-OF_WAVES = ("a stiff or damaged place in a belt", "an out-of-round wheel or a worn bearing")
-OF_CLOCKS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
-OF_PLACES = tuple(map(OfVehicle, ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded")))
-OF_PAYLOAD = (OfVehicle("boarding passengers or loaded goods"), "a tank or a hopper that fills and empties")
-OF_RECORDINGS = (OfVehicle("a load, ground or wind that differs from the recorded one"), "a torque sensor whose zero is reset")
-OF_DRIFT = ("a torque sensor with a drifting zero", OfVehicle("an unrecorded slope, wind or ground"))
+WAVE_MECHANISMS = ("a stiff or damaged place in a belt", "an out-of-round wheel or a worn bearing")
+CLOCK_MECHANISMS = ("a temperature or pressure that is not recorded", "a part that settles or wears as the drive goes on")
+PLACE_MECHANISMS = tuple(
+    map(VehicleMechanism, ("a slope", "soft or rough ground", "a bend, if neither heading nor yaw rate is recorded"))
+)
+PAYLOAD_MECHANISMS = (VehicleMechanism("boarding passengers or loaded goods"), "a tank or a hopper that fills and empties")
+RECORDING_MECHANISMS = (
+    VehicleMechanism("a load, ground or wind that differs from the recorded one"),
+    "a torque sensor whose zero is reset",
+)
+DRIFT_MECHANISMS = ("a torque sensor with a drifting zero", VehicleMechanism("an unrecorded slope, wind or ground"))
 
 
-def of_learned(term: Term, noun: str) -> Term:
+def describe_form(term: Term, noun: str) -> Term:
     """Describe an unnamed effect over a variable, by its values."""
     effect, values = term.effect, term.values
     if isinstance(effect, SidedGain):
-        return _of_gain(term, effect)
+        return _describe_gain(term, effect)
     if isinstance(effect, Corner | Latch):
-        return _of_threshold(term, effect, noun)
+        return _describe_threshold(term, effect, noun)
     assert isinstance(effect, Curve)
     x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(axis)] for axis in ("x", "y"))
     follows = learned.VARIABLES[effect.variable]
@@ -101,42 +106,42 @@ def of_learned(term: Term, noun: str) -> Term:
 
 def turning_points(heights: Sequence[float]) -> list[int]:
     """Knots at which a curve turns, and its ends, rising; without swings smaller than the error of a form."""
-    least, found = FORM_ERROR * (max(heights) - min(heights)), list(range(len(heights)))
+    least, points = FORM_ERROR * (max(heights) - min(heights)), list(range(len(heights)))
 
     def swing(place: int) -> float:
-        back, on = (heights[found[place]] - heights[found[place + way]] for way in (-1, 1))
-        return min(abs(back), abs(on)) if back * on > 0.0 else 0.0
+        before, after = (heights[points[place]] - heights[points[place + way]] for way in (-1, 1))
+        return min(abs(before), abs(after)) if before * after > 0.0 else 0.0
 
-    while len(found) > 2:
-        smallest = min(range(1, len(found) - 1), key=swing)
+    while len(points) > 2:
+        smallest = min(range(1, len(points) - 1), key=swing)
         if swing(smallest) > least:
             break
-        del found[smallest]
-    return found
+        del points[smallest]
+    return points
 
 
-def _of_threshold(term: Term, effect: Corner | Latch, noun: str) -> Term:
+def _describe_threshold(term: Term, effect: Corner | Latch, noun: str) -> Term:
     values, follows = term.values, learned.VARIABLES[effect.variable]
     level, scale, mechanisms = values["y1"], values["x2"] - values["x1"], MECHANISMS.get(effect.variable, ())
     form: Form
 
-    def at(name: str) -> str:
+    def text_at(name: str) -> str:
         return f"{on_scale(values[name], scale)} {follows.unit}"
 
     if isinstance(effect, Latch):
-        form, mechanisms = "latch", OF_LATCHES[effect.variable]
+        form, mechanisms = "latch", LATCH_MECHANISMS[effect.variable]
         text = (
-            f"The {noun} needs {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below "
-            f"{at('off')}"
+            f"The {noun} needs {_more(level)} from when the {follows.text} rises above {text_at('on')} until it falls below "
+            f"{text_at('off')}"
         )
     elif effect.kind == learned.STEP:
         form = "step"
-        text = f"The {noun} needs {_more(level)} with the {follows.text} above {at('threshold')} than below"
+        text = f"The {noun} needs {_more(level)} with the {follows.text} above {text_at('threshold')} than below"
     else:
         form, (side, end) = "hinge", ("below", "x1") if effect.kind == learned.BELOW else ("above", "x2")
         text = (
-            f"With the {follows.text} {side} {at('threshold')} the {noun} needs increasingly {_more_or_less(level)}, "
-            f"{_more(level)} at {at(end)}"
+            f"With the {follows.text} {side} {text_at('threshold')} the {noun} needs increasingly {_more_or_less(level)}, "
+            f"{_more(level)} at {text_at(end)}"
         )
     return replace(
         term,
@@ -150,14 +155,14 @@ def _of_threshold(term: Term, effect: Corner | Latch, noun: str) -> Term:
     )
 
 
-def _of_gain(term: Term, effect: SidedGain) -> Term:
+def _describe_gain(term: Term, effect: SidedGain) -> Term:
     gain, side, follows = term.values["gain"], learned.SIDES[effect.side], learned.VARIABLES[effect.variable]
     text = f"The torque {side.text} is {100.0 * abs(gain):.1f} % {'larger' if gain > 0.0 else 'smaller'} than in the model"
     return replace(
         term,
         form="sided_gain",
         sentences=(text,),
-        mechanisms=OF_GAINS[effect.side],
+        mechanisms=GAIN_MECHANISMS[effect.side],
         size_nm=abs(gain) * term.values["x1"],
         variable=follows.text,
         unit=follows.unit,
@@ -166,68 +171,68 @@ def _of_gain(term: Term, effect: SidedGain) -> Term:
     )
 
 
-def of_spells(term: Term, chain: Chain, level: float, lengths_s: Array, begins: str, noun: str) -> Term:
+def describe_spells(term: Term, chain: Chain, level: float, lengths_s: Array, begins: str, noun: str) -> Term:
     """Describe spells of this size [Nm]: their number, the duration of each [s], and the common event at their start."""
     low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [chain.mean_s], (0.1, 0.9)))
     first = f"For {low} to {high} s at a time, the {noun} needs {_more(level)} than the model"
     second = f"That happens {len(lengths_s)} times in these recordings{begins}"
     sentences = (first, second)
-    return replace(term, form="spells", sentences=sentences, mechanisms=OF_SPELLS, size_nm=abs(level), memory=chain.mean_s)
+    return replace(term, form="spells", sentences=sentences, mechanisms=SPELL_MECHANISMS, size_nm=abs(level), memory=chain.mean_s)
 
 
-def of_wave(term: Term, wave: Wave, level: float, part: str) -> Term:
+def describe_wave(term: Term, wave: Wave, level: float, part: str) -> Term:
     """Describe a wave of this size [Nm], named after the part with its length per turn, if there is one."""
-    which = f", which is {part}" if part else ""
-    text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{which}"
+    suffix = f", which is {part}" if part else ""
+    text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{suffix}"
     return replace(
         term,
         form="wave",
         sentences=(text,),
-        mechanisms=OF_WAVES,
+        mechanisms=WAVE_MECHANISMS,
         size_nm=abs(level),
         variable="driven distance",
         period_m=wave.length_m,
     )
 
 
-def of_clock(term: Term, effect: ClockTerm, level: float, noun: str) -> Term:
+def describe_clock(term: Term, effect: ClockTerm, level: float, noun: str) -> Term:
     """Describe a torque of this size [Nm] that follows the clock or the odometer."""
     low, high = effect.ends
     unit = "m" if effect.variable == "distance" else "s"
 
-    def at(value: float) -> str:
+    def text_at(value: float) -> str:
         return f"{on_scale(value, high - low)} {unit}"
 
     since = effect.text_of_variable
     sentences: tuple[str, ...]
     if effect.kind == FADE:
-        fading = f"That fades {since} with a constant of {at(effect.threshold)}"
+        fading = f"That fades {since} with a constant of {text_at(effect.threshold)}"
         sentences = (f"At first the {noun} needs {_more(level)}", fading)
     elif effect.kind == learned.STEP:
-        sentences = (f"From {at(effect.threshold)} {since} on, the {noun} needs {_more(level)} than before",)
+        sentences = (f"From {text_at(effect.threshold)} {since} on, the {noun} needs {_more(level)} than before",)
     else:
         order, end = ("before", low) if effect.kind == learned.BELOW else ("after", high)
         text = (
-            f"{order.capitalize()} {at(effect.threshold)} {since} the {noun} needs increasingly {_more_or_less(level)}, "
-            f"{_more(level)} at {at(end)}"
+            f"{order.capitalize()} {text_at(effect.threshold)} {since} the {noun} needs increasingly {_more_or_less(level)}, "
+            f"{_more(level)} at {text_at(end)}"
         )
         sentences = (text,)
     size = abs(level)
     return replace(
-        term, form="clock", sentences=sentences, mechanisms=OF_CLOCKS, size_nm=size, variable=effect.variable, unit=unit
+        term, form="clock", sentences=sentences, mechanisms=CLOCK_MECHANISMS, size_nm=size, variable=effect.variable, unit=unit
     )
 
 
-def of_place(term: Term, level: float, place: Place, noun: str) -> Term:
+def describe_place(term: Term, level: float, place: Place, noun: str) -> Term:
     """Describe a torque of this size [Nm] at the same place on each pass."""
     route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
-    between = f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}"
-    first = f"{between}, the {noun} needs {_more(level)} than the model"
+    range_text = f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}"
+    first = f"{range_text}, the {noun} needs {_more(level)} than the model"
     return replace(
         term,
         form="place",
         sentences=(first, f"The recordings show it on {place.passes} passes"),
-        mechanisms=OF_PLACES,
+        mechanisms=PLACE_MECHANISMS,
         size_nm=abs(level),
         variable="place on the route",
         unit="m",
@@ -235,20 +240,20 @@ def of_place(term: Term, level: float, place: Place, noun: str) -> Term:
     )
 
 
-def of_payload(term: Term, level: float, payload: Payload, noun: str) -> Term:
+def describe_payload(term: Term, level: float, payload: Payload, noun: str) -> Term:
     """Describe a mass by stretch, with a torque of this size [Nm], and scale the masses to it."""
     scale = level / payload.level
     stretches = tuple(replace(s, mass=scale * s.mass, std=scale * s.std) for s in payload.stretches)
     masses, seconds = np.array([s.mass for s in stretches]), np.array([s.end_s - s.begin_s for s in stretches])
     low, high = np.quantile(np.repeat(masses, np.maximum(1, np.round(seconds)).astype(int)), (0.05, 0.95))
-    sure = float(np.median([s.std for s in stretches]))
+    typical_std = float(np.median([s.std for s in stretches]))
     first = f"The {noun} weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model"
-    each = f"{len(stretches)} stretches, each with a standard deviation of about {figures(sure)} kg"
+    detail = f"{len(stretches)} stretches, each with a standard deviation of about {figures(typical_std)} kg"
     return replace(
         term,
         form="payload",
-        sentences=(first, f"The mass changes at stops ({each})"),
-        mechanisms=OF_PAYLOAD,
+        sentences=(first, f"The mass changes at stops ({detail})"),
+        mechanisms=PAYLOAD_MECHANISMS,
         size_nm=abs(level),
         variable="mass",
         unit="kg",
@@ -256,7 +261,7 @@ def of_payload(term: Term, level: float, payload: Payload, noun: str) -> Term:
     )
 
 
-def of_route(term: Term, size: float, least: float, most: float, route: Route, noun: str) -> Term:
+def describe_route(term: Term, size: float, least: float, most: float, route: Route, noun: str) -> Term:
     """Describe a torque by place with its minimum, maximum and size [Nm], if it is not a slope."""
     tied = abs(route.slope_gain) <= SURE_OF_KIND
     streets = f"On {figures(0.001 * route.metres)} km of streets"
@@ -269,7 +274,7 @@ def of_route(term: Term, size: float, least: float, most: float, route: Route, n
         term,
         form="place",
         sentences=sentences,
-        mechanisms=OF_PLACES if tied else OF_PLACES[1:],
+        mechanisms=PLACE_MECHANISMS if tied else PLACE_MECHANISMS[1:],
         size_nm=size,
         variable="place on the route",
         unit="m",
@@ -277,42 +282,42 @@ def of_route(term: Term, size: float, least: float, most: float, route: Route, n
     )
 
 
-def of_recordings(final: Fit, levels: Array) -> Term:
+def recordings_term(final: Fit, levels: Array) -> Term:
     """A different level [Nm] in each recording, as a live estimate follows it; nan if a recording is not compared."""
     low, high, noun = float(np.nanmin(levels)), float(np.nanmax(levels)), final.problem.base.noun
     first = f"From recording to recording the {noun} needs between {_more(low)} and {_more(high)} than the model"
     return replace(
-        _followed("recordings", final),
+        _live_term("recordings", final),
         sentences=(first, "Within each recording it hardly changes"),
-        mechanisms=OF_RECORDINGS,
+        mechanisms=RECORDING_MECHANISMS,
         size_nm=max(-low, high),
         variable="recording",
     )
 
 
-def of_drift(final: Fit, drifting: DriftingLevel) -> Term:
+def drift_term(final: Fit, drifting: DriftingLevel) -> Term:
     """A drifting torque, as a live estimate follows it."""
     text = f"The residual drifts by {figures(drifting.size)} Nm over about {figures(drifting.seconds, 2)} s"
-    followed, size = _followed("drift", final), drifting.size
-    return replace(followed, sentences=(text,), mechanisms=OF_DRIFT, size_nm=size, memory=drifting.seconds)
+    term, size = _live_term("drift", final), drifting.size
+    return replace(term, sentences=(text,), mechanisms=DRIFT_MECHANISMS, size_nm=size, memory=drifting.seconds)
 
 
-def _followed(form: Form, final: Fit) -> Term:
+def _live_term(form: Form, final: Fit) -> Term:
     return Term(ResidualPattern(form, "a torque that a live estimate follows", (), 1.0), final, form=form)
 
 
 def possible_in(term: Term, noun: str) -> Term:
-    """The same of a vehicle or a machine, with the mechanisms that this may have."""
-    parts = tuple(part for part in term.mechanisms if noun == "vehicle" or not isinstance(part, OfVehicle))
+    """The term with the mechanisms that a vehicle, or another machine, may have."""
+    parts = tuple(part for part in term.mechanisms if noun == "vehicle" or not isinstance(part, VehicleMechanism))
     return replace(term, mechanisms=parts or ANY_MACHINE)
 
 
-def _more(by: float, unit: str = "Nm") -> str:
-    return f"{figures(abs(by))} {unit} {_more_or_less(by)}"
+def _more(difference: float, unit: str = "Nm") -> str:
+    return f"{figures(abs(difference))} {unit} {_more_or_less(difference)}"
 
 
-def _more_or_less(by: float) -> str:
-    return "more" if by > 0.0 else "less"
+def _more_or_less(difference: float) -> str:
+    return "more" if difference > 0.0 else "less"
 
 
 def _signed(torque: float) -> str:

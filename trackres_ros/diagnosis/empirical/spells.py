@@ -91,22 +91,22 @@ def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float, secon
 def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
     """The most likely chain, its probability of a spell in each block, and the log-likelihood."""
     spread, scale = float(np.std(b.mean * np.sqrt(b.count))), float(np.std(b.mean))
-    begins = (Chain(start * scale, 0.0, 0.05, 0.1, 0.7 * spread) for start in STARTS)
-    return max((_settled(b, chain) for chain in begins), key=lambda found: found[2])
+    chains = (Chain(start * scale, 0.0, 0.05, 0.1, 0.7 * spread) for start in STARTS)
+    return max((_expectation_maximisation(b, chain) for chain in chains), key=lambda result: result[2])
 
 
-def _settled(b: Blocks, chain: Chain) -> tuple[Chain, Array, float]:
-    """The same from one chain on, re-estimated until its likelihood settles."""
-    before = -math.inf
+def _expectation_maximisation(b: Blocks, chain: Chain) -> tuple[Chain, Array, float]:
+    """Estimate a chain by expectation-maximisation from an initial one; see `find_chain` for the result."""
+    previous = -math.inf
     for _ in range(TURNS):
-        there, pairs, likelihood = _forward_backward(b, chain)
-        if likelihood - before < ENOUGH:
+        probability, pairs, likelihood = _forward_backward(b, chain)
+        if likelihood - previous < ENOUGH:
             break
-        before = likelihood
-        level, rest, noise = levels_given(b, there)
+        previous = likelihood
+        level, rest, noise = spell_levels(b, probability)
         comes, goes = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
         chain = Chain(level, rest, float(comes), float(goes), noise)
-    return chain, there, likelihood
+    return chain, probability, likelihood
 
 
 def is_spells(chain: Chain) -> bool:
@@ -114,23 +114,23 @@ def is_spells(chain: Chain) -> bool:
     return SHORTEST_S <= chain.mean_s <= LONGEST_S and LEAST_SHARE <= chain.share <= MOST_SHARE
 
 
-def gain_over_drift(b: Blocks, chain: Chain, there: Array) -> float:
+def gain_over_drift(b: Blocks, chain: Chain, probability: Array) -> float:
     """Log-likelihood gain of spells plus drift over drift alone.
 
     Each transition costs its negative log-probability under the chain; the residual without the spells may drift too.
     """
-    without = replace(b, mean=b.mean - np.where(there > 0.5, chain.level, chain.rest))
-    return find_drifting_level(without)[1] - find_drifting_level(b)[1] - path_cost(b, chain, there)
+    remainder = replace(b, mean=b.mean - np.where(probability > 0.5, chain.level, chain.rest))
+    return find_drifting_level(remainder)[1] - find_drifting_level(b)[1] - path_cost(b, chain, probability)
 
 
-def path_cost(b: Blocks, chain: Chain, there: Array) -> float:
+def path_cost(b: Blocks, chain: Chain, probability: Array) -> float:
     """Cost of the spells' transitions: their negative log-probability under the Markov chain."""
-    on = there > 0.5
+    is_spell = probability > 0.5
     step = ((1.0 - chain.comes, chain.comes), (chain.goes, 1.0 - chain.goes))
     start = (1.0 - chain.share, chain.share)
     steps = [
-        start[now] if first else step[before][now]
-        for before, now, first in zip([False, *on[:-1].tolist()], on.tolist(), b.first.tolist(), strict=True)
+        start[state] if first else step[state_before][state]
+        for state_before, state, first in zip([False, *is_spell[:-1].tolist()], is_spell.tolist(), b.first.tolist(), strict=True)
     ]
     return -float(np.log(steps).sum())
 
@@ -145,17 +145,17 @@ def _forward_backward(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
     variance = chain.noise**2 / b.count
     logs = [-0.5 * ((b.mean - level) ** 2 / variance + np.log(2.0 * math.pi * variance)) for level in (chain.rest, chain.level)]
     top = np.maximum(*logs)
-    here = [np.exp(x - top) for x in logs]
+    likelihoods = [np.exp(x - top) for x in logs]
     n = len(b.mean)
     forward, backward, scales = np.empty((n, 2)), np.ones((n, 2)), np.empty(n)
-    _pass(here[0], here[1], b.first, chain.comes, chain.goes, chain.share, forward, backward, scales)
-    there = forward * backward
-    there /= there.sum(axis=1, keepdims=True)
+    _pass(likelihoods[0], likelihoods[1], b.first, chain.comes, chain.goes, chain.share, forward, backward, scales)
+    probability = forward * backward
+    probability /= probability.sum(axis=1, keepdims=True)
     inner = np.flatnonzero(~b.first)
     step = np.array([[1.0 - chain.comes, chain.comes], [chain.goes, 1.0 - chain.goes]])
-    after = np.stack([here[0][inner], here[1][inner]], axis=1) * backward[inner] / scales[inner, np.newaxis]
-    pairs = step * (forward[inner - 1].T @ after)
-    return there[:, 1], pairs, float(np.log(scales).sum() + top.sum())
+    onward = np.stack([likelihoods[0][inner], likelihoods[1][inner]], axis=1) * backward[inner] / scales[inner, np.newaxis]
+    pairs = step * (forward[inner - 1].T @ onward)
+    return probability[:, 1], pairs, float(np.log(scales).sum() + top.sum())
 
 
 @entry
@@ -192,11 +192,11 @@ def _pass(
         backward[i, 0], backward[i, 1] = b0, b1
 
 
-def levels_given(b: Blocks, there: Array) -> tuple[float, float, float]:
+def spell_levels(b: Blocks, probability: Array) -> tuple[float, float, float]:
     """The spell's level, the other level and the noise of one sample [Nm], from the probability of a spell in each block."""
-    level, rest = (float(np.average(b.mean, weights=b.count * w + 1e-12)) for w in (there, 1.0 - there))
-    left = there * (b.mean - level) ** 2 + (1.0 - there) * (b.mean - rest) ** 2
-    return level, rest, float(np.sqrt(np.mean(b.count * left)))
+    level, rest = (float(np.average(b.mean, weights=b.count * w + 1e-12)) for w in (probability, 1.0 - probability))
+    squares = probability * (b.mean - level) ** 2 + (1.0 - probability) * (b.mean - rest) ** 2
+    return level, rest, float(np.sqrt(np.mean(b.count * squares)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,19 +213,19 @@ def find_drifting_level(b: Blocks) -> tuple[DriftingLevel, float]:
     scale = float(np.std(b.mean))
     typical = float(np.sqrt(np.median(b.count)))
 
-    def of(logs: Array) -> DriftingLevel:
+    def drifting_level(logs: Array) -> DriftingLevel:
         size, seconds, noise = np.exp(np.clip(logs, -12.0, 15.0))
         return DriftingLevel(float(size), float(seconds), float(noise))
 
     def cost(logs: Array) -> float:
-        level, spread = expected_level(b, of(logs))
+        level, spread = expected_level(b, drifting_level(logs))
         return 0.5 * float(np.sum((b.mean - level) ** 2 / spread + np.log(2.0 * math.pi * spread)))
 
     options = {"maxiter": 150, "xatol": 0.02, "fatol": 0.05}
     starts = [np.log([0.7 * scale, seconds, 0.7 * scale * typical]) for seconds in (10.0, 120.0)]
-    found = [minimize(cost, start, method="Nelder-Mead", options=options) for start in starts]
-    best = min(found, key=lambda one: float(one.fun))
-    return of(best.x), -float(best.fun)
+    results = [minimize(cost, start, method="Nelder-Mead", options=options) for start in starts]
+    best = min(results, key=lambda result: float(result.fun))
+    return drifting_level(best.x), -float(best.fun)
 
 
 def expected_level(b: Blocks, w: DriftingLevel) -> tuple[Array, Array]:

@@ -240,7 +240,7 @@ class Term:
         assert isinstance(self.pattern, Route)
         values, places = self.pattern.values, self.pattern.places
         prior = places.streets.precision(values.length_m, values.size)
-        return JointValues(tuple(current.contribution(self.name)), places.of, prior, np.zeros(prior.shape[0]))
+        return JointValues(tuple(current.contribution(self.name)), places.torques, prior, np.zeros(prior.shape[0]))
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.values_text or self.sentence}; {self.grade}>"
@@ -257,8 +257,8 @@ class Round:
 
     def best_name(self, least: float) -> str:
         """The name of the catalogue that gains most, and more than this level score; empty without one."""
-        beyond = [c for c in self.candidates if c.is_name and c.matters and c.level > least]
-        return max(beyond, key=lambda c: c.level).name if beyond else ""
+        names = [c for c in self.candidates if c.is_name and c.matters and c.level > least]
+        return max(names, key=lambda c: c.level).name if names else ""
 
     @property
     def hint(self) -> str:
@@ -266,9 +266,9 @@ class Round:
         return self.best_name(self.cost)
 
 
-def active_of(found: Fit, name: str) -> Active:
+def active_of(fit: Fit, name: str) -> Active:
     """An effect of a fit, with its values."""
-    return next(a for a in found.effects if a.effect.name == name)
+    return next(a for a in fit.effects if a.effect.name == name)
 
 
 def by_improvement(terms: Sequence[Term]) -> list[Term]:
@@ -282,22 +282,22 @@ def with_interval(value: float, interval: Interval | None) -> str:
         return figures(value)
     if interval.bound_only:
         return f"between {figures(interval.low)} and {figures(interval.high)}"
-    shown, low, high = alike((value, interval.low, interval.high), interval.high - interval.low)
-    return f"{shown} [{low}, {high}]"
+    text, low, high = alike((value, interval.low, interval.high), interval.high - interval.low)
+    return f"{text} [{low}, {high}]"
 
 
 # Gain and grade
 
 
-def compared(current: Fit, found: Fit, effect: Effect, cost: float = 0.0, kept: float = 1.0, d_prime: float = math.nan) -> Term:
+def term_of_fit(current: Fit, fit: Fit, effect: Effect, cost: float = 0.0, kept: float = 1.0, d_prime: float = math.nan) -> Term:
     """A term, with the gain of a fit with it over the one without."""
-    evidence, added = found.log_evidence - current.log_evidence - cost, share(found, effect.name)
-    return Term(effect, found, found.log_likelihood - current.log_likelihood, evidence, added, kept, d_prime)
+    evidence, torque_share = fit.log_evidence - current.log_evidence - cost, share(fit, effect.name)
+    return Term(effect, fit, fit.log_likelihood - current.log_likelihood, evidence, torque_share, kept, d_prime)
 
 
-def share(found: Fit, name: str) -> float:
+def share(fit: Fit, name: str) -> float:
     """Root mean square of a term's torque over that of the torque."""
-    return rms(found.contribution(name), found) / max(rms([s.torque for s in found.problem.sessions], found), 1e-12)
+    return rms(fit.contribution(name), fit) / max(rms([s.torque for s in fit.problem.sessions], fit), 1e-12)
 
 
 def spurious_gain(current: Fit) -> float:
@@ -310,9 +310,9 @@ def spurious_gain(current: Fit) -> float:
     return 0.5 * samples * (MODEL_ERROR * torque * current.noise.dc_gain / current.noise.std) ** 2
 
 
-def rms(series: Sequence[Array], found: Fit) -> float:
+def rms(series: Sequence[Array], fit: Fit) -> float:
     """Root mean square over the used samples."""
-    used = np.concatenate([x[m] for x, m in zip(series, found.problem.masks, strict=True)])
+    used = np.concatenate([x[m] for x, m in zip(series, fit.problem.masks, strict=True)])
     return float(np.sqrt(np.mean(used[np.isfinite(used)] ** 2)))
 
 
@@ -326,7 +326,7 @@ def on_bounds(active: Active) -> tuple[str, ...]:
     )
 
 
-def displaced(improvement: Improvement, final: Fit, without: Fit) -> tuple[str, ...]:
+def displaced_parameters(improvement: Improvement, final: Fit, without: Fit) -> tuple[str, ...]:
     """Base parameters that a weak effect replaces, see `Term.displaces`."""
     if improvement.before - improvement.after >= LITTLE * improvement.before:
         return ()

@@ -45,38 +45,38 @@ def advise(term: Term, max_speed: float) -> list[Advice]:
     """Manoeuvres from a menu, the best first; empty without ties, or if no manoeuvre separates any two."""
     if term.rivals is None or len(term.members) < 2:
         return []
-    tied = [term, *(c for c in term.rivals.candidates if c.name in term.members)]
-    names, fits = [c.name for c in tied], [*(c.fit for c in tied), term.rivals.before]
+    terms = [term, *(c for c in term.rivals.candidates if c.name in term.members)]
+    names, fits = [c.name for c in terms], [*(c.fit for c in terms), term.rivals.before]
     likely = [term.weights[name] for name in names]
     likely.append(max(likely))  # for none of them: that of the most likely one
     weights = np.array([x / sum(likely) for x in likely])
-    here = known([c.level - term.rivals.cost for c in tied])
-    before = information(weights, here)
-    problem, found = term.rivals.before.problem, []
+    present = recorded_distances([c.level - term.rivals.cost for c in terms])
+    before = information(weights, present)
+    problem, advice = term.rivals.before.problem, []
     for manoeuvre, drive in menu(problem.base.facts.weight, max_speed).items():
         session = drive(problem.sessions[0])
-        more = apart(fits, session)
-        closest = np.sqrt(np.maximum(np.minimum(more, more.T), 0.0))
-        between = {frozenset((names[i], names[j])): float(closest[i, j]) for i, j in combinations(range(len(names)), 2)}
-        groups = _groups(names, {pair for pair, d in between.items() if d < SEEN_D_PRIME})
-        together = np.array([[any({a, b} <= set(group) for group in groups) for b in names] for a in names])
-        more[:-1, :-1][together] = 0.0  # tied effects add no information
-        bits = information(weights, np.maximum(here + more, 0.0)) - before
+        squares = squared_distances(fits, session)
+        closest = np.sqrt(np.maximum(np.minimum(squares, squares.T), 0.0))
+        pair_distances = {frozenset((names[i], names[j])): float(closest[i, j]) for i, j in combinations(range(len(names)), 2)}
+        groups = _groups(names, {pair for pair, d in pair_distances.items() if d < SEEN_D_PRIME})
+        is_tied = np.array([[any({a, b} <= set(group) for group in groups) for b in names] for a in names])
+        squares[:-1, :-1][is_tied] = 0.0  # tied effects add no information
+        bits = information(weights, np.maximum(present + squares, 0.0)) - before
         if len(groups) > 1 and bits > 0.0:
-            distances = [d for pair, d in between.items() if not any(pair <= set(group) for group in groups)]
-            found.append(Advice(tuple(names), groups, manoeuvre, min(distances), len(session) * STEP_S / 60.0, bits))
-    return _best_first(found)
+            distances = [d for pair, d in pair_distances.items() if not any(pair <= set(group) for group in groups)]
+            advice.append(Advice(tuple(names), groups, manoeuvre, min(distances), len(session) * STEP_S / 60.0, bits))
+    return _best_first(advice)
 
 
-def _best_first(found: Sequence[Advice]) -> list[Advice]:
+def _best_first(advice: Sequence[Advice]) -> list[Advice]:
     """The shortest of the nearly most informative ones, then the others by information."""
-    most = max((a.information_bit for a in found), default=0.0)
-    rest = sorted(found, key=lambda a: -a.information_bit)
-    first = min((a for a in rest if a.information_bit >= NEARLY * most), key=lambda a: a.minutes, default=None)
-    return ([] if first is None else [first, *(a for a in rest if a is not first)])[:MOST_ADVICE]
+    most = max((a.information_bit for a in advice), default=0.0)
+    ranking = sorted(advice, key=lambda a: -a.information_bit)
+    first = min((a for a in ranking if a.information_bit >= NEARLY * most), key=lambda a: a.minutes, default=None)
+    return ([] if first is None else [first, *(a for a in ranking if a is not first)])[:MOST_ADVICE]
 
 
-def known(gains: Sequence[float]) -> Array:
+def recorded_distances(gains: Sequence[float]) -> Array:
     """Squared distances from the recordings so far, of the tied effects and last of none: zero between effects, and
     twice the `gains` beyond the threshold from none, shape (n + 1, n + 1).
     """
@@ -112,29 +112,34 @@ def _groups(names: Sequence[str], tied: set[frozenset[str]]) -> tuple[tuple[str,
     return tuple(sorted((tuple(n for n in names if n in group) for group in groups), key=lambda g: names.index(g[0])))
 
 
-def _driven(
-    like: DriveSession, weight: float, points: Points, load: Sequence[float] = (1.0,), curvature: float = 0.0, slope: float = 0.0
+def _manoeuvre(
+    recording: DriveSession,
+    weight: float,
+    points: Points,
+    load: Sequence[float] = (1.0,),
+    curvature: float = 0.0,
+    slope: float = 0.0,
 ) -> DriveSession:
     """A session like a recorded one, with shares of the weight [N] in sequence.
 
     Speeds [m/s] are linear between `points` in time [s]. Each minute the curvature [1/m] is off or on, and the slope changes
     its sign.
     """
-    at, speed_at = np.array(points).T
-    time = np.arange(0.0, at[-1], STEP_S)
-    edges = np.interp(np.append(time, at[-1]), at, speed_at)
+    times, speeds = np.array(points).T
+    time = np.arange(0.0, times[-1], STEP_S)
+    edges = np.interp(np.append(time, times[-1]), times, speeds)
     speed = 0.5 * (edges[1:] + edges[:-1])
     n = len(time)
     odd_minute = (time // 60.0) % 2 == 1
     turning = np.where(odd_minute, curvature, 0.0) * speed
     return replace(
-        like,
+        recording,
         name="manoeuvre",
         time=time,
         speed=speed,
         accel=np.diff(edges) / STEP_S,
         weight=weight * np.repeat(load, -(-n // len(load)))[:n],
-        ambient=np.full(n, like.ambient[0]),
+        ambient=np.full(n, recording.ambient[0]),
         grade=np.where(odd_minute, slope, -slope),
         yaw_rate=turning,
         heading=np.cumsum(turning) * STEP_S,
@@ -144,7 +149,7 @@ def _driven(
         used=np.ones(n, dtype=bool),
         block=np.zeros(n, dtype=np.int64),
         gap=np.inf,
-        given=like.given | {"grade"} if slope else like.given,
+        given=recording.given | {"grade"} if slope else recording.given,
     )
 
 
@@ -153,7 +158,7 @@ def menu(weight: float, max_speed: float) -> dict[str, Callable[[DriveSession], 
     fast, slow = 0.7 * max_speed, 0.25 * max_speed
 
     def drive(points: Points, **more: Any) -> Callable[[DriveSession], DriveSession]:
-        return partial(_driven, weight=weight, points=points, **more)
+        return partial(_manoeuvre, weight=weight, points=points, **more)
 
     def times(count: int, points: Points) -> list[tuple[float, float]]:
         """The same repeatedly, from standstill to standstill."""
@@ -195,7 +200,7 @@ def menu(weight: float, max_speed: float) -> dict[str, Callable[[DriveSession], 
     }
 
 
-def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
+def squared_distances(fits: Sequence[Fit], session: DriveSession) -> Array:
     """Squared distances of each fit's prediction from each other fit, in standard deviations, after re-fitting the latter's
     parameters within their uncertainty, shape (n, n).
 
@@ -203,8 +208,9 @@ def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
     `term.spurious_gain`. A manoeuvre that shows none of them therefore reduces the known distance.
     """
     moving = np.abs(session.speed) > SLOWEST_MPS  # the gate excludes standstill
-    shown = [_torque(found, found.point, session) for found in fits]
-    squares = np.stack([_out_of(f, shown, of, session, moving) for f, of in zip(fits, shown, strict=True)], axis=1)
+    shown = [_torque(fit, fit.point, session) for fit in fits]
+    columns = [_refit_distances(rival, shown, torque, session, moving) for rival, torque in zip(fits, shown, strict=True)]
+    squares = np.stack(columns, axis=1)
     noise, torque = fits[-1].noise, float(np.sqrt(np.mean(shown[-1][moving] ** 2)))
     own = int(moving.sum()) * (MODEL_ERROR * torque * noise.dc_gain / noise.std) ** 2
     squares[-1] = squares[:, -1] = squares[:, -1] - own
@@ -212,7 +218,7 @@ def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
     return squares
 
 
-def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: DriveSession, moving: Mask) -> Array:
+def _refit_distances(rival: Fit, shown: Sequence[Array], expected: Array, session: DriveSession, moving: Mask) -> Array:
     """Squared distances of predictions from one fit with free parameters, shape (shown,)."""
 
     def white(x: Array) -> Array:
@@ -222,14 +228,14 @@ def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: DriveS
     scale = np.array([f.scale for f in rival.free])  # parameters differ by many orders of magnitude
     columns = white(jacobian(lambda point: _torque(rival, point, session), rival.point, rival.free) * scale)
     precision = np.linalg.pinv(rival.covariance / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    differences = white(np.stack([one - expected for one in shown], axis=1))
-    along = columns.T @ differences
-    taken = np.einsum("ij,ij->j", along, np.linalg.solve(precision + columns.T @ columns, along))
-    return np.asarray(np.maximum(np.einsum("ij,ij->j", differences, differences) - taken, 0.0))
+    differences = white(np.stack([torque - expected for torque in shown], axis=1))
+    projection = columns.T @ differences
+    explained = np.einsum("ij,ij->j", projection, np.linalg.solve(precision + columns.T @ columns, projection))
+    return np.asarray(np.maximum(np.einsum("ij,ij->j", differences, differences) - explained, 0.0))
 
 
-def _torque(found: Fit, point: Array, session: DriveSession) -> Array:
+def _torque(fit: Fit, point: Array, session: DriveSession) -> Array:
     """Predicted torque of a drive, without terms that depend on a series of the recordings."""
-    values, acting = found.model_at(point)
-    ahead = [a for a in acting if not isinstance(a.effect, ResidualPattern)]
-    return np.asarray(found.problem.base.predict([session], values, ahead)[0].torque)
+    values, acting = fit.model_at(point)
+    predictable = [a for a in acting if not isinstance(a.effect, ResidualPattern)]
+    return np.asarray(fit.problem.base.predict([session], values, predictable)[0].torque)

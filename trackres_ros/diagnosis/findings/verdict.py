@@ -81,7 +81,7 @@ class Changed:
 
 def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) -> tuple[Changed, ...]:
     """Values whose 95 % interval excludes the file's, the largest torque change first."""
-    found = []
+    changes = []
     for q in refitted.problem.base.parameters:
         value, interval = refitted.base_values[q.name], bounds.get(("", q.name))
         if interval is None or interval.low <= q.nominal <= interval.high:
@@ -92,8 +92,8 @@ def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) ->
             for p, other, mask in zip(refitted.predicted, as_in_file, refitted.problem.masks, strict=True)
         ]
         size = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
-        found.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size, interval.bound_only))
-    return tuple(sorted(found, key=lambda c: -c.torque_nm))
+        changes.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size, interval.bound_only))
+    return tuple(sorted(changes, key=lambda c: -c.torque_nm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +194,8 @@ def judge(f: Findings) -> Verdict:
     the location and size of the difference; suspected terms are only listed. What the warnings say of sensors is in each verdict:
     first where no physics is missing, else last.
     """
-    verdict, said = _by_terms(f), joined([s.says for s in f.sensors])
-    parts = (said, verdict.sentence) if verdict.status == "none" else (verdict.sentence, said)
+    verdict, warnings = _by_terms(f), joined([s.says for s in f.sensors])
+    parts = (warnings, verdict.sentence) if verdict.status == "none" else (verdict.sentence, warnings)
     return replace(verdict, sentence=" ".join(filter(None, parts)))
 
 
@@ -221,16 +221,16 @@ def _by_terms(f: Findings) -> Verdict:
 
 def _confirmed(f: Findings) -> Verdict:
     """The verdict with confirmed terms, unless the remaining residual is large compared with them."""
-    after = [may_be(f.listed, also=True), *f.after]
+    tail = [may_be(f.listed, also=True), *f.after]
     added = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
     explained = float(np.percentile(np.abs(added), 95.0))  # where they act, which may be minutes of an hour
     if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained:
         names, seen = " and ".join(map(short, f.sure)), unexplained(f.left, f.base.noun)
         partly = f"{names} would explain a part of it, but the remaining error is too large to confirm that"
-        return Verdict("unexplained", SUSPECTED, joined([seen, partly, *after]), f.listed, seen)
+        return Verdict("unexplained", SUSPECTED, joined([seen, partly, *tail]), f.listed, seen)
     named = [t for t in f.sure if t.is_named]
     status = "described" if not named else "named" if all(len(t.members) <= 1 for t in named) else "one_of"
-    lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.sensors), *after, *f.rest]
+    lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.sensors), *tail, *f.rest]
     return Verdict(status, CONFIRMED, joined(lines), f.listed)
 
 
@@ -272,7 +272,7 @@ def _nothing_missing(f: Findings) -> Verdict:
     held_out, changed, listed = f.held_out, f.changed, f.listed
     no = "Apart from that, no" if f.sensors else "No"
     hint = f"{f.hint} would fit, but the model's own error can look the same" if f.hint else ""
-    after = [may_be(listed, also=True), *f.after, hint]
+    tail = [may_be(listed, also=True), *f.after, hint]
     out_of_range = moved_parameters(f.refitted)
     refit = held_out.of_refit
     worth = mean_error(refit.before, refit.after)
@@ -281,17 +281,17 @@ def _nothing_missing(f: Findings) -> Verdict:
         off = [f"{missing}, but values of the {f.base.file} were off", *(c.text for c in changed[:MOST_CHANGED])]
         if not changed:
             off = [missing, f"No value of the {f.base.file} is surely off, but a re-fit of all of them predicts better"]
-        text = joined([*off, worth, *after])
+        text = joined([*off, worth, *tail])
         return Verdict("none", CONFIRMED, text, listed, changed=tuple(changed))
     if out_of_range:
         values = ", ".join(moved(q, value) for q, value in out_of_range)
         judged = "reject" if refit.grade == REFUTED else "do not confirm"
         lines = [f"{no} physics is missing", f"A re-fit would move parameters of the {f.base.file}: {values}"]
         grade = REFUTED if refit.grade == REFUTED else SUSPECTED
-        return Verdict("none", grade, joined([*lines, f"The hold-out laps {judged} that", worth, *after]), listed)
+        return Verdict("none", grade, joined([*lines, f"The hold-out laps {judged} that", worth, *tail]), listed)
     nominal, re_fitted = figures(refit.before), figures(refit.after)
     lines = [
         f"{no} mismatch beyond noise" + (" and an error of the torque sensor" if f.sensor else ""),
         f"The mean error on hold-out laps is {nominal} Nm with the {f.base.file} and {re_fitted} Nm re-fitted",
     ]
-    return Verdict("none", CONFIRMED, joined([*lines, *after]), listed)
+    return Verdict("none", CONFIRMED, joined([*lines, *tail]), listed)

@@ -65,11 +65,11 @@ def confirmed_terms(terms: Sequence[Term], held_out: HeldOut, listed: Possible, 
     worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
     taken = [taken_from(t) for t in terms]
     if not large:
-        lines = (line for t in small for line in _of(t, listed, sensors))
+        lines = (line for t in small for line in _term_sentences(t, listed, sensors))
         return ["The missing physics is small", worth, *taken, *lines]
     gains = [(t, t.improvement.before - t.improvement.after) for t in small]
     return [
-        *(line for t in large for line in _of(t, listed, sensors)),
+        *(line for t in large for line in _term_sentences(t, listed, sensors)),
         worth,
         *taken,
         *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
@@ -82,7 +82,7 @@ def taken_from(t: Term) -> str:
     return f"The feed-forward leaves out {short(t)}; this error includes it, taken from {source}" if source else ""
 
 
-def _of(t: Term, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
+def _term_sentences(t: Term, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if not t.is_named:
         named = f"{upper(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
@@ -95,9 +95,10 @@ def _of(t: Term, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str
         implied = [f"{sensor} {s.effect}" for s in sensors if s.effect in members]
         return [seen(t), f"The cause is {options}", *(implied or ["These recordings cannot tell them apart"])]
     values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
-    where = t.location
-    apart = inseparable(where.variable, where.alike) if where is not None and where.variable in f"{t.place} {t.seen}" else ""
-    return [seen(t), apart, f"The cause is {t.name}", upper(t.effect.text), values, _rival(t, listed)]
+    location = t.location
+    has_variable = location is not None and location.variable in f"{t.place} {t.seen}"
+    similar = inseparable(location.variable, location.alike) if location is not None and has_variable else ""
+    return [seen(t), similar, f"The cause is {t.name}", upper(t.effect.text), values, _rival(t, listed)]
 
 
 def inseparable(variable: str, alike: Sequence[str]) -> str:
@@ -121,9 +122,9 @@ def differs(t: Term) -> str:
 def look_for(mechanisms: Sequence[str]) -> str:
     """Mechanisms to check in the vehicle, within one sentence; the page lists all."""
     text = f"Look for {mechanisms[0]}"
-    for one in mechanisms[1:]:
-        if len(f"{text} or {one}".split()) <= MOST_WORDS:
-            text = f"{text}, or {one}"
+    for mechanism in mechanisms[1:]:
+        if len(f"{text} or {mechanism}".split()) <= MOST_WORDS:
+            text = f"{text}, or {mechanism}"
     return text
 
 
@@ -158,7 +159,7 @@ def assumed_sensor(instrument: Sequence[Active], held_out: HeldOut, fit: str) ->
     if held_out.without_sensor is None:
         return ""
     assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
-    unusual = [one for one in assumed if abs(one[2]) > PRIOR_STDS * one[1].start] or assumed
+    unusual = [entry for entry in assumed if abs(entry[2]) > PRIOR_STDS * entry[1].start] or assumed
     sizes = []
     for name, q, x in unusual:
         size = f"{figures(100.0 * x)} %" if q.unit == "1" else f"{figures(x)} {q.unit}"
@@ -173,19 +174,19 @@ def possible(unsure: Sequence[Term], confirmed: Sequence[Term], shares: Mapping[
     Without probabilities over whole explanations, those within each suspected class are given, and none for a single name.
     """
     if shares:
-        taken = {m for t in confirmed for m in (t.members if t.is_named else (t.name,))}
-        names = sorted((n for n in shares if n not in taken and n != NONE_OF_THESE), key=lambda n: -shares[n])
+        names_confirmed = {m for t in confirmed for m in (t.members if t.is_named else (t.name,))}
+        names = sorted((n for n in shares if n not in names_confirmed and n != NONE_OF_THESE), key=lambda n: -shares[n])
         named = [n for n in names if shares[n] >= LEAST_SHARE][:MOST_LISTED]
         if not named:
             return ()
         return tuple((n, shares[n]) for n in (*named, *([NONE_OF_THESE] if NONE_OF_THESE in shares else [])))
-    found: dict[str, float | None] = {}
+    causes: dict[str, float | None] = {}
     for t in unsure:
         if t.is_named and len(t.members) > 1:
-            found.update((name, t.weights[name]) for name in t.members)
+            causes.update((name, t.weights[name]) for name in t.members)
         else:
-            found[short(t)] = None
-    return tuple(found.items())[:MOST_LISTED]
+            causes[short(t)] = None
+    return tuple(causes.items())[:MOST_LISTED]
 
 
 def may_be(listed: Possible, also: bool = False) -> str:
@@ -196,26 +197,26 @@ def may_be(listed: Possible, also: bool = False) -> str:
 
 def doubts(unsure: Sequence[Term]) -> list[str]:
     """Reasons why terms are only suspected; those that hardly change the error are told together."""
-    little = [t for t in unsure if not (t.fault or t.improvement.less_likely) and _hardly_gains(t)]
-    if len(little) < 2:
-        little = []
-    found = []
-    if little:
-        most = figures(max(abs(t.improvement.before - t.improvement.after) for t in little), 1)
-        names = either([t.name for t in little[:MOST_LISTED]])
-        found.append(f"{upper(LEFT_OUT)} do not confirm {names}: their mean error changes by {most} Nm at most")
-    for t in (t for t in unsure if t not in little):
+    small = [t for t in unsure if not (t.fault or t.improvement.less_likely) and _hardly_gains(t)]
+    if len(small) < 2:
+        small = []
+    sentences = []
+    if small:
+        most = figures(max(abs(t.improvement.before - t.improvement.after) for t in small), 1)
+        names = either([t.name for t in small[:MOST_LISTED]])
+        sentences.append(f"{upper(LEFT_OUT)} do not confirm {names}: their mean error changes by {most} Nm at most")
+    for t in (t for t in unsure if t not in small):
         i = t.improvement
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
         error = f"from {figures(i.before)} to {figures(i.after)} Nm"
         denied = f"{upper(LEFT_OUT)} do not confirm {t.name}: their mean error"
         if t.fault:
-            found.append(f"{t.name} {t.fault}")
+            sentences.append(f"{t.name} {t.fault}")
         elif i.less_likely:
-            found.append(f"{denied} falls {error}, but their likelihood falls too")
+            sentences.append(f"{denied} falls {error}, but their likelihood falls too")
         else:
-            found.append(f"{denied} goes {error} ({gain})")
-    return list(dict.fromkeys(found))
+            sentences.append(f"{denied} goes {error} ({gain})")
+    return list(dict.fromkeys(sentences))
 
 
 def _hardly_gains(t: Term) -> bool:
@@ -255,8 +256,8 @@ def file_is_off(far: Sequence[tuple[BaseParameter, float]], base: Base, by_load:
         f"The {base.file} does not fit this {base.noun}",
         "Only values far outside its ranges reproduce the recordings",
         *(
-            f"The {q.name} would be {figures(at)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
-            for q, at in far[:MOST_LISTED]
+            f"The {q.name} would be {figures(value)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
+            for q, value in far[:MOST_LISTED]
         ),
         "Check the values that are not re-fitted: the rubber file, the dimensions of belt and wheels, and the unit of the load"
         if base.rolls

@@ -36,10 +36,10 @@ _notes: ContextVar[dict[str, None] | None] = ContextVar("failures", default=None
 @contextmanager
 def failures() -> Iterator[dict[str, None]]:
     """The notes on attempts that fail meanwhile, each once, as the keys of a growing dictionary."""
-    found = dict[str, None]()
-    token = _notes.set(found)
+    notes = dict[str, None]()
+    token = _notes.set(notes)
     try:
-        yield found
+        yield notes
     finally:
         _notes.reset(token)
 
@@ -49,12 +49,12 @@ def attempt(what: str, part: Callable[[], Result]) -> Result | None:
 
     Outside `failures` nobody would read the note, so the error is raised.
     """
-    found = _notes.get()
-    if found is None:
+    notes = _notes.get()
+    if notes is None:
         return part()
     try:
         return part()
     except Exception as error:  # of any kind: a finder adds to a diagnosis, and never ends it
         text = f"{what} was not looked for: its search failed with {type(error).__name__}: {error}; please report this"
-        found[WarningNote(text)] = None
+        notes[WarningNote(text)] = None
         return None

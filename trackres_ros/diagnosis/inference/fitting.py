@@ -106,8 +106,8 @@ class Problem:
         belts = []
         for i, (s, mask) in enumerate(zip(self.sessions, self.masks, strict=True)):
             if self.base.has_belt and "belt" in s.given:
-                used, at = np.isfinite(s.belt) & np.isin(s.block, s.block[mask]), slice(None, None, BELT_EVERY)
-                belts.append(Segment("belt", i, s.belt[at], used[at], s.block[at]))
+                used, rows = np.isfinite(s.belt) & np.isin(s.block, s.block[mask]), slice(None, None, BELT_EVERY)
+                belts.append(Segment("belt", i, s.belt[rows], used[rows], s.block[rows]))
         return (*torques, *(belts if sum(int(g.valid.sum()) for g in belts) >= FEWEST_FITTED else ()))
 
     def expected(self, predicted: Sequence[Predicted]) -> list[Array]:
@@ -140,11 +140,11 @@ class Problem:
 
     def noises(self, residuals: Sequence[Array], largest_root: float = LARGEST_ROOT) -> dict[str, Noise]:
         """Noise of each kind of segment, with bounded roots of the autoregression."""
-        found = {}
+        result = {}
         for kind in dict.fromkeys(g.kind for g in self.segments):
-            of = [(r, g.mask) for r, g in zip(residuals, self.segments, strict=True) if g.kind == kind]
-            found[kind] = estimate_noise([r for r, _ in of], [m for _, m in of], largest_root)
-        return found
+            pairs = [(r, g.mask) for r, g in zip(residuals, self.segments, strict=True) if g.kind == kind]
+            result[kind] = estimate_noise([r for r, _ in pairs], [m for _, m in pairs], largest_root)
+        return result
 
 
 def valid_rows(parts: Sequence[Array]) -> Array:
@@ -191,7 +191,7 @@ class Fit:
         return self.noises["torque"]
 
     @property
-    def at(self) -> dict[tuple[str, str], float]:
+    def estimates(self) -> dict[tuple[str, str], float]:
         """Estimates of the free parameters."""
         return {f.key: float(x) for f, x in zip(self.free, self.point, strict=True)}
 
@@ -202,10 +202,10 @@ class Fit:
 
     def model_at(self, point: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
         """Values of the base and all additions, with the free parameters at another point."""
-        moved = {f.key: float(x) for f, x in zip(self.free, point, strict=True)}
-        base = {name: moved.get(("", name), value) for name, value in self.base_values.items()}
+        estimates = {f.key: float(x) for f, x in zip(self.free, point, strict=True)}
+        base = {name: estimates.get(("", name), value) for name, value in self.base_values.items()}
         acting = (
-            replace(a, values={q: moved.get((a.effect.name, q), value) for q, value in a.values.items()}) for a in self.acting
+            replace(a, values={q: estimates.get((a.effect.name, q), value) for q, value in a.values.items()}) for a in self.acting
         )
         return base, tuple(acting)
 
@@ -233,8 +233,8 @@ class Fit:
     def log_evidence(self) -> float:
         """Log-likelihood less the cost of parameters within their priors (Laplace), comparable between fits of one base."""
         prior = np.array([f.std if np.isfinite(f.std) else f.scale for f in self.free])
-        settled = np.linalg.eigvalsh(self.covariance / np.outer(prior, prior))
-        return self.log_likelihood + 0.5 * float(np.log(np.maximum(settled, 1e-12)).sum())
+        eigenvalues = np.linalg.eigvalsh(self.covariance / np.outer(prior, prior))
+        return self.log_likelihood + 0.5 * float(np.log(np.maximum(eigenvalues, 1e-12)).sum())
 
     def std_of(self, effect: str, parameter: str) -> float:
         """Standard deviation of a parameter from the curvature of the likelihood."""
@@ -245,50 +245,50 @@ class Fit:
 def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
     """All parameters of effects and of a base. Those of sensors come first, because they need no new simulation."""
 
-    def of_base(q: BaseParameter) -> Free:
+    def base_parameter(q: BaseParameter) -> Free:
         return Free(("", q.name), q.unit, q.low, q.high, q.nominal, q.std, q.std if np.isfinite(q.std) else q.high - q.low)
 
-    found = []
+    parameters = []
     for effect in sorted(effects, key=lambda e: e.acts_on != "sensor"):
         for q in (q for q in effect.parameters if q.fitted):
-            wide = q.high - q.low
+            width = q.high - q.low
             # The prior of an amplitude scales with its typical size; that of a shape parameter with the width of its bounds.
-            std = 0.5 * wide if q.off is None else LARGE * abs(q.start - q.off)
-            found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, wide))
-    of_sensors = sum(q.fitted for e in effects if e.acts_on == "sensor" for q in e.parameters)
-    return (*found[:of_sensors], *map(of_base, base.parameters), *found[of_sensors:])
+            std = 0.5 * width if q.off is None else LARGE * abs(q.start - q.off)
+            parameters.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, width))
+    sensor_count = sum(q.fitted for e in effects if e.acts_on == "sensor" for q in e.parameters)
+    return (*parameters[:sensor_count], *map(base_parameter, base.parameters), *parameters[sensor_count:])
 
 
 class _Parameters:
-    """The free parameters of a fit as one point, and the model there; `given` parameters are fixed."""
+    """The free parameters of a fit as one point, and the model there; `fixed` parameters have a given value."""
 
-    def __init__(self, problem: Problem, acting: Sequence[Effect], given: Mapping[tuple[str, str], float]) -> None:
-        self.problem, self.acting, self.given = problem, acting, given
-        self.free = tuple(f for f in free_parameters(problem.base, acting) if f.key not in given)
+    def __init__(self, problem: Problem, acting: Sequence[Effect], fixed: Mapping[tuple[str, str], float]) -> None:
+        self.problem, self.acting, self.fixed = problem, acting, fixed
+        self.free = tuple(f for f in free_parameters(problem.base, acting) if f.key not in fixed)
         columns = ("low", "high", "nominal", "std", "scale")
         self.low, self.high, self.nominal, self.std, self.scale = (np.array([getattr(f, c) for f in self.free]) for c in columns)
 
-    def start(self, given: Mapping[tuple[str, str], float]) -> Array:
+    def start(self, values: Mapping[tuple[str, str], float]) -> Array:
         """Initial point: given, typical or nominal values within bounds."""
         typical = {(e.name, q.name): q.start for e in self.acting for q in e.parameters}
-        begun = {**typical, **given}
+        initial = {**typical, **values}
         return np.clip(
-            [begun.get(f.key, f.nominal) for f in self.free], self.low + 1e-9 * self.scale, self.high - 1e-9 * self.scale
+            [initial.get(f.key, f.nominal) for f in self.free], self.low + 1e-9 * self.scale, self.high - 1e-9 * self.scale
         )
 
-    def off_nominal(self, at: Array) -> Array:
+    def off_nominal(self, point: Array) -> Array:
         """Distance from the nominal values, in standard deviations of the priors."""
-        return np.asarray((at - self.nominal) / self.std)
+        return np.asarray((point - self.nominal) / self.std)
 
-    def model(self, at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
+    def model(self, point: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
         """Values of the base, and the effects with theirs."""
         shape = {(e.name, q.name): q.start for e in self.acting for q in e.parameters if not q.fitted}
-        values = {**shape, **self.given, **{f.key: float(x) for f, x in zip(self.free, at, strict=True)}}
+        values = {**shape, **self.fixed, **{f.key: float(x) for f, x in zip(self.free, point, strict=True)}}
         base = {name: value for (effect, name), value in values.items() if not effect}
         return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in self.acting)
 
-    def expected(self, at: Array) -> Array:
-        return np.concatenate(self.problem.expected(self.problem.predict(*self.model(at))))
+    def expected(self, point: Array) -> Array:
+        return np.concatenate(self.problem.expected(self.problem.predict(*self.model(point))))
 
 
 class _Objective:
@@ -301,39 +301,39 @@ class _Objective:
         self._white: Array | None = None  # these, whitened
         self.noises = dict(noises or {})
 
-    def settle(self, at: Array) -> list[Array]:
+    def settle(self, point: Array) -> list[Array]:
         """Take the noise of the residuals at a point, and return these."""
-        left = self.residuals(at)
-        self.noises, self._white = self._parameters.problem.noises(left, self._largest_root), None
-        return left
+        residuals = self.residuals(point)
+        self.noises, self._white = self._parameters.problem.noises(residuals, self._largest_root), None
+        return residuals
 
-    def residuals(self, at: Array) -> list[Array]:
+    def residuals(self, point: Array) -> list[Array]:
         """Measured less simulated, of each segment; kept for the last point, which several ask for."""
-        if self._last is None or not np.array_equal(self._last[0], at):
+        if self._last is None or not np.array_equal(self._last[0], point):
             problem = self._parameters.problem
-            self._last = at.copy(), problem.residuals(problem.predict(*self._parameters.model(at)))
+            self._last = point.copy(), problem.residuals(problem.predict(*self._parameters.model(point)))
         return self._last[1]
 
-    def value(self, at: Array) -> Array:
+    def value(self, point: Array) -> Array:
         """Signed deviance roots of the whitened residuals and of the priors."""
-        return np.concatenate((self._of_residuals(at, Noise.deviance_root), self._parameters.off_nominal(at)))
+        return np.concatenate((self._of_residuals(point, Noise.deviance_root), self._parameters.off_nominal(point)))
 
-    def derivatives(self, at: Array) -> Array:
+    def derivatives(self, point: Array) -> Array:
         """Derivatives of the value; the simulation's are reused from a nearby point."""
-        p, slope = self._parameters, self._of_residuals(at, Noise.deviance_slope)
-        if self._linear is None or np.linalg.norm(self._whitened() @ (at - self._linear[0])) > NEARBY:
-            self._linear, self._white = (at.copy(), jacobian(p.expected, at, p.free)), None
-        found = self.root_of_information()
-        found[: len(slope)] *= -slope[:, np.newaxis]
-        return found
+        p, slope = self._parameters, self._of_residuals(point, Noise.deviance_slope)
+        if self._linear is None or np.linalg.norm(self._whitened() @ (point - self._linear[0])) > NEARBY:
+            self._linear, self._white = (point.copy(), jacobian(p.expected, point, p.free)), None
+        derivatives = self.root_of_information()
+        derivatives[: len(slope)] *= -slope[:, np.newaxis]
+        return derivatives
 
     def root_of_information(self) -> Array:
         """Derivatives at the last point, whose square is the Fisher information: 1 for each innovation over its `std`."""
         return np.concatenate((self._whitened(), np.diag(1.0 / self._parameters.std)))
 
-    def _of_residuals(self, at: Array, function: Callable[[Noise, Array], Array]) -> Array:
+    def _of_residuals(self, point: Array, function: Callable[[Noise, Array], Array]) -> Array:
         problem = self._parameters.problem
-        return of_rows(problem, problem.white(self.residuals(at), self.noises), function, self.noises)
+        return of_rows(problem, problem.white(self.residuals(point), self.noises), function, self.noises)
 
     def _whitened(self) -> Array:
         """The derivatives of the simulation, whitened."""
@@ -369,14 +369,14 @@ def fit(
         Bound on the roots of the noise's autoregression.
     """
     named = [e.name for e in effects]
-    sensed = tuple(e for e in instrument(problem.base) if e.name not in named)
-    p = _Parameters(problem, (*sensed, *effects), dict(fixed or {}))
+    sensors = tuple(e for e in instrument(problem.base) if e.name not in named)
+    p = _Parameters(problem, (*sensors, *effects), dict(fixed or {}))
     point = p.start(start or {})
     objective = _Objective(p, noises, largest_root)
     if not noises:
         objective.settle(point)
     rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
-    likelihood, before = -np.inf, -np.inf
+    likelihood, previous = -np.inf, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):
         point = least_squares(
             objective.value,
@@ -388,17 +388,17 @@ def fit(
             ftol=CLOSE / (0.5 * rows),  # relative to the deviance, which is about one per row
             xtol=1e-7,
         ).x
-        left = objective.settle(point)
-        likelihood = log_likelihood(problem, left, objective.noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
-        if rounds is None and turn + 1 >= ROUNDS and likelihood - before < SETTLED:
+        residuals = objective.settle(point)
+        likelihood = log_likelihood(problem, residuals, objective.noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
+        if rounds is None and turn + 1 >= ROUNDS and likelihood - previous < SETTLED:
             break
-        before = likelihood
+        previous = likelihood
     # In units of each parameter's scale: they differ by many orders of magnitude.
     scaled = objective.root_of_information() * p.scale
     covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
     values, active = p.model(point)
     return Fit(
-        problem, values, active[len(sensed) :], active[: len(sensed)], p.free, point, covariance, objective.noises, likelihood,
+        problem, values, active[len(sensors) :], active[: len(sensors)], p.free, point, covariance, objective.noises, likelihood,
         rows, tuple(problem.predict(values, active)),
     )  # fmt: skip
 
@@ -420,27 +420,27 @@ def first_look(
         Values, by (effect or "", parameter), where they differ from those of the current fit.
     """
     problem, names = current.problem, [e.name for e in effects]
-    sensed = tuple(e for e in instrument(problem.base) if e.name not in names)
-    held = {(a.effect.name, q): value for a in current.acting for q, value in a.values.items()}
-    begin = {**current.at, **held, **start}
+    sensors = tuple(e for e in instrument(problem.base) if e.name not in names)
+    present = {(a.effect.name, q): value for a in current.acting for q, value in a.values.items()}
+    begin = {**current.estimates, **present, **start}
     keys = [(e.name, q.name) for e in effects for q in e.parameters if q.fitted]
-    p = _Parameters(problem, (*sensed, *effects), {key: begin[key] for key in keys if key not in known})
+    p = _Parameters(problem, (*sensors, *effects), {key: begin[key] for key in keys if key not in known})
     derivatives = np.stack([known[f.key] for f in p.free], axis=1)
     white = valid_rows(problem.white(problem.split(derivatives), current.noises)) * p.scale
     point = p.start(begin)
     rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
     for _ in range(FIRST_STEPS):
-        left = problem.white(problem.residuals(problem.predict(*p.model(point))), current.noises)
-        weight = np.sqrt(of_rows(problem, left, Noise.weights, current.noises))
+        white_residuals = problem.white(problem.residuals(problem.predict(*p.model(point))), current.noises)
+        weight = np.sqrt(of_rows(problem, white_residuals, Noise.weights, current.noises))
         x = np.concatenate((white * weight[:, np.newaxis], np.diag(p.scale / p.std)))
-        y = np.concatenate((valid_rows(left) * weight, -p.off_nominal(point)))
+        y = np.concatenate((valid_rows(white_residuals) * weight, -p.off_nominal(point)))
         low, high = (p.low - point) / p.scale, (p.high - point) / p.scale
         normal, right = x.T @ x + 1e-12 * np.eye(len(point)), x.T @ y
-        moved = np.linalg.solve(normal, right)
-        if np.any((moved < low) | (moved > high)):
+        step = np.linalg.solve(normal, right)
+        if np.any((step < low) | (step > high)):
             root = np.linalg.cholesky(normal)
-            moved = lsq_linear(root.T, np.linalg.solve(root, right), (low - 1e-12, high + 1e-12), method="bvls").x
-        point = np.clip(point + p.scale * moved, p.low, p.high)
+            step = lsq_linear(root.T, np.linalg.solve(root, right), (low - 1e-12, high + 1e-12), method="bvls").x
+        point = np.clip(point + p.scale * step, p.low, p.high)
     predicted = problem.predict(*p.model(point))
     residuals = problem.residuals(predicted)
     noises = problem.noises(residuals, largest_root)
@@ -448,33 +448,33 @@ def first_look(
     scaled = np.concatenate((white, np.diag(p.scale / p.std)))
     covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
     values, active = p.model(point)
-    found = Fit(
-        problem, values, active[len(sensed) :], active[: len(sensed)], p.free, point, covariance, noises, likelihood, rows,
+    result = Fit(
+        problem, values, active[len(sensors) :], active[: len(sensors)], p.free, point, covariance, noises, likelihood, rows,
         tuple(predicted),
     )  # fmt: skip
-    return found, derivatives
+    return result, derivatives
 
 
-def jacobian(function: Callable[[Array], Array], at: Array, free: Sequence[Free]) -> Array:
+def jacobian(function: Callable[[Array], Array], point: Array, free: Sequence[Free]) -> Array:
     """Derivatives of a function by each free parameter, shape (values, parameters), by differences within the bounds."""
-    here = function(at)
-    columns = np.empty((len(here), len(at)))
+    value = function(point)
+    columns = np.empty((len(value), len(point)))
     for i, f in enumerate(free):
         step = DIFFERENCE * f.scale
-        if at[i] + step > f.high:
+        if point[i] + step > f.high:
             step = -step
-        moved = at.copy()
-        moved[i] += step
-        columns[:, i] = (function(moved) - here) / step
+        shifted = point.copy()
+        shifted[i] += step
+        columns[:, i] = (function(shifted) - value) / step
     return columns
 
 
-def with_levels(found: Fit, without: Collection[str] = (), fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
+def with_levels(result: Fit, without: Collection[str] = (), fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
     """The same model, `without` some effects and with parameters `fixed` at a value, with predictive values."""
-    effects = [a.effect for a in found.effects if a.effect.name not in without]
-    return fit(found.problem, effects, found.at, fixed=fixed, largest_root=SHORT_ROOT)
+    effects = [a.effect for a in result.effects if a.effect.name not in without]
+    return fit(result.problem, effects, result.estimates, fixed=fixed, largest_root=SHORT_ROOT)
 
 
-def for_tests(found: Fit) -> Fit:
+def for_tests(result: Fit) -> Fit:
     """The same values, with the noise that best whitens their residuals."""
-    return replace(found, noises=found.problem.noises(found.residuals))
+    return replace(result, noises=result.problem.noises(result.residuals))

@@ -115,21 +115,21 @@ def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_ro
     """Fit the autoregression with bounded roots, and the tails of residuals; the order by BIC."""
     lagged = []
     for series, mask in zip(residuals, masks, strict=True):
-        at = np.flatnonzero(whole_past(mask, MOST_LAGS))
-        lagged.append([series[at - lag] for lag in range(MOST_LAGS + 1)])
+        rows = np.flatnonzero(whole_past(mask, MOST_LAGS))
+        lagged.append([series[rows - lag] for lag in range(MOST_LAGS + 1)])
     y, *past = np.concatenate(lagged, axis=1)
     x = np.array(past).T  # each lag contiguous
-    begun = _begun(x, y, largest_root)
+    initial = _initial_noises(x, y, largest_root)
 
     def most_likely(order: int, degrees: float) -> Noise:
-        return improved(x[:, :order], y, replace(begun[order], degrees=degrees), TURNS, largest_root)
+        return improved(x[:, :order], y, replace(initial[order], degrees=degrees), TURNS, largest_root)
 
     def criterion(noise: Noise) -> float:
         order = len(noise.phi)
         return _log_likelihood(x[:, :order], y, noise) - 0.5 * order * float(np.log(len(y)))
 
-    whole = max((most_likely(MOST_LAGS, degrees) for degrees in DEGREES), key=criterion)
-    return max((*(most_likely(order, whole.degrees) for order in range(MOST_LAGS)), whole), key=criterion)
+    best = max((most_likely(MOST_LAGS, degrees) for degrees in DEGREES), key=criterion)
+    return max((*(most_likely(order, best.degrees) for order in range(MOST_LAGS)), best), key=criterion)
 
 
 def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
@@ -138,13 +138,13 @@ def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: flo
     x are past values, nearest first, shape (n, lags), and y is the series, shape (n,).
     """
     phi, scale, degrees = noise.phi, noise.scale, noise.degrees
-    left = y - x @ phi
+    residual = y - x @ phi
     for _ in range(turns):
-        weight = 1.0 / (1.0 + left * left / (degrees * scale * scale))
+        weight = 1.0 / (1.0 + residual * residual / (degrees * scale * scale))
         phi = _coefficients(x, y, weight, largest_root)
-        left = y - x @ phi
-        square = (degrees + 1.0) / degrees * float((weight * left) @ left)
-        scale = max(math.sqrt(square / len(left)), 1e-12 * scale)
+        residual = y - x @ phi
+        square = (degrees + 1.0) / degrees * float((weight * residual) @ residual)
+        scale = max(math.sqrt(square / len(residual)), 1e-12 * scale)
     return Noise(phi, scale, degrees)
 
 
@@ -152,16 +152,16 @@ def _log_likelihood(x: Array, y: Array, noise: Noise) -> float:
     return float(noise.log_density((y - x @ noise.phi) / noise.std).sum())
 
 
-def _begun(x: Array, y: Array, largest_root: float) -> list[Noise]:
+def _initial_noises(x: Array, y: Array, largest_root: float) -> list[Noise]:
     """Noise of each order up to the number of columns of x, robust against outliers, to improve."""
     scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
-    tame = OUTLIER * scale  # limits the influence of outliers on the first coefficients
-    tame_x, tame_y, even = np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y))
-    found = []
+    limit = OUTLIER * scale  # limits the influence of outliers on the first coefficients
+    tame_x, tame_y, ones = np.clip(x, -limit, limit), np.clip(y, -limit, limit), np.ones(len(y))
+    noises = []
     for order in range(x.shape[1] + 1):
-        phi = _coefficients(tame_x[:, :order], tame_y, even, largest_root)
-        found.append(Noise(phi, MAD_TO_STD * float(np.median(np.abs(y - x[:, :order] @ phi))) or scale, DEGREES[-1]))
-    return found
+        phi = _coefficients(tame_x[:, :order], tame_y, ones, largest_root)
+        noises.append(Noise(phi, MAD_TO_STD * float(np.median(np.abs(y - x[:, :order] @ phi))) or scale, DEGREES[-1]))
+    return noises
 
 
 def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Array:
@@ -177,9 +177,9 @@ def solved(normal: Array, right: Array, ridge: float) -> Array:
     """
     diagonal = normal.reshape(-1)[:: len(normal) + 1]  # a view: `normal` is contiguous
     diagonal += ridge * diagonal.sum()
-    _, found, failed = dposv(normal, right)
+    _, solution, failed = dposv(normal, right)
     if not failed:
-        return np.asarray(found)
+        return np.asarray(solution)
     try:
         return np.asarray(np.linalg.solve(normal, right))
     except np.linalg.LinAlgError:  # singular: the shortest solution

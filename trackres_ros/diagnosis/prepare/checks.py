@@ -49,17 +49,17 @@ MOST_MISSED = 0.1  # of them: a copy may lack samples
 Indices = NDArray[np.intp]
 
 
-def common_roles(one: Recording, other: Recording) -> tuple[str, ...]:
+def common_roles(recording: Recording, other: Recording) -> tuple[str, ...]:
     """The speed and the torques that both have; empty without a speed."""
-    roles = [role for role in one.series if role in other.series and base_role(role) == "torque"]
-    return ("speed", *roles) if "speed" in one.series and "speed" in other.series else ()
+    roles = [role for role in recording.series if role in other.series and base_role(role) == "torque"]
+    return ("speed", *roles) if "speed" in recording.series and "speed" in other.series else ()
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
     """Speed and torques of a recording at the samples of the speed, by time, whatever the order and number of its rows."""
 
-    at: Array  # [s]
+    times: Array  # [s]
     values: Array  # in units of `SAME_MPS` and `SAME_NM`, the speed first, shape (roles, n)
     order: Indices  # samples by their `_keys`
     keys: Array  # in that order
@@ -67,72 +67,72 @@ class Course:
     @classmethod
     def of(cls, recording: Recording, roles: Sequence[str]) -> Course:
         """The course of a recording that has these roles, the speed first."""
-        at, speed = ordered(recording.series["speed"], recording.start_ns)
+        times, speed = ordered(recording.series["speed"], recording.start_ns)
         values = [speed / SAME_MPS]
         for role in roles[1:]:
-            its_at, torque = ordered(recording.series[role], recording.start_ns)
-            values.append(np.concatenate(([np.nan], torque))[np.searchsorted(its_at, at, side="right")] / SAME_NM)
+            torque_times, torque = ordered(recording.series[role], recording.start_ns)
+            values.append(np.concatenate(([np.nan], torque))[np.searchsorted(torque_times, times, side="right")] / SAME_NM)
         keys = _keys(np.array(values))
         order = np.argsort(keys, kind="stable")
-        return cls(at, np.array(values), order, keys[order])
+        return cls(times, np.array(values), order, keys[order])
 
     @property
     def spacing(self) -> float:
         """Usual time between two samples [s]."""
-        return float(np.median(np.diff(self.at))) if len(self.at) > 1 else np.inf
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else np.inf
 
     def probes(self) -> Indices:
         """Samples from each piece of driving at a changing speed, shape (pieces, PROBES)."""
-        rows = np.arange(0, len(self.at), max(1, round(PROBE_EVERY_S / self.spacing)))
+        rows = np.arange(0, len(self.times), max(1, round(PROBE_EVERY_S / self.spacing)))
         speed, known = self.values[0, rows], np.isfinite(self.values[:, rows]).all(axis=0)
         rows = rows[known & (np.abs(np.diff(speed, prepend=np.nan)) > SAME) & (np.abs(speed) > SAME)]
         if not len(rows):
             return np.empty((0, PROBES), np.intp)
-        driven = np.cumsum(np.minimum(np.diff(self.at[rows], prepend=-np.inf), LONGEST_STEP_S))
+        driven = np.cumsum(np.minimum(np.diff(self.times[rows], prepend=-np.inf), LONGEST_STEP_S))
         ends = np.searchsorted(driven, np.arange(0.0, driven[-1], PIECE_S))
         return np.asarray(rows[np.linspace(ends[:-1], ends[1:] - 1, PROBES, axis=1).astype(np.intp)])
 
-    def lacks(self, at: Array, values: Array) -> Mask:
+    def lacks(self, times: Array, values: Array) -> Mask:
         """At which of some times there is no sample with these values, shape (times,)."""
-        after = np.clip(np.searchsorted(self.at, at), 1, len(self.at) - 1)
-        nearest = after - (at - self.at[after - 1] < self.at[after] - at)
-        apart = np.abs(self.values[:, nearest] - values[:, None])
-        return np.asarray((np.abs(self.at[nearest] - at) > 2.0 * SAME_S) | ~(apart <= SAME).all(axis=0))
+        right = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
+        nearest = right - (times - self.times[right - 1] < self.times[right] - times)
+        distance = np.abs(self.values[:, nearest] - values[:, None])
+        return np.asarray((np.abs(self.times[nearest] - times) > 2.0 * SAME_S) | ~(distance <= SAME).all(axis=0))
 
 
-def same_drive(one: Course, other: Course) -> bool:
+def same_drive(course: Course, other: Course) -> bool:
     """Whether two recordings have equal speeds, and torques if any, at times the same distance apart, but for rounding.
 
     That holds for all samples since their starts, or for `PIECES` pieces of driving. A constant speed in a part is no proof.
     Nor is an equal speed with another torque: a driving cycle may be driven or simulated twice.
     """
-    in_step = len(one.at) == len(other.at) > 0 and np.allclose(one.at, other.at, 0.0, SAME_S)
-    whole = in_step and np.allclose(one.values, other.values, 0.0, SAME, equal_nan=True)
-    few, many = (one, other) if one.spacing >= other.spacing else (other, one)  # a copy may have fewer samples
-    return whole or (len(few.at) > 1 and len(many.at) > 1 and _has_pieces(few, few.probes(), many))
+    is_in_step = len(course.times) == len(other.times) > 0 and np.allclose(course.times, other.times, 0.0, SAME_S)
+    is_equal = is_in_step and np.allclose(course.values, other.values, 0.0, SAME, equal_nan=True)
+    sparse, dense = (course, other) if course.spacing >= other.spacing else (other, course)  # a copy may have fewer samples
+    return is_equal or (len(sparse.times) > 1 and len(dense.times) > 1 and _has_pieces(sparse, sparse.probes(), dense))
 
 
-def _has_pieces(few: Course, probes: Indices, many: Course) -> bool:
+def _has_pieces(sparse: Course, probes: Indices, dense: Course) -> bool:
     """Whether another course has `PIECES` pieces in a row.
 
     The rarest probe of a piece gives possible shifts of time, the others are looked up after the shift.
     """
-    values = few.values[:, probes]
+    values = sparse.values[:, probes]
     reach = SAME * float(_keys(np.ones((len(values), 1)))[0])
-    first = np.searchsorted(many.keys, _keys(values) - reach)
-    behind = np.searchsorted(many.keys, _keys(values) + reach, side="right")
-    found = behind > first
-    count = np.where(found, behind - first, len(many.at) + 1)
-    likely = found.mean(axis=1) >= 1.0 - 2.0 * MOST_MISSED
+    first = np.searchsorted(dense.keys, _keys(values) - reach)
+    last = np.searchsorted(dense.keys, _keys(values) + reach, side="right")
+    has_match = last > first
+    count = np.where(has_match, last - first, len(dense.times) + 1)
+    is_likely = has_match.mean(axis=1) >= 1.0 - 2.0 * MOST_MISSED
     for piece in range(len(probes) - PIECES + 1):
-        if not likely[piece : piece + PIECES].all():
+        if not is_likely[piece : piece + PIECES].all():
             continue
         rarest = int(np.argmin(count[piece]))
-        alike = many.order[first[piece, rarest] : behind[piece, rarest]]
-        alike = alike[(np.abs(many.values[:, alike] - values[:, piece, rarest, None]) <= SAME).all(axis=0)]
-        shift, missed = many.at[alike] - few.at[probes[piece, rarest]], np.zeros(len(alike))
+        rows = dense.order[first[piece, rarest] : last[piece, rarest]]
+        rows = rows[(np.abs(dense.values[:, rows] - values[:, piece, rarest, None]) <= SAME).all(axis=0)]
+        shift, missed = dense.times[rows] - sparse.times[probes[piece, rarest]], np.zeros(len(rows))
         for number, probe in enumerate(probes[piece : piece + PIECES].T.ravel()):
-            missed += many.lacks(few.at[probe] + shift, few.values[:, probe])
+            missed += dense.lacks(sparse.times[probe] + shift, sparse.values[:, probe])
             possible = missed <= 1.0 + MOST_MISSED * number
             shift, missed = shift[possible], missed[possible]
             if not len(shift):
@@ -151,15 +151,15 @@ SHORTEST_S = 120.0
 EARLIEST_CLOCK_S = 6e8  # 1989: an earlier time is relative to the recording's own start
 MOST_OVERLAP = 0.1  # of the shorter: too much for a small clock error
 
-Given = TypeVar("Given")
-Used = TypeVar("Used")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def duration_s(series: Mapping[str, Series]) -> float:
     """Time from the first speed to the last [s]."""
     speed = series.get("speed")
-    at = speed.stamp_ns[np.isfinite(speed.value)] if speed else np.empty(0)
-    return float(at.max() - at.min()) * 1e-9 if len(at) else 0.0
+    stamps = speed.stamp_ns[np.isfinite(speed.value)] if speed else np.empty(0)
+    return float(stamps.max() - stamps.min()) * 1e-9 if len(stamps) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,33 +176,33 @@ class Refusal:
 
 
 def each_usable(
-    given: Iterable[Given],
-    use: Callable[[Given], Used],
+    items: Iterable[Item],
+    use: Callable[[Item], Result],
     refused: list[Refusal],
-    name: Callable[[Given], str] = attrgetter("name"),
-) -> list[Used]:
+    name: Callable[[Item], str] = attrgetter("name"),
+) -> list[Result]:
     """Results of `use` for each usable recording; the others go to `refused`."""
-    made = []
-    for one in given:
+    results = []
+    for item in items:
         try:
-            made.append(use(one))
+            results.append(use(item))
         except MissingExtraError:
             raise
         except InputError as error:
-            refused.append(Refusal(name(one), error))
-    return made
+            refused.append(Refusal(name(item), error))
+    return results
 
 
 def nothing_left(refused: Sequence[Refusal]) -> InputError:
     """Error if no recording can be used: the reason of each, equal reasons once."""
-    alike: dict[tuple[str, str, str], list[Refusal]] = {}
-    for one in sorted(refused, key=lambda one: one.name):
-        where = one.error.where
-        part = where.removeprefix(one.name) if where.startswith(one.name) else f": {where}"
-        alike.setdefault((part, one.error.allowed, one.error.remedy), []).append(one)
+    groups: dict[tuple[str, str, str], list[Refusal]] = {}
+    for refusal in sorted(refused, key=lambda refusal: refusal.name):
+        where = refusal.error.where
+        part = where.removeprefix(refusal.name) if where.startswith(refusal.name) else f": {where}"
+        groups.setdefault((part, refusal.error.allowed, refusal.error.remedy), []).append(refusal)
     errors = [
-        InputError(", ".join(one.name for one in ones) + part, ones[0].error.given, allowed, remedy)
-        for (part, allowed, remedy), ones in alike.items()
+        InputError(", ".join(refusal.name for refusal in group) + part, group[0].error.given, allowed, remedy)
+        for (part, allowed, remedy), group in groups.items()
     ]
     if len(errors) == 1:
         return errors[0]
@@ -217,14 +217,14 @@ def refuse_repeated(recordings: Sequence[Recording]) -> None:
     def course(number: int, roles: tuple[str, ...]) -> Course:
         return Course.of(recordings[number], roles)
 
-    for (i, one), (j, other) in combinations(enumerate(recordings), 2):
-        shared = {path.resolve() for path in one.paths} & {path.resolve() for path in other.paths}
-        roles = common_roles(one, other)
+    for (i, recording), (j, other) in combinations(enumerate(recordings), 2):
+        shared = {path.resolve() for path in recording.paths} & {path.resolve() for path in other.paths}
+        roles = common_roles(recording, other)
         if shared or (roles and same_drive(course(i, roles), course(j, roles))):
-            in_both = ", ".join(map(str, sorted(shared))) or "the same samples, for a minute of driving or for all of it,"
+            common = ", ".join(map(str, sorted(shared))) or "the same samples, for a minute of driving or for all of it,"
             raise InputError(
-                f"{one.name}, {other.name}",
-                f"{in_both} in both",
+                f"{recording.name}, {other.name}",
+                f"{common} in both",
                 "each drive once: a second copy, also of a part, would count as independent evidence",
                 "give one of them",
             )
@@ -236,16 +236,16 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
     spans = sorted((begin, begin + duration_s(r.series), r.name) for begin, r in clocked)
     for i, (begin, end, name) in enumerate(spans):
         for other_begin, other_end, other in spans[i + 1 :]:
-            both = min(end, other_end) - other_begin
-            if both > MOST_OVERLAP * min(end - begin, other_end - other_begin) and both > STEP_S:
+            overlap_s = min(end, other_end) - other_begin
+            if overlap_s > MOST_OVERLAP * min(end - begin, other_end - other_begin) and overlap_s > STEP_S:
                 raise InputError(
                     f"{name}, {other}",
-                    f"{both:.0f} s that both recordings cover",
+                    f"{overlap_s:.0f} s that both recordings cover",
                     "recordings that do not overlap in time",
                     "give one of them, or join their channels; if the drives differ, correct the wrong clock",
                 )
-            if both > STEP_S:
-                text = f"{name}, {other}: their clocks overlap by {both:.0f} s; treated as consecutive"
+            if overlap_s > STEP_S:
+                text = f"{name}, {other}: their clocks overlap by {overlap_s:.0f} s; treated as consecutive"
                 notes.append(WarningNote(text))
 
 
@@ -268,15 +268,15 @@ def check_compared(recording: Recording, shortest_s: float) -> None:
 
 def check_speed(session: DriveSession, settings: GateSettings) -> None:
     """Refuse a session that never moves, or exceeds the maximum speed."""
-    what, max_speed = ("vehicle" if settings.is_vehicle else "machine"), settings.max_speed
+    noun, max_speed = ("vehicle" if settings.is_vehicle else "machine"), settings.max_speed
     fastest = float(np.percentile(np.abs(session.speed), 99.0))
     if fastest < min(SLOWEST_MPS, SLOWEST_SHARE * max_speed):
-        raise InputError(session.name, f"speeds up to {fastest:.2g} m/s", f"a {what} that moves")
+        raise InputError(session.name, f"speeds up to {fastest:.2g} m/s", f"a {noun} that moves")
     if fastest > 1.5 * max_speed:
         raise InputError(
             f"{session.name}: speed",
             f"{fastest:.0f} m/s",
-            f"at most the {what}'s {max_speed:g} m/s",
+            f"at most the {noun}'s {max_speed:g} m/s",
             f"if it is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), session.bindings)}"
             if settings.is_vehicle
             else "",
@@ -296,24 +296,24 @@ FEWEST = 30
 
 def check_units(recording: Recording, known: GateSettings) -> list[str]:
     """Refuse values in a wrong unit, with the line for the topics file; note unusual ones. `known` are facts of the vehicle."""
-    said, bindings = [], recording.bindings
+    notes, bindings = [], recording.bindings
     for role, samples in recording.series.items():
         value = samples.value[np.isfinite(samples.value)]
         if not len(value):
             continue
         where, base = f"{recording.name}: {role}", base_role(role)
-        middle, most = float(np.median(value)), float(np.percentile(np.abs(value), 95.0))
+        middle, largest = float(np.median(value)), float(np.percentile(np.abs(value), 95.0))
         if base in ("ambient", "belt"):
-            said += _temperature(where, role, middle, bindings)
-        elif base == "yaw_rate" and most > FASTEST_TURN:
-            _refuse(where, f"{most:.3g} rad/s", f"at most {FASTEST_TURN:g}", "deg/s", role, bindings)
-        elif base == "grade" and most > STEEPEST:
+            notes += _temperature(where, role, middle, bindings)
+        elif base == "yaw_rate" and largest > FASTEST_TURN:
+            _refuse(where, f"{largest:.3g} rad/s", f"at most {FASTEST_TURN:g}", "deg/s", role, bindings)
+        elif base == "grade" and largest > STEEPEST:
             allowed = f"rise over run, at most {STEEPEST:g}"
-            _refuse(where, f"slopes of {most:.3g}", allowed, "%", role, bindings)
+            _refuse(where, f"slopes of {largest:.3g}", allowed, "%", role, bindings)
         elif base == "heading" and _turns_by(value, 360.0) and not _turns_by(value, 2.0 * np.pi):
             _refuse(where, "jumps of 360", "an angle in rad", "deg", role, bindings)
-    said += _weight(recording, known)
-    return said
+    notes += _weight(recording, known)
+    return notes
 
 
 def check_speed_unit(
@@ -331,19 +331,19 @@ def check_speed_unit(
     """
     if recorded_accel is not None:
         ratio = _ratio(recorded_accel, accel)
-        for unit, (factor, _) in _others("speed").items():
+        for unit, (factor, _) in _other_units("speed").items():
             if ratio and 1.0 / AROUND**0.5 < ratio / factor < AROUND**0.5:
-                given = f"changes {1.0 / ratio:.2g} times as fast as the recorded acceleration says"
-                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed", bindings)
+                statement = f"changes {1.0 / ratio:.2g} times as fast as the recorded acceleration says"
+                _refuse(f"{name}: speed", statement, "a speed in m/s", unit, "speed", bindings)
         if ratio and GRAVITY / AROUND**0.5 < 1.0 / ratio < GRAVITY * AROUND**0.5:
-            given = f"{ratio:.2g} times the acceleration from the speed"
-            _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", "accel", bindings)
+            statement = f"{ratio:.2g} times the acceleration from the speed"
+            _refuse(f"{name}: accel", statement, "an acceleration in m/s2", "g", "accel", bindings)
     ratio = _ratio(distance, speed) if distance is not None else 0.0
     if ratio:
-        for unit, (factor, _) in _others("speed").items():
+        for unit, (factor, _) in _other_units("speed").items():
             if 0.9 < ratio / factor < 1.1:
-                given = f"{1.0 / ratio:.2f} times as fast as the recorded distance grows"
-                _refuse(f"{name}: speed", given, "a speed in m/s", unit, "speed", bindings)
+                statement = f"{1.0 / ratio:.2f} times as fast as the recorded distance grows"
+                _refuse(f"{name}: speed", statement, "a speed in m/s", unit, "speed", bindings)
         if 0.9 < 1e3 * ratio < 1.1:
             _refuse(f"{name}: distance", f"{ratio:.2g} times the distance from the speed", "metres", "km", "distance", bindings)
         if abs(1.0 / ratio - 1.0) > SPEED_OFF:
@@ -354,42 +354,46 @@ def check_speed_unit(
 def speed_off(errors: Mapping[str, float]) -> SensorFinding:
     """A speed that the recorded distance contradicts: true over measured speed, minus one, of each recording."""
     value = float(np.median(list(errors.values())))
-    off = 1.0 / (1.0 + value) - 1.0
-    says = f"the speed is {100.0 * abs(off):.1f} % {'more' if off > 0.0 else 'less'} than the recorded distance implies"
-    return SensorFinding(f"{some_of(list(errors), 2)}: {says}: one of them is wrong", f"T{says[1:]}", SpeedScale.name, value)
+    excess = 1.0 / (1.0 + value) - 1.0
+    statement = (
+        f"the speed is {100.0 * abs(excess):.1f} % {'more' if excess > 0.0 else 'less'} than the recorded distance implies"
+    )
+    return SensorFinding(
+        f"{some_of(list(errors), 2)}: {statement}: one of them is wrong", f"T{statement[1:]}", SpeedScale.name, value
+    )
 
 
 def pooled(notes: Sequence[str]) -> list[str]:
     """Notes with one finding for all recordings whose speed is off to the same side."""
-    found: dict[bool, dict[str, float]] = {}
+    errors: dict[bool, dict[str, float]] = {}
     for note in notes:
         if isinstance(note, SensorFinding) and note.effect == SpeedScale.name:
-            found.setdefault(note.value > 0.0, {})[note.partition(": ")[0]] = note.value
+            errors.setdefault(note.value > 0.0, {})[note.partition(": ")[0]] = note.value
     others = [note for note in notes if not (isinstance(note, SensorFinding) and note.effect == SpeedScale.name)]
-    return [*map(speed_off, found.values()), *others]
+    return [*map(speed_off, errors.values()), *others]
 
 
-def _others(role: str) -> dict[str, Conversion]:
+def _other_units(role: str) -> dict[str, Conversion]:
     """Conversions from the other units of a role."""
     inside = ROLES[base_role(role)].unit
-    return {unit: one for unit, one in UNITS[inside].items() if unit != inside}
+    return {unit: conversion for unit, conversion in UNITS[inside].items() if unit != inside}
 
 
-def _refuse(where: str, given: str, allowed: str, unit: str, role: str, bindings: Mapping[str, TopicBinding]) -> None:
-    raise InputError(where, given, allowed, f"if it is in {unit}, {line_to_write(role, _others(role)[unit], bindings)}")
+def _refuse(where: str, value: str, allowed: str, unit: str, role: str, bindings: Mapping[str, TopicBinding]) -> None:
+    raise InputError(where, value, allowed, f"if it is in {unit}, {line_to_write(role, _other_units(role)[unit], bindings)}")
 
 
 def _temperature(where: str, role: str, middle: float, bindings: Mapping[str, TopicBinding]) -> list[str]:
     low, hottest = PLAUSIBLE["ambient"][0], HOTTEST_AIR_DEGC if base_role(role) == "ambient" else PLAUSIBLE["belt"][1]
-    for unit, (scale, offset) in _others(role).items():
+    for unit, (scale, offset) in _other_units(role).items():
         if low <= scale * middle + offset <= hottest < middle:
             _refuse(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", unit, role, bindings)
     if not low <= middle <= hottest:
         raise InputError(where, f"{middle:.4g} degC (median)", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
     if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
-        line = line_to_write(role, _others(role)["degF"], bindings)
-        says = f"air of {middle:.0f} degC is unusual"
-        return [SensorFinding(f"{where}: {says}; if it is in degF, {line}", says.capitalize())]
+        line = line_to_write(role, _other_units(role)["degF"], bindings)
+        statement = f"air of {middle:.0f} degC is unusual"
+        return [SensorFinding(f"{where}: {statement}; if it is in degF, {line}", statement.capitalize())]
     return []
 
 
@@ -400,20 +404,22 @@ def _weight(recording: Recording, known: GateSettings) -> list[str]:
     roles = ["load"] if "load" in loads else list(loads)
     if not roles:
         return []
-    others = float(known.total_load({role: np.array(0.0) for role in loads}))  # nominal, of the parts without a load
-    weight = known.weight - others
-    share = (float(known.total_load(loads)) - others) / weight
+    other_load = float(known.total_load({role: np.array(0.0) for role in loads}))  # nominal, of the parts without a load
+    weight = known.weight - other_load
+    share = (float(known.total_load(loads)) - other_load) / weight
     where, low, high = f"{recording.name}: {', '.join(roles)}", *WEIGHTS
     carrier = "the whole vehicle" if roles == ["load"] else "these parts"
-    given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the {weight:.4g} N of {carrier} in the vehicle file"
+    statement = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the {weight:.4g} N of {carrier} in the vehicle file"
     if not low <= share <= high:
-        for unit, other in _others("load").items():
+        for unit, other in _other_units("load").items():
             if 1.0 / AROUND < share * other.scale < AROUND:
-                _refuse(where, given, f"{low:g} to {high:g} of it", unit, "load", recording.bindings)
+                _refuse(where, statement, f"{low:g} to {high:g} of it", unit, "load", recording.bindings)
         remedy = f"give the weight of {carrier}; for a payload, add the empty weight as offset in the topics file"
-        raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
+        raise InputError(where, statement, f"{low:g} to {high:g} of it", remedy)
     if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:
-        return [SensorFinding(f"{where}: {given}: is each part of the load recorded exactly once?", f"The load is {given}")]
+        return [
+            SensorFinding(f"{where}: {statement}: is each part of the load recorded exactly once?", f"The load is {statement}")
+        ]
     return []
 
 
@@ -424,9 +430,9 @@ def _turns_by(value: Array, whole: float) -> bool:
 
 def _ratio(a: Array, b: Array) -> float:
     """Ratio of a to b, or 0 without a sufficient correlation."""
-    both = np.isfinite(a) & np.isfinite(b)
-    a, b = a[both], b[both]
+    valid = np.isfinite(a) & np.isfinite(b)
+    a, b = a[valid], b[valid]
     if len(a) < FEWEST or not a.any() or not b.any():
         return 0.0
-    alike = float(a @ b / np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b / (b @ b)) / alike if alike > RELATED else 0.0
+    correlation = float(a @ b / np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b / (b @ b)) / correlation if correlation > RELATED else 0.0

@@ -116,28 +116,28 @@ def gate(
     InputError
         If no recording can be used, or too little of all of them, with reasons and remedies.
     """
-    refused, given, overlaps = list(refused), in_order([stamped(one) for one in recordings]), list[str]()
-    known = {one.name for one in refused}
+    refused, recordings, overlaps = list(refused), in_order([stamped(r) for r in recordings]), list[str]()
+    known = {refusal.name for refusal in refused}
     admitted = each_usable(
-        (r for r in given if r.name not in known), lambda recording: _admitted(recording, hide, settings), refused
+        (r for r in recordings if r.name not in known), lambda recording: _admit(recording, hide, settings), refused
     )
-    step, admitted = _of_one_step(admitted, refused, settings)
-    resampled = each_usable(admitted, lambda one: _resampled(one, step, settings), refused)
-    refuse_repeated([one.recording for one in resampled])
-    refuse_overlaps([one.recording for one in resampled], overlaps)
-    not_recorded = settings.friction_brakes and not all("brake" in one.session.given for one in resampled)
+    step, admitted = _common_step(admitted, refused, settings)
+    resampled = each_usable(admitted, lambda drive: _resample_drive(drive, step, settings), refused)
+    refuse_repeated([drive.recording for drive in resampled])
+    refuse_overlaps([drive.recording for drive in resampled], overlaps)
+    not_recorded = settings.friction_brakes and not all("brake" in drive.session.given for drive in resampled)
     alone = _motor_brakes_alone(resampled, settings, overlaps) if not_recorded and resampled else 0.0
-    checked = [_checked(one, settings, alone) for one in resampled]
-    seconds = [one.compared_s for one in checked]
+    checked = [_check_drive(drive, settings, alone) for drive in resampled]
+    seconds = [drive.compared_s for drive in checked]
     shortest = SHORTEST_MOVING_S * pace(step)
     if sum(seconds) < shortest or (settings.is_vehicle and max(seconds, default=0.0) >= shortest):
-        checked = each_usable(checked, partial(_enough, settings=settings), refused)
+        checked = each_usable(checked, partial(_long_enough, settings=settings), refused)
     if not checked:
         raise nothing_left(refused)
-    excluded = sum((one.excluded for one in checked), Counter[str]())
-    unused = [r for r in given if r.name in {one.name for one in refused}]
+    excluded = sum((drive.excluded for drive in checked), Counter[str]())
+    unused = [r for r in recordings if r.name in {refusal.name for refusal in refused}]
     excluded[UNUSED] = sum(int(duration_s(r.series)) for r in unused)
-    notes: list[str] = [*(WarningNote(f"{one.name}: not used: {one.reason}") for one in refused), *overlaps]
+    notes: list[str] = [*(WarningNote(f"{refusal.name}: not used: {refusal.reason}") for refusal in refused), *overlaps]
     if step < STEP_S:
         notes.append(
             f"the speed changes quickly, so torques are compared as means over {step:g} s instead of {STEP_S:g} s; pieces, "
@@ -145,7 +145,7 @@ def gate(
         )
     if step > STEP_S:
         notes.append(f"samples are sparse, so torques are compared as means over {step:.0f} s")
-    sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes, settings.has_belt)
+    sessions = _in_sequence(checked, [r for r in unused if _drove(r)], notes, settings.has_belt)
     return Gated(tuple(sessions), {reason: n for reason, n in excluded.items() if n}, tuple(pooled(notes)))
 
 
@@ -154,7 +154,7 @@ class _Admitted:
     """A recording on one clock without hidden roles, its standing time before [s], and notes."""
 
     recording: Recording
-    stood: float
+    standing_s: float
     notes: list[str]
 
     @property
@@ -185,88 +185,89 @@ def _shortest_s(step: float, settings: GateSettings) -> float:
     return SHORTEST_S * pace(step) if settings.is_vehicle else FEWEST_STEPS * step
 
 
-def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
+def _admit(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
     logged, recording = recording, replace(recording, order=None).without(hide)
     shortest_s = _shortest_s(step_of([recording], settings), settings)
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
     check_compared(recording, shortest_s)
     notes += [f"{recording.name}: {note}" for note in logged.wheel_notes(recording.series)]
-    return _Admitted(recording, _stood(recording), notes)
+    return _Admitted(recording, _standing_time(recording), notes)
 
 
-def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings: GateSettings) -> tuple[float, list[_Admitted]]:
+def _common_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings: GateSettings) -> tuple[float, list[_Admitted]]:
     """Common step [s], and the recordings that suit it: those with far slower sampling are excluded."""
-    own = {one.name: step_of([one.recording], settings) for one in admitted}
-    steps = sorted((own[one.name], duration_s(one.recording.series)) for one in admitted)
-    so_far = np.cumsum([seconds for _, seconds in steps])
+    steps_by_name = {drive.name: step_of([drive.recording], settings) for drive in admitted}
+    steps = sorted((steps_by_name[drive.name], duration_s(drive.recording.series)) for drive in admitted)
+    cumulative = np.cumsum([seconds for _, seconds in steps])
 
-    def suits(one: _Admitted) -> _Admitted:
-        step, longest = own[one.name], SLOWER * steps[np.searchsorted(so_far, 0.5 * so_far[-1], side="right")][0]
-        given = f"samples so sparse that torques would be compared as means over {step:.0f} s"
+    def check_step(drive: _Admitted) -> _Admitted:
+        step = steps_by_name[drive.name]
+        longest = SLOWER * steps[np.searchsorted(cumulative, 0.5 * cumulative[-1], side="right")][0]
+        statement = f"samples so sparse that torques would be compared as means over {step:.0f} s"
         if step > LONGEST_STEP_S:
-            raise InputError(one.name, given, f"at most {LONGEST_STEP_S:.0f} s", "record speed and torque more often")
+            raise InputError(drive.name, statement, f"at most {LONGEST_STEP_S:.0f} s", "record speed and torque more often")
         if step > longest:
             allowed = f"at most {longest:.0f} s together with the others"
-            raise InputError(one.name, given, allowed, "diagnose it without the others")
-        return one
+            raise InputError(drive.name, statement, allowed, "diagnose it without the others")
+        return drive
 
-    suited = each_usable(admitted, suits, refused)
-    return step_of([one.recording for one in suited], settings), suited
+    suitable = each_usable(admitted, check_step, refused)
+    return step_of([drive.recording for drive in suitable], settings), suitable
 
 
-def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resampled:
-    session, unknown = resample(one.recording, step, settings, one.notes, _shortest_s(step, settings))
+def _resample_drive(drive: _Admitted, step: float, settings: GateSettings) -> _Resampled:
+    session, unknown = resample(drive.recording, step, settings, drive.notes, _shortest_s(step, settings))
     check_speed(session, settings)
-    return _Resampled(one.recording, one.stood, one.notes, session, unknown, Counter())
+    return _Resampled(drive.recording, drive.standing_s, drive.notes, session, unknown, Counter())
 
 
-def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resampled:
+def _check_drive(drive: _Resampled, settings: GateSettings, alone: float) -> _Resampled:
     """The session with its mask of comparable samples, and a slope from its altitude."""
-    session = replace(one.session, used=usable(one.session, one.unknown, settings, one.excluded, alone))
+    session = replace(drive.session, used=usable(drive.session, drive.unknown, settings, drive.excluded, alone))
     if "brake" in session.given:
-        one.notes.append(_of_brakes(session, one.unknown[BRAKES_ON], settings))
-    session, of_slope = with_slope(session)
-    one.notes.extend([of_slope] if of_slope else [])
-    return replace(one, session=session)
+        drive.notes.append(_brake_note(session, drive.unknown[BRAKES_ON], settings))
+    session, note = with_slope(session)
+    drive.notes.extend([note] if note else [])
+    return replace(drive, session=session)
 
 
-def _enough(one: _Resampled, settings: GateSettings) -> _Resampled:
-    shortest = SHORTEST_MOVING_S * one.session.pace
-    if one.compared_s < shortest:
-        excluded = ", ".join(f"{n} s {reason}" for reason, n in one.excluded.items() if n)
-        what = "driving" if settings.is_vehicle else "motion"
-        given = f"{one.compared_s:.3g} s of {what} with a torque; not used: {excluded or 'nothing'}"
-        together = "" if settings.is_vehicle else " in all recordings together"
+def _long_enough(drive: _Resampled, settings: GateSettings) -> _Resampled:
+    shortest = SHORTEST_MOVING_S * drive.session.pace
+    if drive.compared_s < shortest:
+        excluded = ", ".join(f"{n} s {reason}" for reason, n in drive.excluded.items() if n)
+        noun = "driving" if settings.is_vehicle else "motion"
+        statement = f"{drive.compared_s:.3g} s of {noun} with a torque; not used: {excluded or 'nothing'}"
+        suffix = "" if settings.is_vehicle else " in all recordings together"
         remedy = "give a longer recording, or check units and topics"
-        raise InputError(one.name, given, f"at least {shortest:.3g} s{together}", remedy)
-    if not whole_past(one.session.used, MOST_LAGS).any():
-        raise too_short_pieces(one.name, one.session.step)
-    return one
+        raise InputError(drive.name, statement, f"at least {shortest:.3g} s{suffix}", remedy)
+    if not whole_past(drive.session.used, MOST_LAGS).any():
+        raise too_short_pieces(drive.name, drive.session.step)
+    return drive
 
 
-def _one_after_another(
+def _in_sequence(
     checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str], has_belt: bool
 ) -> list[DriveSession]:
     """Sessions with consecutive lap numbers and standing times; `unused` are drives in between."""
     ends_ns = [r.start_ns + int(duration_s(r.series) * 1e9) for r in unused]
     sessions: list[DriveSession] = []
     block, end_ns, end_m = 0, None, 0.0
-    for one in checked:
-        session, begin_ns = one.session, one.recording.start_ns
-        notes += one.notes
-        follows = end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0
-        off = (begin_ns - end_ns) * 1e-9 if end_ns is not None and follows else np.inf
-        since = [(begin_ns - end) * 1e-9 for end in ends_ns if 0 <= begin_ns - end <= LONGEST_BREAK_S * 1e9]
-        stood = min(one.stood, *since, np.inf)
-        if stood < off - CLOCK_OFF_S:
-            session = replace(session, gap=stood, after_unseen=True)
+    for drive in checked:
+        session, begin_ns = drive.session, drive.recording.start_ns
+        notes += drive.notes
+        is_next = end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0
+        pause_s = (begin_ns - end_ns) * 1e-9 if end_ns is not None and is_next else np.inf
+        pauses = [(begin_ns - end) * 1e-9 for end in ends_ns if 0 <= begin_ns - end <= LONGEST_BREAK_S * 1e9]
+        standing_s = min(drive.standing_s, *pauses, np.inf)
+        if standing_s < pause_s - CLOCK_OFF_S:
+            session = replace(session, gap=standing_s, after_unseen=True)
             notes.append(
-                f"{session.name}: it had stood for {stood:.0f} s, after an unrecorded drive that is assumed to "
+                f"{session.name}: it had stood for {standing_s:.0f} s, after an unrecorded drive that is assumed to "
                 "have been like this one"
             )
-        elif follows:
-            session = replace(session, gap=off)
+        elif is_next:
+            session = replace(session, gap=pause_s)
             carried = "; the belt temperature is carried over" if has_belt else ""
             notes.append(f"{session.name}: begins {session.gap:.0f} s after the previous one{carried}")
         elif has_belt:
@@ -286,12 +287,12 @@ def _drove(recording: Recording) -> bool:
     return float(np.nanpercentile(np.abs(speed), 99.0)) > SLOWEST_MPS
 
 
-def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
+def _brake_note(session: DriveSession, is_braked: Mask, settings: GateSettings) -> str:
     """Note on the time that remains without friction brakes."""
     drives = np.abs(session.speed) >= settings.slowest
     braked, driven, left, braking = (
         round(int(steps.sum()) * session.step)
-        for steps in (drives & on, drives, session.used, session.used & (session.torque * session.ahead < 0.0))
+        for steps in (drives & is_braked, drives, session.used, session.used & (session.torque * session.ahead < 0.0))
     )
     return (
         f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s remain for comparison, {braking} of them with a "
@@ -299,17 +300,17 @@ def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
     )
 
 
-def _stood(recording: Recording) -> float:
+def _standing_time(recording: Recording) -> float:
     """Recorded standing time before the drive [s]; infinite if unknown, or too long to matter."""
     series = recording.series.get("stood")
-    stood = np.nan if series is None else standing_time(series.value, recording.name)
-    return stood if stood <= LONGEST_BREAK_S else np.inf
+    standing_s = np.nan if series is None else standing_time(series.value, recording.name)
+    return standing_s if standing_s <= LONGEST_BREAK_S else np.inf
 
 
 def _motor_brakes_alone(resampled: Sequence[_Resampled], settings: GateSettings, notes: list[str]) -> float:
     """Torque down to which the motor brakes alone [Nm]; adds the result to the notes."""
-    compared = [~is_slow(one.session, settings) & ~np.any(list(one.unknown.values()), axis=0) for one in resampled]
-    alone = motor_brakes_alone([one.session for one in resampled], compared)
+    compared = [~is_slow(drive.session, settings) & ~np.any(list(drive.unknown.values()), axis=0) for drive in resampled]
+    alone = motor_brakes_alone([drive.session for drive in resampled], compared)
     if alone < 0.0:
         notes.append(
             f"down to {alone:.0f} Nm the motor brakes alone, by the speed's changes; below that friction brakes may act too"
@@ -327,7 +328,7 @@ def in_order(recordings: Sequence[Recording]) -> list[Recording]:
         roles = sorted(recording.series, key=lambda role: (role != "speed", role))
         series = [recording.series[role] for role in roles]
         content = [(s.stamp_ns - recording.start_ns).tobytes() + s.value.tobytes() for s in series]
-        return [hashlib.blake2b(one, digest_size=16).hexdigest() for one in content]
+        return [hashlib.blake2b(data, digest_size=16).hexdigest() for data in content]
 
     return sorted(recordings, key=lambda r: (r.start_ns, digests(r), r.name))
 
@@ -380,44 +381,45 @@ def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] =
     """
     sessions, notes = list(gated.sessions), list(gated.notes)
     notes += _left_out(sessions, route, acting)
-    for one in route:
+    for route_map in route:
         for i, session in enumerate(sessions):
-            if "position" not in session.given or (one.kind == SLOPE and "grade" in session.given):
+            if "position" not in session.given or (route_map.kind == SLOPE and "grade" in session.given):
                 continue
-            found = _along(session, one)
-            known = np.isfinite(found)
-            notes.append(f"{session.name}: {100.0 * known.mean():.0f} % of it is on the route with known {one.kind}s")
+            values = _along(session, route_map)
+            known = np.isfinite(values)
+            notes.append(f"{session.name}: {100.0 * known.mean():.0f} % of it is on the route with known {route_map.kind}s")
             if known.mean() <= MOST_UNKNOWN:
                 notes[-1] = WarningNote(f"{notes[-1]}; they are not used")
                 continue
-            found = np.where(known, found, 0.0)
+            values = np.where(known, values, 0.0)
             session = replace(session, used=session.used & known)
-            if one.kind == SLOPE:
-                sessions[i] = replace(session, grade=found, given=session.given | {"grade"})
+            if route_map.kind == SLOPE:
+                sessions[i] = replace(session, grade=values, given=session.given | {"grade"})
             else:
-                sessions[i] = replace(session, torque_by_place=found)
+                sessions[i] = replace(session, torque_by_place=values)
     return replace(with_fewer_steps(gated, sessions, "off the route"), notes=tuple(notes))
 
 
 def _left_out(sessions: Sequence[DriveSession], route: Sequence[RouteMap], acting: Sequence[Active]) -> list[str]:
     """A note for each effect, or kind of value of the route, that lacks an input in some sessions."""
-    of = "of the vehicle or its surroundings"
-    needed: dict[str, Sequence[str]] = {f"{one.effect.name} {of}": one.effect.needs for one in acting}
+    owner = "of the vehicle or its surroundings"
+    needed: dict[str, Sequence[str]] = {f"{active.effect.name} {owner}": active.effect.needs for active in acting}
     needed |= {f"{values.kind} of the route": ("position",) for values in route}
-    found: dict[tuple[str, str], list[str]] = {}
+    names_by_input: dict[tuple[str, str], list[str]] = {}
     for session in sessions:
         for name, needs in needed.items():
             lacks = [need for need in needs if need not in ALWAYS_KNOWN and need not in session.given]
             if lacks and not (name == f"{SLOPE} of the route" and "grade" in session.given):
-                found.setdefault((name, ", ".join(lacks)), []).append(session.name)
+                names_by_input.setdefault((name, ", ".join(lacks)), []).append(session.name)
     return [
-        WarningNote(f"{some_of(names)}: {name} is left out, as {lacks} is not known") for (name, lacks), names in found.items()
+        WarningNote(f"{some_of(names)}: {name} is left out, as {lacks} is not known")
+        for (name, lacks), names in names_by_input.items()
     ]
 
 
 def with_fewer_steps(gated: Gated, sessions: Sequence[DriveSession], reason: str) -> Gated:
     """The same sessions with fewer compared steps; their time is excluded for a reason."""
-    before, after = (sum(s.used.sum() * s.step for s in of) for of in (gated.sessions, sessions))
+    before, after = (sum(s.used.sum() * s.step for s in group) for group in (gated.sessions, sessions))
     lost = {reason: round(before - after)} if before > after else {}
     return replace(gated, sessions=tuple(sessions), excluded={**gated.excluded, **lost})
 
@@ -434,17 +436,17 @@ def _along(session: DriveSession, route: RouteMap) -> Array:
     """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
-    at = matched(route.places, [track])[0].at(track.nearest(way.driven))
-    learned = route.value[at.place, (at.sign < 0.0).astype(int)]
-    there = np.isfinite(learned) & (at.share > 0.0) & at.known[:, np.newaxis]
-    share = np.where(there, at.share, 0.0)
+    match = matched(route.places, [track])[0].at(track.nearest(way.driven))
+    learned = route.value[match.place, (match.sign < 0.0).astype(int)]
+    known = np.isfinite(learned) & (match.share > 0.0) & match.known[:, np.newaxis]
+    share = np.where(known, match.share, 0.0)
     total = share.sum(axis=1)
-    found = (share * np.where(there, learned, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)
-    mean = found.reshape(len(session), -1).mean(axis=1)
+    values = (share * np.where(known, learned, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)
+    mean = values.reshape(len(session), -1).mean(axis=1)
     return np.asarray(np.where((session.speed < 0.0) & (route.kind == SLOPE), -mean, mean))
 
 
-GIVEN = "the acceleration is recorded, so it is not computed from the speeds on both sides"
+RECORDED_ACCELERATION = "the acceleration is recorded, so it is not computed from the speeds on both sides"
 
 
 def with_acceleration(recording: Recording, settings: GateSettings) -> Recording:
@@ -453,7 +455,7 @@ def with_acceleration(recording: Recording, settings: GateSettings) -> Recording
     One with a recorded acceleration keeps that, with a note. Raises InputError for a recording without two speeds.
     """
     if "accel" in recording.series and np.isfinite(recording.series["accel"].value).any():
-        return replace(recording, notes=(*recording.notes, GIVEN))
+        return replace(recording, notes=(*recording.notes, RECORDED_ACCELERATION))
     recording = recording.without(["accel"])  # a role may have no sample
     logged, speed = recording.series["speed"], stamped(recording).series["speed"]
     finite = np.flatnonzero(np.isfinite(speed.value))
@@ -462,8 +464,9 @@ def with_acceleration(recording: Recording, settings: GateSettings) -> Recording
         raise InputError(
             recording.name, number_of(len(stamps), "usable speed"), "two or more, for an acceleration from both sides"
         )
-    at = (stamps - stamps[0]) / SECOND_NS
-    accel = smoothed_motion(at, speed.value[finite][first], at, step_of([recording], settings), settings.slowest).accel[stamp_of]
+    times = (stamps - stamps[0]) / SECOND_NS
+    motion = smoothed_motion(times, speed.value[finite][first], times, step_of([recording], settings), settings.slowest)
+    accel = motion.accel[stamp_of]
     finite_accel = np.isfinite(accel)
     rows, order = finite[finite_accel], recording.log_order()
     places = np.flatnonzero(order == list(recording.series).index("speed"))[rows]

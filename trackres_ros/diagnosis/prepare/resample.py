@@ -74,60 +74,62 @@ def turning(
     Positions give a direction above the `slowest` speed [m/s]. `track_width` is the distance of left from right wheels [m].
     """
     if "heading" in series and np.isfinite(series["heading"].value).sum() > 1:
-        return Turning(_of_angle(*ordered(series["heading"], start), edges), "heading")
+        return Turning(_angle_rate(*ordered(series["heading"], start), edges), "heading")
     sides = [_side(series, side, start, edges) for side in SIDES]
     if track_width is not None and sides[0] is not None and sides[1] is not None:
         return Turning((sides[1] - sides[0]) / track_width, f"wheel speeds of both sides, {track_width:g} m apart")
     if "latitude" in series and "longitude" in series:
-        found = _of_positions(series, start, edges, speed, slowest)
-        return None if found is None else Turning(found, "positions")
+        yaw_rate = _path_turn(series, start, edges, speed, slowest)
+        return None if yaw_rate is None else Turning(yaw_rate, "positions")
     return None
 
 
-def _of_angle(at: Array, angle: Array, edges: Array) -> Array:
+def _angle_rate(times: Array, angle: Array, edges: Array) -> Array:
     """Change of an angle over each step."""
-    known = (edges[:-1] >= at[0]) & (edges[1:] <= at[-1])
-    after = np.clip(np.searchsorted(at, edges[1:]), 1, len(at) - 1)
-    known &= at[after] - at[after - 1] <= LONGEST_GAP_S
-    return np.where(known, np.diff(np.interp(edges, at, np.unwrap(angle))) / np.diff(edges), np.nan)
+    known = (edges[:-1] >= times[0]) & (edges[1:] <= times[-1])
+    right = np.clip(np.searchsorted(times, edges[1:]), 1, len(times) - 1)
+    known &= times[right] - times[right - 1] <= LONGEST_GAP_S
+    return np.where(known, np.diff(np.interp(edges, times, np.unwrap(angle))) / np.diff(edges), np.nan)
 
 
 def _side(series: Mapping[str, Series], side: str, start: int, edges: Array) -> Array | None:
     """Mean wheel speed of one side over each step; None without any."""
     roles = [role for role in series if role.startswith("wheel_speed/") and side in role.partition("/")[2].split("_")]
-    of = [Cumulative.of(*ordered(series[r], start)).means(edges[:-1], edges[1] - edges[0]) for r in roles if _there(series[r])]
-    return np.asarray(np.mean(of, axis=0)) if of else None
+    values = [
+        Cumulative.of(*ordered(series[r], start)).means(edges[:-1], edges[1] - edges[0]) for r in roles if _has_samples(series[r])
+    ]
+    return np.asarray(np.mean(values, axis=0)) if values else None
 
 
-def _there(series: Series) -> bool:
+def _has_samples(series: Series) -> bool:
     return int(np.isfinite(series.value).sum()) > 1
 
 
-def _of_positions(series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest: float) -> Array | None:
+def _path_turn(series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest: float) -> Array | None:
     """Turn of the path from before a step to after it; nan at near standstill, or between forward and reverse."""
-    (at, north), (also_at, east) = (ordered(series[role], start) for role in ("latitude", "longitude"))
-    if len(at) < FEWEST_MOVING or len(also_at) < FEWEST_MOVING:
+    (times, north), (east_times, east) = (ordered(series[role], start) for role in ("latitude", "longitude"))
+    if len(times) < FEWEST_MOVING or len(east_times) < FEWEST_MOVING:
         return None
     middle = 0.5 * (edges[1:] + edges[:-1])
-    east = np.interp(at, also_at, np.unwrap(east))
+    east = np.interp(times, east_times, np.unwrap(east))
     x, y = EARTH_M * np.cos(np.median(north)) * (east - east[0]), EARTH_M * (north - north[0])
     noise = max(MAD_OF_SECOND_DIFFERENCE * float(np.median(np.abs(np.diff(z, 2)))) for z in (x, y))
     moving = np.abs(speed) > slowest
     if moving.sum() < FEWEST_MOVING:
         return None
     typical = float(np.median(np.abs(speed[moving])))
-    spacing = float(np.median(np.diff(at)))
+    spacing = float(np.median(np.diff(times)))
     precise = [r for r in REACHES_S if 6.0**0.5 * noise <= SURE_RADPS * typical * r**2 and r >= spacing]
     if not precise:
         return None
     reach = precise[0]
-    before, now, after = (
-        np.interp(middle + shift, at, x) + 1j * np.interp(middle + shift, at, y) for shift in (-reach, 0.0, reach)
+    before, point, after = (
+        np.interp(middle + shift, times, x) + 1j * np.interp(middle + shift, times, y) for shift in (-reach, 0.0, reach)
     )
-    turned = np.angle((after - now) * np.conj(now - before))
-    one_way = [np.interp(middle + shift, middle, np.sign(speed) * moving) for shift in (-reach, 0.0, reach)]
-    known = (np.abs(np.sum(one_way, axis=0)) > 3.0 - 1e-9) & (middle - reach >= at[0]) & (middle + reach <= at[-1])
-    return np.where(known, turned / reach, np.nan)
+    angles = np.angle((after - point) * np.conj(point - before))
+    directions = [np.interp(middle + shift, middle, np.sign(speed) * moving) for shift in (-reach, 0.0, reach)]
+    known = (np.abs(np.sum(directions, axis=0)) > 3.0 - 1e-9) & (middle - reach >= times[0]) & (middle + reach <= times[-1])
+    return np.where(known, angles / reach, np.nan)
 
 
 FEWEST_DRIVING = 300  # steps
@@ -150,19 +152,19 @@ def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask
     if drives.sum() < FEWEST_DRIVING:
         return 0.0
     values = robust_least_squares(columns[drives], torque[drives])
-    left = torque - columns @ values
-    middle = float(np.median(left[drives]))
-    std = MAD_TO_STD * float(np.median(np.abs(left[drives] - middle)))
-    usual = float((left[drives] > middle + FAR_STDS * std).mean())
+    residual = torque - columns @ values
+    middle = float(np.median(residual[drives]))
+    std = MAD_TO_STD * float(np.median(np.abs(residual[drives] - middle)))
+    usual = float((residual[drives] > middle + FAR_STDS * std).mean())
     brakes = np.flatnonzero(torque <= 0.0)
     order = brakes[np.argsort(-torque[brakes])]
     alone = 0.0
     for level in np.array_split(order, max(1, min(LEVELS, len(order) // FEWEST_OF_A_LEVEL))):
         if len(level) < FEWEST_OF_A_LEVEL:
             break
-        of_level = float(np.median(left[level]))
-        far = float((left[level] > of_level + FAR_STDS * std).mean())
-        if far > usual + MOST_FAR or of_level - middle > std + MOST_LOST * abs(float(np.median(torque[level]))):
+        level_residual = float(np.median(residual[level]))
+        far = float((residual[level] > level_residual + FAR_STDS * std).mean())
+        if far > usual + MOST_FAR or level_residual - middle > std + MOST_LOST * abs(float(np.median(torque[level]))):
             break
         alone = float(torque[level[-1]])
     return alone
@@ -210,9 +212,9 @@ def step_for(
     slowest = 0.0
     for recording in recordings:
         for role, series in recording.series.items():
-            at = series.stamp_ns[np.isfinite(series.value)]
-            if role.partition("/")[0] in ("speed", "torque") and len(at) > LEAST_SAMPLES:
-                slowest = max(slowest, float(np.median(np.diff(np.sort(at)))) * 1e-9)
+            stamps = series.stamp_ns[np.isfinite(series.value)]
+            if role.partition("/")[0] in ("speed", "torque") and len(stamps) > LEAST_SAMPLES:
+                slowest = max(slowest, float(np.median(np.diff(np.sort(stamps)))) * 1e-9)
     usual = STEP_S * max(1, math.ceil(samples * round(slowest, 2) / STEP_S))
     if usual > STEP_S or _changes(recordings, STEP_S, slowest_speed) < quick:
         return usual
@@ -226,17 +228,19 @@ def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float)
     """Share of the speed's mean square that changes by the next step, or averages out within steps; 0 at standstill, without
     a speed, or with fewer samples than steps.
     """
-    alike, whole, count = 0.0, 0.0, 0
+    products, squares, count = 0.0, 0.0, 0
     for recording in recordings:
-        at, speed = ordered(recording.series["speed"], recording.start_ns) if "speed" in recording.series else (np.empty(0),) * 2
-        if len(at) > LEAST_SAMPLES and 3.0 * step < at[-1] < step * len(at):
-            edges = np.arange(0.0, at[-1], step)
-            (mean, known), (square, _) = means(at, speed, edges), means(at, speed**2, edges)
-            both = known[1:] & known[:-1]
-            alike += float((mean[1:] * mean[:-1])[both].sum())
-            whole += 0.5 * float((square[1:] + square[:-1])[both].sum())
-            count += int(both.sum())
-    return 1.0 - alike / whole if whole > count * slowest_speed**2 else 0.0
+        times, speed = (
+            ordered(recording.series["speed"], recording.start_ns) if "speed" in recording.series else (np.empty(0),) * 2
+        )
+        if len(times) > LEAST_SAMPLES and 3.0 * step < times[-1] < step * len(times):
+            edges = np.arange(0.0, times[-1], step)
+            (mean, known), (square, _) = means(times, speed, edges), means(times, speed**2, edges)
+            valid = known[1:] & known[:-1]
+            products += float((mean[1:] * mean[:-1])[valid].sum())
+            squares += 0.5 * float((square[1:] + square[:-1])[valid].sum())
+            count += int(valid.sum())
+    return 1.0 - products / squares if squares > count * slowest_speed**2 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +291,7 @@ class _Speed:
     filter of an unrecorded acceleration.
     """
 
-    at: Array
+    times: Array
     raw: Array
     mean: Array
     known: Mask
@@ -359,7 +363,7 @@ def resample(
         way=_way(grid, speed) if "position" in grid.given else None,
     )
     scale = pace(step)
-    samples = [(at / scale, value) for at, value in ((speed.at, speed.raw), *torques)]
+    samples = [(times / scale, value) for times, value in ((speed.times, speed.raw), *torques)]
     return session, {
         "no speed": ~speed.known,
         "no torque": ~torque_known,
@@ -371,17 +375,17 @@ def resample(
 
 def _speed(grid: _Grid) -> _Speed:
     """Speed, and acceleration as measured or derived from it."""
-    at, raw = grid.samples("speed")
-    smoothed = smoothed_motion(at, raw, grid.edges, grid.step, grid.settings.slowest)
-    mean, known = means(at, raw, grid.edges)
+    times, raw = grid.samples("speed")
+    smoothed = smoothed_motion(times, raw, grid.edges, grid.step, grid.settings.slowest)
+    mean, known = means(times, raw, grid.edges)
     accel, accel_noise = np.diff(smoothed.speed) / grid.step, smoothed.change_std / grid.step
     by_way = np.diff(np.interp(grid.edges, *grid.samples("distance"))) / grid.step if grid.has("distance") else None
     measured = grid.held("accel", np.nan) if grid.has("accel") else None
     grid.notes.extend(check_speed_unit(grid.name, grid.bindings, mean, accel, measured, by_way))
     if measured is not None:
-        mean_accel, there = means(*grid.samples("accel"), grid.edges)
-        accel, accel_noise = np.where(there, mean_accel, accel), 0.0
-    return _Speed(at, raw, mean, known, accel, accel_noise, by_way, smoothed.live if measured is None else None)
+        mean_accel, is_measured = means(*grid.samples("accel"), grid.edges)
+        accel, accel_noise = np.where(is_measured, mean_accel, accel), 0.0
+    return _Speed(times, raw, mean, known, accel, accel_noise, by_way, smoothed.live if measured is None else None)
 
 
 class SmoothedMotion(NamedTuple):
@@ -395,16 +399,17 @@ class SmoothedMotion(NamedTuple):
     live: LiveFilter | None = None
 
 
-def smoothed_motion(at: Array, shown: Array, times: Array, step: float, slowest: float) -> SmoothedMotion:
-    """Motion at some rising `times` [s] from all speeds `shown` [m/s] before and after; along lines between slow samples.
+def smoothed_motion(sample_times: Array, speeds: Array, times: Array, step: float, slowest: float) -> SmoothedMotion:
+    """Motion at some rising `times` [s] from all `speeds` [m/s] before and after; along lines between slow samples.
 
     The smoother's constants are a vehicle's: `step` [s] and the `slowest` speed [m/s] scale a quick machine to one.
     """
     scale = pace(step)
     unit = slowest / SLOWEST_MPS if scale < 1.0 else 1.0
-    smoothed = smooth_speed(at / scale, shown / unit, times / scale, LONGEST_HOLD_S)
+    smoothed = smooth_speed(sample_times / scale, speeds / unit, times / scale, LONGEST_HOLD_S)
     if smoothed is None:
-        return SmoothedMotion(np.interp(times, at, shown), np.interp(times, at, np.gradient(shown, at)), 0.0)
+        accel = np.interp(times, sample_times, np.gradient(speeds, sample_times))
+        return SmoothedMotion(np.interp(times, sample_times, speeds), accel, 0.0)
     accel = unit / scale * smoothed.accel
     live = _live_filter(accel, unit * smoothed.noise, unit / scale**1.5 * smoothed.jerk)
     return SmoothedMotion(unit * smoothed.speed, accel, unit * smoothed.typical_change_std, live)
@@ -427,13 +432,13 @@ def _live_filter(accel: Array, noise: float, jerk: float) -> LiveFilter | None:
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:
     """The true torque, or the sum of its parts: samples of each, means of the sum, steps with a known value, and its noise."""
     roles = [role for role in grid.series if role.partition("/")[0] == "torque" and grid.has(role)]
-    shown = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
-    samples = [(at, value / grid.settings.torque_scale) for at, value in shown]
+    readings = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
+    samples = [(times, value / grid.settings.torque_scale) for times, value in readings]
     torque, known, noise = np.zeros(grid.count), ~grid.nowhere, 0.0
-    for of_part in samples:
-        part, there = means(*of_part, grid.edges)
-        torque, known = torque + part, known & there
-        noise = float(np.hypot(noise, noise_of_means(*of_part, grid.step)))
+    for part_samples in samples:
+        part, part_known = means(*part_samples, grid.edges)
+        torque, known = torque + part, known & part_known
+        noise = float(np.hypot(noise, noise_of_means(*part_samples, grid.step)))
     return samples, torque, known, noise
 
 
@@ -467,12 +472,12 @@ def _place(grid: _Grid) -> tuple[Array, Array, Array]:
 
 
 def _steering(grid: _Grid) -> Array:
-    at, value = grid.samples("steering_angle")
-    if len(at) < 2:
+    times, value = grid.samples("steering_angle")
+    if len(times) < 2:
         return grid.nan
-    angle, there = means(at, value, grid.edges)
+    angle, known = means(times, value, grid.edges)
     grid.given.add("steering_angle")
-    return np.where(there, angle, np.nan)
+    return np.where(known, angle, np.nan)
 
 
 def _turning(grid: _Grid, speed: _Speed) -> tuple[Array, Array]:
@@ -513,11 +518,11 @@ def _braked(grid: _Grid, binding: TopicBinding) -> Mask:
         return grid.nowhere
     grid.given.add("brake")
     value = grid.series["brake"].value
-    from_on = binding.brakes_from(value[np.isfinite(value)])
+    threshold = binding.brakes_from(value[np.isfinite(value)])
     grid.notes.append(
-        f"{grid.name}: brakes count as on from {from_on:g}; every other braking force is assumed to be in the measured torque"
+        f"{grid.name}: brakes count as on from {threshold:g}; every other braking force is assumed to be in the measured torque"
     )
-    return any_from(*grid.samples("brake"), grid.edges, from_on)
+    return any_from(*grid.samples("brake"), grid.edges, threshold)
 
 
 def _driven(speed: Array, by_way: Array | None) -> Array:
@@ -525,22 +530,22 @@ def _driven(speed: Array, by_way: Array | None) -> Array:
     by_speed = np.abs(np.nan_to_num(speed))
     if by_way is None:
         return by_speed
-    found = np.abs(by_way)
-    agrees = np.abs(found - by_speed) <= ODOMETER_OFF * by_speed + SLOWEST_MPS
-    return np.where(agrees & (by_speed > SLOWEST_MPS), found, by_speed)  # at rest its motion is noise
+    by_odometer = np.abs(by_way)
+    agrees = np.abs(by_odometer - by_speed) <= ODOMETER_OFF * by_speed + SLOWEST_MPS
+    return np.where(agrees & (by_speed > SLOWEST_MPS), by_odometer, by_speed)  # at rest its motion is noise
 
 
 def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
-    at = np.unique(np.concatenate([t for t, _ in torques]))
-    return Cumulative.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
+    times = np.unique(np.concatenate([t for t, _ in torques]))
+    return Cumulative.of(times, np.sum([np.interp(times, t, v) for t, v in torques], axis=0))
 
 
 def _position(series: Mapping[str, Series], start: int, edges: Array) -> tuple[Array, Array]:
     """Latitude and longitude [rad]; a receiver without a fix gives zeros."""
     if not set(POSITION) <= series.keys():
         return np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
-    seen = [replace(s, value=np.where(s.value == 0.0, np.nan, s.value)) for s in (series[role] for role in POSITION)]
-    north, east = (ordered(s, start) for s in seen)
+    fixes = [replace(s, value=np.where(s.value == 0.0, np.nan, s.value)) for s in (series[role] for role in POSITION)]
+    north, east = (ordered(s, start) for s in fixes)
     latitude, longitude = read_off(*north, edges), read_off(*east, edges, angle=True)
     known = np.isfinite(longitude) & (np.abs(latitude) <= 0.5 * np.pi)
     return np.where(known, latitude, np.nan), np.where(known, longitude, np.nan)
@@ -548,8 +553,8 @@ def _position(series: Mapping[str, Series], start: int, edges: Array) -> tuple[A
 
 def _way(grid: _Grid, speed: _Speed) -> Way:
     """Position at the middle of each `STEP_S` of all steps, or of each step where they are shorter."""
-    each = min(STEP_S, grid.edges[1] - grid.edges[0])
-    fine = np.arange(0.0, grid.edges[-1] + 0.5 * each, each)
-    driven = Cumulative.of(speed.at, np.abs(speed.raw))
+    spacing = min(STEP_S, grid.edges[1] - grid.edges[0])
+    fine = np.arange(0.0, grid.edges[-1] + 0.5 * spacing, spacing)
+    driven = Cumulative.of(speed.times, np.abs(speed.raw))
     latitude, longitude = _position(grid.series, grid.start, fine)
-    return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))
+    return Way(latitude, longitude, np.interp(middles(fine), driven.times, driven.integral))

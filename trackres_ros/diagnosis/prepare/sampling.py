@@ -48,30 +48,30 @@ def filled_steps(speed: Samples, torques: Sequence[Samples], edges: Array, slowe
 
 def _straight(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
     """Steps in which a series is a rising or falling straight line, and those in which it is so far longer than usual."""
-    at, value = samples
+    times, value = samples
     exact = EXACT * max(float(np.percentile(np.abs(value), 99.0)), 1e-12)
     tolerance = max(resolution(value) * (1.0 + EXACT), exact)
-    found = [np.zeros(len(edges) - 1, dtype=bool) for _ in range(2)]
-    forward, last = _straight_runs(at, value, tolerance), len(at) - 1
+    masks = [np.zeros(len(edges) - 1, dtype=bool) for _ in range(2)]
+    forward, last = _straight_runs(times, value, tolerance), len(times) - 1
     begins, ends = _straight_runs(
-        -at[::-1], value[::-1].copy(), tolerance
+        -times[::-1], value[::-1].copy(), tolerance
     )  # a run that began before a gap includes a part of its line
-    for first, behind in (forward, (last - ends, last - begins)):
-        count, rise = behind - first, np.abs(value[behind] - value[first])
-        fills = (count >= FEWEST_FILLED) & (at[behind] - at[first] >= SHORTEST_FILLED_S) & (rise > LEAST_RISE * tolerance)
-        for mask, which in zip(found, (fills, fills & (count >= UNUSUAL * _usual(count[rise > 0.0]))), strict=True):
-            mask |= _steps_within(at[first[which]], at[behind[which]], edges)
-    return found[0], found[1]
+    for first, end in (forward, (last - ends, last - begins)):
+        count, rise = end - first, np.abs(value[end] - value[first])
+        is_filled = (count >= FEWEST_FILLED) & (times[end] - times[first] >= SHORTEST_FILLED_S) & (rise > LEAST_RISE * tolerance)
+        for mask, rows in zip(masks, (is_filled, is_filled & (count >= UNUSUAL * _usual(count[rise > 0.0]))), strict=True):
+            mask |= _steps_within(times[first[rows]], times[end[rows]], edges)
+    return masks[0], masks[1]
 
 
 def _constant(samples: Samples, edges: Array) -> Mask:
     """Steps in which a series stays constant far longer than usual."""
-    at, value = samples
+    times, value = samples
     first = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
     last = np.append(first[1:], len(value)) - 1
     count = last - first
-    long = (count >= max(FEWEST_FILLED, UNUSUAL * _usual(count + 1))) & (at[last] - at[first] >= SHORTEST_FILLED_S)
-    return _steps_within(at[first[long]], at[last[long]], edges)
+    long = (count >= max(FEWEST_FILLED, UNUSUAL * _usual(count + 1))) & (times[last] - times[first] >= SHORTEST_FILLED_S)
+    return _steps_within(times[first[long]], times[last[long]], edges)
 
 
 def _usual(counts: Indices) -> float:
@@ -79,42 +79,42 @@ def _usual(counts: Indices) -> float:
     if not len(counts):
         return np.inf
     counts = np.sort(counts)
-    so_far = np.cumsum(counts)
-    return float(counts[np.searchsorted(so_far, 0.5 * so_far[-1])])
+    cumulative = np.cumsum(counts)
+    return float(counts[np.searchsorted(cumulative, 0.5 * cumulative[-1])])
 
 
-def _straight_runs(at: Array, value: Array, tolerance: float) -> tuple[Indices, Indices]:
+def _straight_runs(times: Array, value: Array, tolerance: float) -> tuple[Indices, Indices]:
     """First and last samples of straight runs; each run begins at the end of the previous one."""
-    corners = np.zeros(len(at), dtype=bool)
-    mark_corners(at, value, tolerance, corners)
+    corners = np.zeros(len(times), dtype=bool)
+    mark_corners(times, value, tolerance, corners)
     first = np.flatnonzero(corners)
-    return first, np.append(first[1:], len(at) - 1)
+    return first, np.append(first[1:], len(times) - 1)
 
 
 @entry
-def mark_corners(at: Array, value: Array, tolerance: float, corners: Mask) -> None:
+def mark_corners(times: Array, value: Array, tolerance: float, corners: Mask) -> None:
     """Mark the starts of straight runs: a line from the first sample passes all others of a run within a tolerance."""
     i = 0
-    while i < len(at) - 1:
+    while i < len(times) - 1:
         corners[i] = True
         low, high, k = -np.inf, np.inf, i + 1
-        while k < len(at):
-            low = max(low, (value[k] - tolerance - value[i]) / (at[k] - at[i]))
-            high = min(high, (value[k] + tolerance - value[i]) / (at[k] - at[i]))
+        while k < len(times):
+            low = max(low, (value[k] - tolerance - value[i]) / (times[k] - times[i]))
+            high = min(high, (value[k] + tolerance - value[i]) / (times[k] - times[i]))
             if low > high:
                 break
             k += 1
         i = k - 1
 
 
-def steps_without_value(at: Array, edges: Array) -> Mask:
+def steps_without_value(times: Array, edges: Array) -> Mask:
     """Steps in a gap that is long relative to the usual spacing, or that far before or after the series."""
-    if len(at) < FEWEST_FOR_SPACING:
+    if len(times) < FEWEST_FOR_SPACING:
         return np.zeros(len(edges) - 1, dtype=bool)
-    longest = max(LONGEST_UNKNOWN_S, UNUSUAL_SPACING * float(np.median(np.diff(at))))
-    around = np.concatenate(([edges[0] - 0.5 * longest], at, [edges[-1] + 0.5 * longest]))
-    gaps = np.flatnonzero(np.diff(around) > longest)
-    return _steps_within(around[gaps], around[gaps + 1], edges)
+    longest = max(LONGEST_UNKNOWN_S, UNUSUAL_SPACING * float(np.median(np.diff(times))))
+    bounds = np.concatenate(([edges[0] - 0.5 * longest], times, [edges[-1] + 0.5 * longest]))
+    gaps = np.flatnonzero(np.diff(bounds) > longest)
+    return _steps_within(bounds[gaps], bounds[gaps + 1], edges)
 
 
 def _steps_within(begins: Array, ends: Array, edges: Array) -> Mask:
@@ -133,63 +133,63 @@ SLOWEST_SPACING = 3.0  # usual spacings without a sample: a gap, for receivers a
 def ordered(series: Series, start: int) -> tuple[Array, Array]:
     """Times [s] and finite values, by stamp; of equal stamps the first."""
     finite = np.isfinite(series.value)
-    at, index = np.unique(series.stamp_ns[finite], return_index=True)
-    return np.asarray((at - start) * 1e-9, dtype=float), series.value[finite][index]
+    stamps, index = np.unique(series.stamp_ns[finite], return_index=True)
+    return np.asarray((stamps - start) * 1e-9, dtype=float), series.value[finite][index]
 
 
-def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
+def means(times: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
     """Mean over each step, along straight lines between samples; and the steps without too long a gap."""
     middle = middles(edges)
-    after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
+    right = np.clip(np.searchsorted(times, middle), 1, len(times) - 1)
     step = edges[1] - edges[0]
-    known = (at[after] - at[after - 1] <= LONGEST_HOLD_S * pace(step)) & (middle <= at[-1]) & (middle >= at[0])
-    return Cumulative.of(at, value).means(edges[:-1], step), known
+    known = (times[right] - times[right - 1] <= LONGEST_HOLD_S * pace(step)) & (middle <= times[-1]) & (middle >= times[0])
+    return Cumulative.of(times, value).means(edges[:-1], step), known
 
 
-def held(at: Array, value: Array, edges: Array, default: float) -> Array:
+def held(times: Array, value: Array, edges: Array, default: float) -> Array:
     """The last value before the middle of each step; before the first sample, the first value."""
-    if not len(at):
+    if not len(times):
         return np.full(len(edges) - 1, default)
-    return value[np.maximum(np.searchsorted(at, middles(edges), side="right") - 1, 0)]
+    return value[np.maximum(np.searchsorted(times, middles(edges), side="right") - 1, 0)]
 
 
-def held_while_sent(at: Array, value: Array, edges: Array) -> Array:
+def held_while_sent(times: Array, value: Array, edges: Array) -> Array:
     """The same for a temperature; nan where the sensor is silent for longer than usual: then it has failed, or was not there."""
-    if not len(at):
+    if not len(times):
         return np.full(len(edges) - 1, np.nan)
-    usual = float(np.percentile(np.diff(at), 90.0)) if len(at) > 1 else 0.0  # of a sensor that sends changes, a long one
-    last = np.maximum(np.searchsorted(at, middles(edges), side="right") - 1, 0)
-    silent = np.abs(middles(edges) - at[last]) > np.clip(SLOWEST_SPACING * usual, *TEMPERATURE_HOLD_S)
+    usual = float(np.percentile(np.diff(times), 90.0)) if len(times) > 1 else 0.0  # of a sensor that sends changes, a long one
+    last = np.maximum(np.searchsorted(times, middles(edges), side="right") - 1, 0)
+    silent = np.abs(middles(edges) - times[last]) > np.clip(SLOWEST_SPACING * usual, *TEMPERATURE_HOLD_S)
     return np.where(silent, np.nan, value[last])
 
 
-def carried(at: Array, value: Array, edges: Array) -> Array:
+def carried(times: Array, value: Array, edges: Array) -> Array:
     """The last value before the middle of each step; nan before the first."""
-    return np.concatenate(([np.nan], value))[np.searchsorted(at, middles(edges), side="right")]
+    return np.concatenate(([np.nan], value))[np.searchsorted(times, middles(edges), side="right")]
 
 
-def read_off(at: Array, value: Array, edges: Array, angle: bool = False) -> Array:
+def read_off(times: Array, value: Array, edges: Array, angle: bool = False) -> Array:
     """The value at the middle of each step, along straight lines between samples; nan in gaps.
 
     An `angle` wraps at pi: the line then takes the short way, and the result is wrapped again.
     """
-    if len(at) < 2:
+    if len(times) < 2:
         return np.full(len(edges) - 1, np.nan)
     middle = middles(edges)
-    found = np.interp(middle, at, np.unwrap(value) if angle else value)
-    after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
-    longest = max(LONGEST_HOLD_S, SLOWEST_SPACING * float(np.median(np.diff(at))))
+    readings = np.interp(middle, times, np.unwrap(value) if angle else value)
+    right = np.clip(np.searchsorted(times, middle), 1, len(times) - 1)
+    longest = max(LONGEST_HOLD_S, SLOWEST_SPACING * float(np.median(np.diff(times))))
     step = edges[1] - edges[0]
-    found[(at[after] - at[after - 1] > longest) | (middle < at[0] - step) | (middle > at[-1] + step)] = np.nan
-    return np.asarray((found + np.pi) % (2.0 * np.pi) - np.pi) if angle else found
+    readings[(times[right] - times[right - 1] > longest) | (middle < times[0] - step) | (middle > times[-1] + step)] = np.nan
+    return np.asarray((readings + np.pi) % (2.0 * np.pi) - np.pi) if angle else readings
 
 
-def any_from(at: Array, value: Array, edges: Array, least: float) -> Mask:
+def any_from(times: Array, value: Array, edges: Array, least: float) -> Mask:
     """Steps in which, or at an edge of which, a value of at least `least` was sampled or is held from the sample before."""
     high = np.concatenate(([0], np.cumsum(value >= least)))
-    first = np.maximum(np.searchsorted(at, edges[:-1], side="right") - 1, 0)  # sample held at the start of the step
-    behind = np.searchsorted(at, edges[1:], side="right")
-    return np.asarray(high[np.maximum(behind, first)] > high[first])
+    first = np.maximum(np.searchsorted(times, edges[:-1], side="right") - 1, 0)  # sample held at the start of the step
+    last = np.searchsorted(times, edges[1:], side="right")
+    return np.asarray(high[np.maximum(last, first)] > high[first])
 
 
 def middles(edges: Array) -> Array:

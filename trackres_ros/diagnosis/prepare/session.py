@@ -39,31 +39,31 @@ NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_ang
 class Cumulative:
     """A measured quantity on its own times: times [s], and its integral up to each."""
 
-    at: Array
+    times: Array
     integral: Array
     _asked: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, at: Array, value: Array) -> Cumulative:
+    def of(cls, times: Array, value: Array) -> Cumulative:
         """Along straight lines between samples."""
-        steps = 0.5 * (value[1:] + value[:-1]) * np.diff(at)
-        return cls(at, np.concatenate(([0.0], np.cumsum(steps))))
+        steps = 0.5 * (value[1:] + value[:-1]) * np.diff(times)
+        return cls(times, np.concatenate(([0.0], np.cumsum(steps))))
 
     def means(self, begin: Array, step: float) -> Array:
         """Means over steps that begin at some times [s]."""
-        edges = np.interp(np.stack([begin, begin + step]), self.at, self.integral)
+        edges = np.interp(np.stack([begin, begin + step]), self.times, self.integral)
         return np.asarray((edges[1] - edges[0]) / step)
 
     def later_means(self, begin: Array, step: float, later: float) -> Array:
         """The same, some time `later` [s]; cached for the last few, as most derivatives of a fit keep the delay."""
-        asked = len(begin), float(begin[0]), step, later
-        found = self._asked.get(asked)
-        if found is None:
-            found = self.means(begin + later, step)
+        key = len(begin), float(begin[0]), step, later
+        result = self._asked.get(key)
+        if result is None:
+            result = self.means(begin + later, step)
             if len(self._asked) >= MOST_KEPT:
                 self._asked.clear()
-            self._asked[asked] = found
-        return found
+            self._asked[key] = result
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,16 +244,17 @@ class GateSettings:
         loaded = 1.0 + payload / self.weight
         if "load" in known:
             return known["load"]
-        if not known.keys() <= {f"load/{name}" for axle, of in self.axles.items() for name in (axle, *of)}:
+        if not known.keys() <= {f"load/{name}" for axle, assemblies in self.axles.items() for name in (axle, *assemblies)}:
             return np.asarray(np.sum(list(known.values()), axis=0))
         unknown = np.full_like(next(iter(known.values())), np.nan)
         total = np.zeros_like(unknown)
         for axle, nominal in self.axles.items():
-            own, *each = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
-            whole = np.sum(
-                [np.where(np.isfinite(x), x, load * loaded) for x, load in zip(each, nominal.values(), strict=True)], axis=0
+            axle_load, *assembly_loads = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
+            total_of_parts = np.sum(
+                [np.where(np.isfinite(x), x, load * loaded) for x, load in zip(assembly_loads, nominal.values(), strict=True)],
+                axis=0,
             )
-            total += np.where(np.isfinite(own), own, whole)
+            total += np.where(np.isfinite(axle_load), axle_load, total_of_parts)
         return total
 
     @property
@@ -273,8 +274,8 @@ def robust_least_squares(columns: Array, y: Array) -> Array:
     for _ in range(TURNS):
         root = np.sqrt(weight)
         values = np.linalg.lstsq(columns / scale * root[:, np.newaxis], y * root, rcond=None)[0] / scale
-        left = np.abs(y - columns @ values)
-        weight = np.minimum(1.0, OUTLIER * MAD_TO_STD * float(np.median(left)) / np.maximum(left, 1e-12))
+        residual = np.abs(y - columns @ values)
+        weight = np.minimum(1.0, OUTLIER * MAD_TO_STD * float(np.median(residual)) / np.maximum(residual, 1e-12))
     return values
 
 
@@ -306,9 +307,9 @@ class SensorFinding(WarningNote):
 
     def __new__(cls, text: str, says: str, effect: str = "", value: float = 0.0) -> SensorFinding:
         """A string with attributes."""
-        found = super().__new__(cls, text)
-        found.says, found.effect, found.value = says, effect, value
-        return found
+        finding = super().__new__(cls, text)
+        finding.says, finding.effect, finding.value = says, effect, value
+        return finding
 
 
 FEWEST_SESSIONS = 4
@@ -330,34 +331,36 @@ def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None
     InputError
         If nothing, or too little, would remain to fit on, or a name is not among the recordings.
     """
-    chosen = _chosen(sessions, held_out)
+    chosen = _choose(sessions, held_out)
     rows = sum(int(whole_past(chosen.training_mask(s), MOST_LAGS).sum()) for s in sessions)
     if rows < FEWEST_FITTED:
         raise too_short_pieces(", ".join(s.name for s in sessions), sessions[0].step)
     return chosen
 
 
-def _chosen(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None) -> Split:
+def _choose(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None) -> Split:
     blocks = [sorted(set(s.block.tolist())) for s in sessions]
     by_session = len(sessions) >= FEWEST_SESSIONS or (isinstance(held_out, int) and held_out < len(sessions) > 1)
     if held_out is not None and not isinstance(held_out, int):
-        laps = {lap_name(s, b): b for s, of in zip(sessions, blocks, strict=True) for b in of}
-        by_name = {b for lap, b in laps.items() if any(lap == name if name in laps else lap.endswith(name) for name in held_out)}
-        whole = [name for name in held_out if not any(lap.endswith(name) for lap in laps)]
-        unknown = [name for name in whole if not any(name in s.name for s in sessions)]
+        laps = {lap_name(s, b): b for s, session_blocks in zip(sessions, blocks, strict=True) for b in session_blocks}
+        lap_blocks = {
+            b for lap, b in laps.items() if any(lap == name if name in laps else lap.endswith(name) for name in held_out)
+        }
+        part_names = [name for name in held_out if not any(lap.endswith(name) for lap in laps)]
+        unknown = [name for name in part_names if not any(name in s.name for s in sessions)]
         if unknown:
             raise InputError("--holdout", unknown[0], f"part of a name among {', '.join(s.name for s in sessions)}")
-        called = [(s.name, PurePath(s.name).stem) for s in sessions]
-        exact = {name for names in called for name in names}
-        chosen = {i for i, names in enumerate(called) for name in whole if name in (names if name in exact else names[0])}
-        if by_name:
-            return _by_laps(sessions, blocks, by_name.union(*(blocks[i] for i in chosen)))
+        names_of = [(s.name, PurePath(s.name).stem) for s in sessions]
+        exact = {name for names in names_of for name in names}
+        chosen = {i for i, names in enumerate(names_of) for name in part_names if name in (names if name in exact else names[0])}
+        if lap_blocks:
+            return _by_laps(sessions, blocks, lap_blocks.union(*(blocks[i] for i in chosen)))
     elif by_session:
         count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(sessions)))
         chosen = set(range(len(sessions) - count, len(sessions)))
     else:
-        return _last_laps(sessions, [b for of in blocks for b in of], held_out)
-    training = tuple(b for i, of in enumerate(blocks) if i not in chosen for b in of)
+        return _last_laps(sessions, [b for session_blocks in blocks for b in session_blocks], held_out)
+    training = tuple(b for i, session_blocks in enumerate(blocks) if i not in chosen for b in session_blocks)
     if not training or not chosen:
         allowed, lap = f"some, but not all, of the {len(sessions)} recordings", lap_name(sessions[-1], blocks[-1][-1])
         raise InputError("--holdout", held_out, allowed, f"or laps by name, such as '{lap}'")
@@ -386,10 +389,12 @@ def _last_laps(sessions: Sequence[DriveSession], laps: Sequence[int], held_out: 
 
 
 def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:
-    training = tuple(b for of in blocks for b in of if b not in held_out)
+    training = tuple(b for laps in blocks for b in laps if b not in held_out)
     if not training:
         raise InputError("--holdout", sorted(held_out), "some, but not all, of the laps")
-    text = f"held out: {', '.join(lap_name(s, b) for s, of in zip(sessions, blocks, strict=True) for b in of if b in held_out)}"
+    text = (
+        f"held out: {', '.join(lap_name(s, b) for s, laps in zip(sessions, blocks, strict=True) for b in laps if b in held_out)}"
+    )
     return Split(training, tuple(sorted(held_out)), text)
 
 
@@ -408,6 +413,6 @@ def lap_numbers(session: DriveSession) -> NDArray[np.int64]:
 
 def too_short_pieces(where: str, step: float) -> InputError:
     """Error if the samples to fit on come in pieces too short for a fit, in steps of `step` [s]."""
-    given = "a torque of the fitted laps that is too short, or has too many gaps"
+    statement = "a torque of the fitted laps that is too short, or has too many gaps"
     allowed = f"driving for more than {MOST_LAGS * step:.3g} s without a gap"
-    return InputError(where, given, allowed, "record the torque without gaps, or give a longer recording")
+    return InputError(where, statement, allowed, "record the torque without gaps, or give a longer recording")

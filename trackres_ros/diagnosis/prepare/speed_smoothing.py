@@ -70,22 +70,22 @@ class SmoothedSpeed:
         return float(np.sqrt(np.mean(driven**2))) if len(driven) else 0.0
 
 
-def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) -> SmoothedSpeed | None:
-    """Speed at some rising `times` [s] from all samples `shown` [m/s] before and after; None for slow sampling, or a moving
+def smooth_speed(sample_times: Array, speeds: Array, times: Array, longest_gap_s: float) -> SmoothedSpeed | None:
+    """Speed at some rising `times` [s] from all samples `speeds` [m/s] before and after; None for slow sampling, or a moving
     vehicle with too few samples. Gaps longer than `longest_gap_s` get a straight line.
     """
-    if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
+    if len(sample_times) < FEWEST or float(np.median(np.diff(sample_times))) > SLOWEST_S:
         return None
-    new = without_repeats(shown)
-    at, shown = at[new], shown[new]
-    step = rounding_step(shown)
-    grid = _Grid.of(at, shown, times, longest_gap_s)
+    is_new = without_repeats(speeds)
+    sample_times, speeds = sample_times[is_new], speeds[is_new]
+    step = rounding_step(speeds)
+    grid = _Grid.of(sample_times, speeds, times, longest_gap_s)
     if grid.kept.sum() < FEWEST:
         return None
     jerk, noise = _most_likely(grid, step)
-    everywhere = np.full(len(grid.at), jerk)
-    states, variances = grid.run(everywhere, noise)
-    local = everywhere
+    constant_jerk = np.full(len(grid.times), jerk)
+    states, variances = grid.run(constant_jerk, noise)
+    local = constant_jerk
     for _ in range(LOCAL_TURNS):  # a steady speed has hardly any jerk: its apparent one is sensor error
         squares = grid.squared_jerks(states)
         if np.median(squares) > EVEN * squares.mean():
@@ -94,63 +94,63 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
         states, variances = grid.run(local, noise)
     white = noise
     for _ in range(TURNS):  # coloured noise pulls the speed along, and shows fully only afterwards
-        alike = _times_alike(grid.shown[grid.sample] - states[grid.sample, 0])
-        if alike == 1.0:
+        count = _correlated_samples(grid.speeds[grid.sample] - states[grid.sample, 0])
+        if count == 1.0:
             break
-        noise = white * np.sqrt(alike)
+        noise = white * np.sqrt(count)
         states, variances = grid.run(local, noise)
-    rest = at_rest(at, shown)
-    values = shown.copy()
+    rest = at_rest(sample_times, speeds)
+    values = speeds.copy()
     values[grid.kept] = states[grid.sample, 0]
     values[rest] = 0.0
-    speed = np.interp(times, at, values)
+    speed = np.interp(times, sample_times, values)
     speed[grid.within] = states[~grid.sample, 0]
-    after = np.clip(np.searchsorted(at, times, side="right"), 1, len(at) - 1)
-    own = np.where(rest[after] & rest[after - 1], 0.0, np.nan)
-    accel = own.copy()
-    own[grid.within], accel[grid.within] = states[~grid.sample, 2], states[~grid.sample, 1]
-    change = own[1:] + own[:-1]
+    right = np.clip(np.searchsorted(sample_times, times, side="right"), 1, len(sample_times) - 1)
+    variance = np.where(rest[right] & rest[right - 1], 0.0, np.nan)
+    accel = variance.copy()
+    variance[grid.within], accel[grid.within] = states[~grid.sample, 2], states[~grid.sample, 1]
+    change = variance[1:] + variance[:-1]
     joint = np.full(len(times), np.nan)
     joint[grid.within] = variances[~grid.sample]
     change = np.where(np.isfinite(joint[:-1]), joint[:-1], change)
     return SmoothedSpeed(speed, accel, np.sqrt(np.maximum(change, 0.0)), jerk, noise, step)
 
 
-def without_repeats(shown: Array) -> Mask:
+def without_repeats(speeds: Array) -> Mask:
     """Samples without the repeats of a sensor slower than its topic, recognised by a regular rhythm of changes."""
-    changes = np.flatnonzero(np.diff(shown, prepend=np.nan) != 0.0)
+    changes = np.flatnonzero(np.diff(speeds, prepend=np.nan) != 0.0)
     lengths = np.diff(changes)
     rhythm = 1
     for length in range(2, LONGEST_REPEAT + 1):
         if len(lengths) >= FEWEST and np.mean(lengths % length == 0) >= REGULAR:
             rhythm = length
-    since = np.arange(len(shown)) - np.repeat(changes, np.diff(np.append(changes, len(shown))))
+    since = np.arange(len(speeds)) - np.repeat(changes, np.diff(np.append(changes, len(speeds))))
     return np.asarray(since % rhythm == 0)
 
 
-def rounding_step(shown: Array) -> float:
+def rounding_step(speeds: Array) -> float:
     """Resolution of a sensor whose few values recur; 0 for others."""
-    return resolution(shown) if len(np.unique(shown)) <= 0.5 * len(shown) else 0.0
+    return resolution(speeds) if len(np.unique(speeds)) <= 0.5 * len(speeds) else 0.0
 
 
-def resolution(shown: Array) -> float:
+def resolution(readings: Array) -> float:
     """The smallest difference of values that all others are multiples of; 0 where there is none."""
-    values = np.unique(shown)
-    apart = np.diff(values)
-    apart = apart[apart > SAME * float(np.abs(values).max(initial=0.0))]
-    if len(apart) < 2:
+    values = np.unique(readings)
+    differences = np.diff(values)
+    differences = differences[differences > SAME * float(np.abs(values).max(initial=0.0))]
+    if len(differences) < 2:
         return 0.0
-    least = float(np.percentile(apart, 1.0))
-    step = float(np.median(apart[apart < 1.5 * least]))
-    times = apart / step
-    return step if np.mean(np.abs(times - np.round(times)) < WHOLE) >= MULTIPLES else 0.0
+    least = float(np.percentile(differences, 1.0))
+    step = float(np.median(differences[differences < 1.5 * least]))
+    multiples = differences / step
+    return step if np.mean(np.abs(multiples - np.round(multiples)) < WHOLE) >= MULTIPLES else 0.0
 
 
-def at_rest(at: Array, shown: Array) -> Mask:
+def at_rest(times: Array, speeds: Array) -> Mask:
     """Samples in lasting runs of zeros."""
-    rest = np.zeros(len(shown), dtype=bool)
-    for begin, end in runs_of(shown == 0.0):
-        rest[begin:end] = at[end - 1] - at[begin] >= REST_S
+    rest = np.zeros(len(speeds), dtype=bool)
+    for begin, end in runs_of(speeds == 0.0):
+        rest[begin:end] = times[end - 1] - times[begin] >= REST_S
     return rest
 
 
@@ -158,55 +158,55 @@ def at_rest(at: Array, shown: Array) -> Mask:
 class _Grid:
     """Samples of stretches of driving and the asked times within them, in order; each is cut at gaps and rests."""
 
-    at: Array
-    shown: Array
+    times: Array
+    speeds: Array
     sample: Mask  # a sample, else a requested time
     begins: Mask
     kept: Mask  # kept samples among all
     within: Mask  # requested times inside, among all
 
     @classmethod
-    def of(cls, at: Array, shown: Array, times: Array, longest_gap_s: float) -> _Grid:
-        rest = at_rest(at, shown)
-        still = rest[1:] & rest[:-1]  # from one sample to the next
-        kept = ~(np.append(still, rest[-1]) & np.concatenate(([rest[0]], still)))
-        cut = still | (np.diff(at) > longest_gap_s)
+    def of(cls, sample_times: Array, speeds: Array, times: Array, longest_gap_s: float) -> _Grid:
+        rest = at_rest(sample_times, speeds)
+        is_still = rest[1:] & rest[:-1]  # from one sample to the next
+        kept = ~(np.append(is_still, rest[-1]) & np.concatenate(([rest[0]], is_still)))
+        cut = is_still | (np.diff(sample_times) > longest_gap_s)
         begins = np.concatenate(([True], cut))
-        after = np.searchsorted(at, times, side="right")
-        inside = (after > 0) & (after < len(at))
-        within = inside & ~cut[np.clip(after, 1, len(at) - 1) - 1]
-        every = np.concatenate((at[kept], times[within]))
-        order = np.argsort(every, kind="stable")
-        count, more = int(kept.sum()), int(within.sum())
-        sample = np.repeat((True, False), (count, more))[order]
-        values = np.concatenate((shown[kept], np.zeros(more)))[order]
-        first = np.concatenate((begins[kept], np.zeros(more, dtype=bool)))[order]
-        return cls(every[order], values, sample, first, kept, within)
+        right = np.searchsorted(sample_times, times, side="right")
+        inside = (right > 0) & (right < len(sample_times))
+        within = inside & ~cut[np.clip(right, 1, len(sample_times) - 1) - 1]
+        all_times = np.concatenate((sample_times[kept], times[within]))
+        order = np.argsort(all_times, kind="stable")
+        count, asked = int(kept.sum()), int(within.sum())
+        sample = np.repeat((True, False), (count, asked))[order]
+        values = np.concatenate((speeds[kept], np.zeros(asked)))[order]
+        first = np.concatenate((begins[kept], np.zeros(asked, dtype=bool)))[order]
+        return cls(all_times[order], values, sample, first, kept, within)
 
     def run(self, jerk: Array, noise: float) -> tuple[Array, Array]:
         """Smoothed states, and variances of changes to the next requested time."""
-        states, variances = np.empty((len(self.at), 5)), np.full(len(self.at), np.nan)
-        turns = np.empty(len(self.at), dtype=bool)
-        filter_forward(self.at, self.shown, self.sample, self.begins, jerk, noise, states, turns)
-        smooth_backward(self.at, ~self.sample, self.begins, jerk, turns, states, variances)
+        states, variances = np.empty((len(self.times), 5)), np.full(len(self.times), np.nan)
+        turns = np.empty(len(self.times), dtype=bool)
+        filter_forward(self.times, self.speeds, self.sample, self.begins, jerk, noise, states, turns)
+        smooth_backward(self.times, ~self.sample, self.begins, jerk, turns, states, variances)
         return states, variances
 
     def squared_jerks(self, states: Array) -> Array:
         """Local mean squares of the smoothed acceleration's change [m^2/s^6]."""
-        ends = np.clip(np.stack([self.at - LOCAL_S, self.at + LOCAL_S]), self.at[0], self.at[-1])
-        before, after = np.interp(ends, self.at, states[:, 1])
-        square = Cumulative.of(self.at, ((after - before) / (2.0 * LOCAL_S)) ** 2)
-        low, high = np.interp(ends, self.at, square.integral)
+        ends = np.clip(np.stack([self.times - LOCAL_S, self.times + LOCAL_S]), self.times[0], self.times[-1])
+        before, after = np.interp(ends, self.times, states[:, 1])
+        square = Cumulative.of(self.times, ((after - before) / (2.0 * LOCAL_S)) ** 2)
+        low, high = np.interp(ends, self.times, square.integral)
         return np.asarray((high - low) / np.maximum(ends[1] - ends[0], 1e-9))
 
 
 def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
     """Density of the jerk, and standard deviation of the noise including rounding."""
-    piece = np.arange(len(grid.at)) // PIECE
-    some = piece % (1 + piece[-1] // MOST_PIECES) == 0
-    begins = (grid.begins | np.append(True, np.diff(piece) > 0))[some]
-    at, shown, sample = grid.at[some], grid.shown[some], _apart(grid)[some]
-    states, turns = np.empty((len(at), 5)), np.empty(len(at), dtype=bool)
+    piece = np.arange(len(grid.times)) // PIECE
+    is_used = piece % (1 + piece[-1] // MOST_PIECES) == 0
+    begins = (grid.begins | np.append(True, np.diff(piece) > 0))[is_used]
+    times, speeds, sample = grid.times[is_used], grid.speeds[is_used], _spaced_samples(grid)[is_used]
+    states, turns = np.empty((len(times), 5)), np.empty(len(times), dtype=bool)
 
     def values(point: Array) -> tuple[float, float]:
         jerk, white = np.exp(point)
@@ -214,7 +214,7 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
 
     def cost(point: Array) -> float:
         jerk, noise = values(point)
-        return filter_forward(at, shown, sample, begins, np.full(len(at), jerk), noise, states, turns)
+        return filter_forward(times, speeds, sample, begins, np.full(len(times), jerk), noise, states, turns)
 
     bounds = np.log([JERK, NOISE_MPS])
     start = bounds.mean(axis=1)
@@ -223,34 +223,34 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
     return values(minimize(cost, start, method="Nelder-Mead", bounds=bounds, options=options).x)
 
 
-def _apart(grid: _Grid) -> Mask:
+def _spaced_samples(grid: _Grid) -> Mask:
     """Samples spaced so that a rounding sensor has mostly changed its step: its error is then white."""
-    shown, spacing = grid.shown[grid.sample], float(np.median(np.diff(grid.at[grid.sample])))
-    stays = len(shown) / (1 + int(np.count_nonzero(np.diff(shown))))
-    every = max(1, int(min(stays, SLOWEST_S / spacing)))
-    return np.asarray(grid.sample & (np.cumsum(grid.sample) % every == 0))
+    speeds, spacing = grid.speeds[grid.sample], float(np.median(np.diff(grid.times[grid.sample])))
+    stays = len(speeds) / (1 + int(np.count_nonzero(np.diff(speeds))))
+    spacing_count = max(1, int(min(stays, SLOWEST_S / spacing)))
+    return np.asarray(grid.sample & (np.cumsum(grid.sample) % spacing_count == 0))
 
 
-def _times_alike(left: Array) -> float:
+def _correlated_samples(residual: Array) -> float:
     """Number of samples with the information of one independent sample: 1 for white noise, more for that of rounding."""
-    left = left - left.mean()
-    total = float(left @ left)
-    alike = 1.0
-    for lag in range(1, min(MOST_LAGS, len(left)) if total > 0.0 else 1):
-        correlation = float(left[lag:] @ left[:-lag]) / total
+    residual = residual - residual.mean()
+    total = float(residual @ residual)
+    count = 1.0
+    for lag in range(1, min(MOST_LAGS, len(residual)) if total > 0.0 else 1):
+        correlation = float(residual[lag:] @ residual[:-lag]) / total
         if correlation < STILL_ALIKE:
             break
-        alike += 2.0 * correlation
-    return alike
+        count += 2.0 * correlation
+    return count
 
 
 @entry
 def filter_forward(
-    at: Array, shown: Array, sample: Mask, begins: Mask, jerk: Array, noise: float, states: States, turns: Mask
+    times: Array, speeds: Array, sample: Mask, begins: Mask, jerk: Array, noise: float, states: States, turns: Mask
 ) -> float:
     """Kalman filter: half the deviance of the innovations.
 
-    `at` are times [s], at which `shown` [m/s] are samples, if marked in `sample`, else only the state is computed. Stretches that
+    At the `times` [s] marked in `sample`, `speeds` [m/s] are samples; at others only the state is computed. Stretches that
     are independent of earlier samples start at `begins`. `jerk` is the density up to each moment [m/s^2/sqrt(s)], `noise` the
     standard deviation of a sample [m/s]. `states` receives speed, acceleration, and variance of the speed, covariance and
     variance of the acceleration, shape (n, 5). `turns` receives the moments at which the acceleration may have changed at
@@ -262,11 +262,11 @@ def filter_forward(
     above, side, first, lasts = False, 0, -1, 0.0  # side of the last innovations, since when, and the first outlier among them
     missed = 0  # of its outliers
     turns[:] = False
-    while i < len(at):
+    while i < len(times):
         if begins[i]:
-            v, a, vv, va, aa, known, first = shown[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0, -1
+            v, a, vv, va, aa, known, first = speeds[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0, -1
         else:
-            dt, q = at[i] - at[i - 1], jerk[i] * jerk[i]
+            dt, q = times[i] - times[i - 1], jerk[i] * jerk[i]
             if turns[i]:
                 aa += FASTEST * FASTEST
             v += dt * a
@@ -275,16 +275,16 @@ def filter_forward(
             aa += q * dt
         if sample[i]:
             known += 1
-            off = shown[i] - v
+            off = speeds[i] - v
             expected = OUTLIER * math.sqrt(vv + r)
             if known <= 3 or (off > 0.0) != above:
                 above, side, first = off > 0.0, i, -1
             if known > 3 and abs(off) > expected:
                 if first < 0:
                     first, missed = i, 0
-                    lasts = LASTS_S if abs(off) < 2.0 * expected + FASTEST * (at[i] - at[i - 1]) else BREAKS_S
-                elif at[i] - at[first] >= lasts and not turns[first]:
-                    while at[first] - at[side] > LASTS_S:
+                    lasts = LASTS_S if abs(off) < 2.0 * expected + FASTEST * (times[i] - times[i - 1]) else BREAKS_S
+                elif times[i] - times[first] >= lasts and not turns[first]:
+                    while times[first] - times[side] > LASTS_S:
                         side += 1
                     turns[side] = turns[first] = True
                     if lasts == LASTS_S:
@@ -311,18 +311,18 @@ def filter_forward(
 
 
 @entry
-def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, turns: Mask, states: States, variances: Array) -> None:
+def smooth_backward(times: Array, asked: Mask, begins: Mask, jerk: Array, turns: Mask, states: States, variances: Array) -> None:
     """Rauch, Tung and Striebel's pass over the states of `filter_forward`, in place.
 
     `variances` receives the variance of the change of speed from each of the `asked` times to the next of the stretch,
     shape (n,).
     """
     later, with_v, with_a = -1, 0.0, 0.0  # the next requested time, and covariances of its speed with the state here
-    for i in range(len(at) - 1, -1, -1):
-        if i == len(at) - 1 or begins[i + 1]:
+    for i in range(len(times) - 1, -1, -1):
+        if i == len(times) - 1 or begins[i + 1]:
             later = -1
         else:
-            dt, q = at[i + 1] - at[i], jerk[i + 1] * jerk[i + 1]
+            dt, q = times[i + 1] - times[i], jerk[i + 1] * jerk[i + 1]
             v, a, vv, va, aa = states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4]
             v_v, a_v = vv + dt * va, va + dt * aa  # covariances of the state here with the next predicted speed
             next_vv = v_v + dt * a_v + q * dt * dt * dt / 3.0
@@ -349,17 +349,17 @@ def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, turns: Ma
             later, with_v, with_a = i, states[i, 2], states[i, 3]
 
 
-def noise_of_means(at: Array, value: Array, step: float) -> float:
+def noise_of_means(times: Array, value: Array, step: float) -> float:
     """Standard deviation of a mean over a step [s] due to sample-to-sample noise; 0 where unknown.
 
     Second differences show that noise if the sampling is faster than changes of the signal. They exclude slower noise.
     """
-    new = without_repeats(value)
-    at, value = at[new], value[new]
-    if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
+    is_new = without_repeats(value)
+    times, value = times[is_new], value[is_new]
+    if len(times) < FEWEST or float(np.median(np.diff(times))) > SLOWEST_S:
         return 0.0
     noise = MAD_TO_STD * np.median(np.abs(np.diff(value, 2))) / np.sqrt(SECOND_DIFFERENCE)  # a median, as a torque may jump
-    return float(noise * np.sqrt(np.median(np.diff(at)) / step))
+    return float(noise * np.sqrt(np.median(np.diff(times)) / step))
 
 
 SAME_PLACE_M = 10.0  # covers lanes and receiver scatter
@@ -377,8 +377,8 @@ def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
 
     The measured torque must also fit significantly better with these slopes than without.
     """
-    found, text = slope_of_altitude(session)
-    return (found, text) if found is session else confirmed(session, found, text, "torque", "Nm", torque_errors(found))
+    result, text = slope_of_altitude(session)
+    return (result, text) if result is session else confirmed(session, result, text, "torque", "Nm", torque_errors(result))
 
 
 def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
@@ -391,30 +391,30 @@ def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
     if "altitude" not in session.given or "grade" in session.given or not session.used.any():
         return session, ""
     error, passes = error_by_revisits(session)
-    found = slopes(session.time + 0.5 * session.step, session.speed, session.altitude, error)
-    known = np.isfinite(found.value)
+    slope = slopes(session.time + 0.5 * session.step, session.speed, session.altitude, error)
+    known = np.isfinite(slope.value)
     used = session.used & known
-    of_error = f", which differs by {error:.1f} m between passes of one place ({passes} places)," if passes else ""
-    where = f"{session.name}: the altitude{of_error}"
+    passes_text = f", which differs by {error:.1f} m between passes of one place ({passes} places)," if passes else ""
+    where = f"{session.name}: the altitude{passes_text}"
     if used.sum() < (1.0 - MOST_UNKNOWN) * session.used.sum():
         return session, f"{where} gives a slope on less than half of the distance; it is not used"
-    spread = float(np.std(found.value[used]))
-    text = f"over {found.length_m:.0f} m with a standard deviation of {found.std:.2%}"
-    if spread**2 < found.std**2 / (1.0 - WORTH):
+    spread = float(np.std(slope.value[used]))
+    text = f"over {slope.length_m:.0f} m with a standard deviation of {slope.std:.2%}"
+    if spread**2 < slope.std**2 / (1.0 - WORTH):
         return session, f"{where} gives no usable slope: slopes {text}, as large as the slopes themselves; it is not used"
-    grade = np.where(known, found.value, 0.0)
-    given, computed = session.given | {"grade"}, session.computed | {"grade"}
-    with_it = replace(session, grade=grade, grade_std=found.std, used=used, given=given, computed=computed)
-    return with_it, f"{where} gives a slope {text}"
+    grade = np.where(known, slope.value, 0.0)
+    roles, computed = session.given | {"grade"}, session.computed | {"grade"}
+    result = replace(session, grade=grade, grade_std=slope.std, used=used, given=roles, computed=computed)
+    return result, f"{where} gives a slope {text}"
 
 
 def confirmed(
-    session: DriveSession, found: DriveSession, text: str, what: str, unit: str, errors: tuple[float, float, bool]
+    session: DriveSession, sloped: DriveSession, text: str, what: str, unit: str, errors: tuple[float, float, bool]
 ) -> tuple[DriveSession, str]:
-    """The session with its slope `found` if the errors of a measurement confirm it, else unchanged; and the note with both."""
+    """The `sloped` session if the errors of a measurement confirm it, else unchanged; and the note with both."""
     without, with_it, surely = errors
     text = f"{text}; the {what} error is {with_it:.4g} {unit} with it and {without:.4g} {unit} without"
-    return (found, text) if surely else (session, f"{text}, so it is no usable slope")
+    return (sloped, text) if surely else (session, f"{text}, so it is no usable slope")
 
 
 def error_by_revisits(session: DriveSession) -> tuple[float, int]:
@@ -429,11 +429,11 @@ def error_by_revisits(session: DriveSession) -> tuple[float, int]:
         return 0.0, 0
     pairs = cKDTree(np.column_stack([x[rows], y[rows]])).query_pairs(SAME_PLACE_M, output_type="ndarray")
     first, second = rows[pairs[:, 0]], rows[pairs[:, 1]]
-    again = np.abs(session.time[first] - session.time[second]) > ANOTHER_PASS_S
-    apart = np.abs(session.altitude[first] - session.altitude[second])[again]
-    if len(apart) < FEWEST_REVISITS:
+    is_revisit = np.abs(session.time[first] - session.time[second]) > ANOTHER_PASS_S
+    differences = np.abs(session.altitude[first] - session.altitude[second])[is_revisit]
+    if len(differences) < FEWEST_REVISITS:
         return 0.0, 0
-    return float(MAD_TO_STD * np.median(apart) / np.sqrt(2.0)), len(apart)
+    return float(MAD_TO_STD * np.median(differences) / np.sqrt(2.0)), len(differences)
 
 
 def torque_errors(session: DriveSession) -> tuple[float, float, bool]:
@@ -445,27 +445,27 @@ def torque_errors(session: DriveSession) -> tuple[float, float, bool]:
     use = session.used
     mass, torque = session.weight[use] / GRAVITY, session.torque[use]
     pulls = (session.accel[use], session.accel[use] + GRAVITY * session.grade[use])
-    columns = (np.column_stack([mass * pull, _resisting(session)]) for pull in pulls)
-    return _compared(((torque, x) for x in columns), session.time[use] // PIECE_S)
+    columns = (np.column_stack([mass * pull, _resistance_columns(session)]) for pull in pulls)
+    return _error_change(((torque, x) for x in columns), session.time[use] // PIECE_S)
 
 
 def coasting_errors(sessions: Sequence[DriveSession]) -> tuple[float, float, bool]:
     """The same for coast-downs, each in use and a block of its own: mean error of the decelerating force [N]."""
-    resists = np.concatenate([_resisting(s) for s in sessions])
+    resists = np.concatenate([_resistance_columns(s) for s in sessions])
     forces = (
         np.concatenate([(s.weight / GRAVITY * (s.accel + part * GRAVITY * s.grade))[s.used] for s in sessions])
         for part in (0.0, 1.0)
     )
-    return _compared(((force, resists) for force in forces), np.concatenate([s.block[s.used] for s in sessions]))
+    return _error_change(((force, resists) for force in forces), np.concatenate([s.block[s.used] for s in sessions]))
 
 
-def _resisting(session: DriveSession) -> Array:
+def _resistance_columns(session: DriveSession) -> Array:
     """Columns for the resistance of rolling and air, of the steps in use."""
     mass, speed = session.weight[session.used] / GRAVITY, session.speed[session.used]
     return np.column_stack([mass * np.sign(speed), mass * speed, speed * np.abs(speed)])
 
 
-def _compared(fits: Iterable[tuple[Array, Array]], pieces: Array) -> tuple[float, float, bool]:
+def _error_change(fits: Iterable[tuple[Array, Array]], pieces: Array) -> tuple[float, float, bool]:
     """Mean errors of two fits of values by columns, and whether the second is significantly smaller, by the pieces."""
     without, with_it = (np.abs(y - x @ robust_least_squares(x, y)) for y, x in fits)
     _, piece = np.unique(pieces, return_inverse=True)

@@ -60,22 +60,24 @@ def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession,
     if session.used.sum() < FEWEST_COMPARED:
         return session, ""
     shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
-    used = {s: _moved(session.used, -s, unknown=False) & session.used for s in shifts}
+    used = {s: _shifted(session.used, -s, unknown=False) & session.used for s in shifts}
     first = np.cumsum(session.used) <= 0.5 * session.used.sum()
 
-    def there(part: Mask) -> list[float]:
-        return [_correlation(_moved(session.torque, -s), expected, session.speed, used[s] & part) for s in shifts]
+    def correlations(part: Mask) -> list[float]:
+        return [_correlation(_shifted(session.torque, -s), expected, session.speed, used[s] & part) for s in shifts]
 
-    whole = there(session.used)
-    best = int(np.argmax(whole))
-    shift, gain = shifts[best], whole[best] - abs(whole[LARGEST_SHIFT_S])
-    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or whole[best] < SURE:
+    all_correlations = correlations(session.used)
+    best = int(np.argmax(all_correlations))
+    shift, gain = shifts[best], all_correlations[best] - abs(all_correlations[LARGEST_SHIFT_S])
+    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or all_correlations[best] < SURE:
         return session, ""
-    if any(abs(int(np.argmax(there(half))) - best) > LEAST_SHIFT_S for half in (first, ~first)):
+    if any(abs(int(np.argmax(correlations(half))) - best) > LEAST_SHIFT_S for half in (first, ~first)):
         return session, ""
-    course = session.torque_course and Cumulative(session.torque_course.at - shift * session.step, session.torque_course.integral)
-    moved = replace(session, torque=_moved(session.torque, -shift), used=used[shift], torque_course=course)
-    return moved, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
+    course = session.torque_course and Cumulative(
+        session.torque_course.times - shift * session.step, session.torque_course.integral
+    )
+    shifted = replace(session, torque=_shifted(session.torque, -shift), used=used[shift], torque_course=course)
+    return shifted, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
 
 
 def check_torque(
@@ -89,8 +91,8 @@ def check_torque(
     """
     used = [s.used for s in sessions]
     m, e, r, v = (
-        np.concatenate([x[u] for x, u in zip(of, used, strict=True)])
-        for of in ([s.torque for s in sessions], expected, resisting, [s.speed for s in sessions])
+        np.concatenate([x[u] for x, u in zip(series, used, strict=True)])
+        for series in ([s.torque for s in sessions], expected, resisting, [s.speed for s in sessions])
     )
     where = f"{', '.join(s.name for s in sessions)}: torque"
     if np.ptp(m) == 0.0:
@@ -98,17 +100,17 @@ def check_torque(
     if not e.any():
         raise InputError(f"{where} of the model", "always 0", "a torque that depends on speed or acceleration")
     # A vehicle that only speeds up hardly separates an offset from its inertia; its resistance has the friction anyway.
-    others = r[:, np.newaxis] if known.is_vehicle else np.stack([r, np.ones(len(r)), np.sign(v)], axis=1)
-    inertia = _inertia(m, e - r, others)
+    columns = r[:, np.newaxis] if known.is_vehicle else np.stack([r, np.ones(len(r)), np.sign(v)], axis=1)
+    inertia = _inertia(m, e - r, columns)
     notes = _sign_notes(where, (m, e, v), inertia, sessions, known)
     low, high = HEALTHY[0] * known.torque_share[0], HEALTHY[1] * known.torque_share[1]
     allowed = "the torque of the whole vehicle at sprockets or wheels, in Nm" if known.is_vehicle else "the torque of the model"
     if not (inertia.least <= high and inertia.most >= low):
         share = float(np.sqrt(inertia.least * inertia.most))
-        given = f"about {share:.2g} times the expected torque, by the speed's changes"
-        if inertia.alike >= SURE:
-            raise InputError(where, given, allowed, _remedy(share, sessions, known))
-        notes.append(_doubt(where, given, _remedy(share, sessions, known)))
+        statement = f"about {share:.2g} times the expected torque, by the speed's changes"
+        if inertia.correlation >= SURE:
+            raise InputError(where, statement, allowed, _remedy(share, sessions, known))
+        notes.append(_doubt(where, statement, _remedy(share, sessions, known)))
     slope, size = float(m @ e / (e @ e)), float(np.sqrt((m @ m) / (e @ e)))
     least, most = FAR_OFF[0] * known.torque_share[0], FAR_OFF[1] * known.torque_share[1]
     if size <= least or size > most + known.friction / float(np.sqrt(np.mean(e**2))):
@@ -118,8 +120,8 @@ def check_torque(
     return notes
 
 
-def _doubt(where: str, given: str, remedy: str) -> str:
-    return SensorFinding(f"{where}: {given}, unless the model lacks much; {remedy}", f"The torque is {given}")
+def _doubt(where: str, statement: str, remedy: str) -> str:
+    return SensorFinding(f"{where}: {statement}, unless the model lacks much; {remedy}", f"The torque is {statement}")
 
 
 def _sign_notes(
@@ -134,21 +136,21 @@ def _sign_notes(
     m, e, v = series
     work = float(e @ v)
     energy = float(m @ v) / work if abs(work) > ONE_WAY * float(np.abs(e * v).sum()) else 0.0
-    alike = float(np.corrcoef(m, e)[0, 1]) if np.ptp(e) > 0.0 else 0.0
-    back = energy < -TAKEN_BACK
-    if not (back or alike < -SURE):
+    correlation = float(np.corrcoef(m, e)[0, 1]) if np.ptp(e) > 0.0 else 0.0
+    is_reversed = energy < -TAKEN_BACK
+    if not (is_reversed or correlation < -SURE):
         return []
     line = line_to_write("torque", Conversion(-1.0), *(s.bindings for s in sessions))
-    of_energy = f"{energy:.2g} times the expected energy" if energy else "an energy of no certain sign"
-    given = f"{of_energy}, and a correlation of {alike:.2f} with the expected torque"
-    against = inertia.alike < SURE if back else not energy and inertia.alike < -SURE
-    if against:
+    energy_text = f"{energy:.2g} times the expected energy" if energy else "an energy of no certain sign"
+    statement = f"{energy_text}, and a correlation of {correlation:.2f} with the expected torque"
+    is_wrong = inertia.correlation < SURE if is_reversed else not energy and inertia.correlation < -SURE
+    if is_wrong:
         motion = "driving forward" if known.is_vehicle else "moving forward"
-        raise InputError(where, given, f"a torque that is positive when {motion}", line)
+        raise InputError(where, statement, f"a torque that is positive when {motion}", line)
     lacks = "a slope that is not recorded" if known.is_vehicle else "something that the model lacks"
     sure = "its sign is right by the energy" if energy > 0.0 else f"if the sign is wrong, {line}"
-    says = f"The torque has a correlation of {alike:.2f} with the expected torque: {lacks} may do this"
-    return [SensorFinding(f"{where}: {given}: {lacks} may do this; {sure}", says)]
+    sentence = f"The torque has a correlation of {correlation:.2f} with the expected torque: {lacks} may do this"
+    return [SensorFinding(f"{where}: {statement}: {lacks} may do this; {sure}", sentence)]
 
 
 def faulty_torques(
@@ -157,12 +159,12 @@ def faulty_torques(
     """Sessions that `check_torque` refuses one by one; none if it refuses all of them."""
     refused: list[Refusal] = []
 
-    def check(one: tuple[DriveSession, Array, Array]) -> None:
-        session, its, without_inertia = one
-        check_torque([session], [its], [without_inertia], known)
+    def check(item: tuple[DriveSession, Array, Array]) -> None:
+        session, torque, resistance = item
+        check_torque([session], [torque], [resistance], known)
 
-    passed = each_usable(zip(sessions, expected, resisting, strict=True), check, refused, lambda one: one[0].name)
-    return refused if passed else []
+    results = each_usable(zip(sessions, expected, resisting, strict=True), check, refused, lambda item: item[0].name)
+    return refused if results else []
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ class _Inertia:
 
     least: float
     most: float
-    alike: float
+    correlation: float
 
 
 def _inertia(measured: Array, inertia: Array, others: Array) -> _Inertia:
@@ -182,40 +184,42 @@ def _inertia(measured: Array, inertia: Array, others: Array) -> _Inertia:
     weight, columns = np.ones(len(measured)), np.column_stack([inertia, others])
     columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
 
-    def without(x: Array, of: Array) -> Array:
+    def residual_after(x: Array, regressors: Array) -> Array:
         root = np.sqrt(weight)
-        return np.asarray(x - of @ np.linalg.lstsq(of * root[:, np.newaxis], x * root, rcond=None)[0])
+        return np.asarray(x - regressors @ np.linalg.lstsq(regressors * root[:, np.newaxis], x * root, rcond=None)[0])
 
     for _ in range(ROBUST_TURNS):
-        left = without(measured, columns)
-        scale = MAD_TO_STD * float(np.median(np.abs(left))) or 1.0
-        weight = np.minimum(1.0, OUTLIER * scale / np.maximum(np.abs(left), 1e-12))
-    x, y = without(inertia, columns[:, 1:]), without(measured, columns[:, 1:])
-    both, alone, whole = (float((weight * a) @ b) for a, b in ((x, y), (x, x), (y, y)))
-    alike = both / np.sqrt(alone * whole) if alone > 0.0 and whole > 0.0 else 0.0
-    return _Inertia(both / alone, whole / both, alike) if alone > 0.0 and both > 0.0 else _Inertia(0.0, np.inf, alike)
+        residual = residual_after(measured, columns)
+        scale = MAD_TO_STD * float(np.median(np.abs(residual))) or 1.0
+        weight = np.minimum(1.0, OUTLIER * scale / np.maximum(np.abs(residual), 1e-12))
+    x, y = residual_after(inertia, columns[:, 1:]), residual_after(measured, columns[:, 1:])
+    xy, xx, yy = (float((weight * a) @ b) for a, b in ((x, y), (x, x), (y, y)))
+    correlation = xy / np.sqrt(xx * yy) if xx > 0.0 and yy > 0.0 else 0.0
+    return _Inertia(xy / xx, yy / xy, correlation) if xx > 0.0 and xy > 0.0 else _Inertia(0.0, np.inf, correlation)
 
 
 def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings) -> str:
     """Possible causes of this ratio to the expected torque, and the line for the topics file."""
-    whats = {"in kNm": 1e3, "in mNm": 1e-3}
+    factors = {"in kNm": 1e3, "in mNm": 1e-3}
     if known.is_vehicle:
-        whats |= {"counted twice": 0.5} | {f"one of {n}": float(n) for n in (2, 3, 4)}
+        factors |= {"counted twice": 0.5} | {f"one of {n}": float(n) for n in (2, 3, 4)}
     if known.motor_ratio:
-        whats["of the motor"] = known.motor_ratio
-    fitting = [what for what, factor in whats.items() if 1.0 / NEAR < share * factor < NEAR]
-    nearest = min(fitting, key=lambda what: abs(np.log(share * whats[what])), default="")
-    said, each = [], [s.bindings for s in sessions]
+        factors["of the motor"] = known.motor_ratio
+    causes = [cause for cause, factor in factors.items() if 1.0 / NEAR < share * factor < NEAR]
+    nearest = min(causes, key=lambda cause: abs(np.log(share * factors[cause])), default="")
+    remedies, bindings = [], [s.bindings for s in sessions]
     fastest = max(float(np.percentile(np.abs(s.speed), 99.0)) for s in sessions)
     if 1.0 / NEAR < share * KMH_PER_MPS < NEAR and fastest > KMH_PER_MPS * SLOWEST_MPS:
-        said.append(f"if the speed is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), *each)}")
+        remedies.append(f"if the speed is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), *bindings)}")
     if nearest:
-        said.append(f"if it is {nearest}, {line_to_write('torque', Conversion(whats[nearest]), *each)}")
+        remedies.append(f"if it is {nearest}, {line_to_write('torque', Conversion(factors[nearest]), *bindings)}")
     elif known.is_vehicle:
-        said.append("with scale in the topics file, multiply a motor torque by its gear ratio and the torque of one side by two")
+        remedies.append(
+            "with scale in the topics file, multiply a motor torque by its gear ratio and the torque of one side by two"
+        )
     else:
-        said.append("scale in the topics file converts a unit; if the model is off, widen the ranges of its parameters")
-    return "; ".join(said)
+        remedies.append("scale in the topics file converts a unit; if the model is off, widen the ranges of its parameters")
+    return "; ".join(remedies)
 
 
 LOOK_AT = "check units, signs and that torque, speed and load belong to the whole vehicle; check the vehicle file"
@@ -268,7 +272,7 @@ def _correlation(a: Array, b: Array, speed: Array, used: Mask) -> float:
     return float(x @ y) / size if size > 1e-12 * float(np.sqrt((a[used] @ a[used]) * (b[used] @ b[used]))) else 0.0
 
 
-def _moved(series: NDArray[Any], steps: int, unknown: Any = None) -> NDArray[Any]:
+def _shifted(series: NDArray[Any], steps: int, unknown: Any = None) -> NDArray[Any]:
     """The series shifted by steps, earlier if negative; where that is unknown, it repeats the edge, or has the given value."""
     if steps == 0:
         return series
@@ -307,34 +311,46 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     for role in ("speed", *torques):
         _refuse_set_back(f"{recording.name}: {role}", series[role], several)
     start = recording.start_ns
-    at, speed = ordered(series["speed"], start)
-    notes = _pauses(recording.name, at)
-    moved: set[int] = set()
+    times, speed = ordered(series["speed"], start)
+    notes = _pauses(recording.name, times)
+    shifts: set[int] = set()
     for role in (*torques, *(role for role in series if role not in torques and role != "speed")):
-        its = ordered(series[role], start)
-        if base_role(role) in NO_COURSE or len(its[0]) < 2 or max(at[0] - its[0][0], its[0][-1] - at[-1]) <= LARGEST_SHIFT_S:
+        samples = ordered(series[role], start)
+        if (
+            base_role(role) in NO_COURSE
+            or len(samples[0]) < 2
+            or max(times[0] - samples[0][0], samples[0][-1] - times[-1]) <= LARGEST_SHIFT_S
+        ):
             continue
-        where, off = f"{recording.name}: {role}", _offset(series, role, at, its[0])
-        given = f"recorded from {its[0][0]:.0f} s to {its[0][-1]:.0f} s, the speed from {at[0]:.0f} s to {at[-1]:.0f} s"
-        sure = ""
-        if off is not None and role in torques and _goes_better((at, speed), its, off.seconds, where, given):
-            moved.add(off.seconds)
-            sure = "it then correlates with the speed"
-        elif off is not None and role not in torques and off.logged:
-            sure = "by the log time"
-        elif off is not None and role not in torques and any(abs(off.seconds - other) <= LEAST_SHIFT_S for other in moved):
-            sure = "by the torque"
-        if off is not None and sure:
-            series[role] = replace(series[role], stamp_ns=series[role].stamp_ns - off.seconds * SECOND_NS)
-            notes.append(f"{where}: its clock differs from the speed's by {off.seconds:+d} s; corrected ({sure})")
-        elif off is None or role in torques or abs(off.seconds - ZONE_S * (round(off.seconds / ZONE_S) or 1)) > BOTH_ENDS_S:
-            notes.append(f"{where} is {given}; only the common part is compared")
+        where, offset = f"{recording.name}: {role}", _offset(series, role, times, samples[0])
+        statement = (
+            f"recorded from {samples[0][0]:.0f} s to {samples[0][-1]:.0f} s, the speed from {times[0]:.0f} s to {times[-1]:.0f} s"
+        )
+        evidence = ""
+        if offset is not None and role in torques and _goes_better((times, speed), samples, offset.seconds, where, statement):
+            shifts.add(offset.seconds)
+            evidence = "it then correlates with the speed"
+        elif offset is not None and role not in torques and offset.logged:
+            evidence = "by the log time"
+        elif offset is not None and role not in torques and any(abs(offset.seconds - other) <= LEAST_SHIFT_S for other in shifts):
+            evidence = "by the torque"
+        if offset is not None and evidence:
+            series[role] = replace(series[role], stamp_ns=series[role].stamp_ns - offset.seconds * SECOND_NS)
+            notes.append(f"{where}: its clock differs from the speed's by {offset.seconds:+d} s; corrected ({evidence})")
+        elif (
+            offset is None
+            or role in torques
+            or abs(offset.seconds - ZONE_S * (round(offset.seconds / ZONE_S) or 1)) > BOTH_ENDS_S
+        ):
+            notes.append(f"{where} is {statement}; only the common part is compared")
         elif base_role(role) in SLOW_ROLES:
-            notes.append(WarningNote(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; it is used uncorrected"))
+            notes.append(
+                WarningNote(f"{where} is {statement}: its clock seems to be {offset.seconds:+d} s off; it is used uncorrected")
+            )
         else:
             del series[role]
             used = "it is not used; correct its times to use it"
-            notes.append(WarningNote(f"{where} is {given}: its clock seems to be {off.seconds:+d} s off; {used}"))
+            notes.append(WarningNote(f"{where} is {statement}: its clock seems to be {offset.seconds:+d} s off; {used}"))
     return replace(recording, series=series, order=None), notes
 
 
@@ -356,27 +372,30 @@ def _refuse_set_back(where: str, series: Series, several: bool) -> None:
     )
 
 
-def _pauses(name: str, at: Array) -> list[str]:
+def _pauses(name: str, times: Array) -> list[str]:
     """Notes on long pauses of the speed; an `InputError` if one is longer than a day."""
-    gaps = np.diff(at)
+    gaps = np.diff(times)
     longest = int(np.argmax(gaps)) if len(gaps) else 0
     if len(gaps) and gaps[longest] > LONGEST_PAUSE_S:
-        given = f"a gap of {gaps[longest] / LONGEST_PAUSE_S:.1f} days, {at[longest] - at[0]:.0f} s after the beginning"
+        statement = f"a gap of {gaps[longest] / LONGEST_PAUSE_S:.1f} days, {times[longest] - times[0]:.0f} s after the beginning"
         remedy = "if the clock was set there, correct the earlier times; else save each part as its own recording"
-        raise InputError(f"{name}: speed", given, "gaps of a day at most", remedy)
+        raise InputError(f"{name}: speed", statement, "gaps of a day at most", remedy)
     return [
-        f"{name}: no speed for {gaps[i]:.0f} s, {at[i] - at[0]:.0f} s after the beginning; treated as a pause"
+        f"{name}: no speed for {gaps[i]:.0f} s, {times[i] - times[0]:.0f} s after the beginning; treated as a pause"
         for i in np.flatnonzero(gaps > LONG_PAUSE_S)
     ]
 
 
-def _offset(series: Mapping[str, Series], role: str, at: Array, its: Array) -> _Offset | None:
+def _offset(series: Mapping[str, Series], role: str, speed_times: Array, times: Array) -> _Offset | None:
     """Clock offset of a role, from the logging times, else from its begin and end; None where neither gives one."""
     logged = round((_ahead_ns(series[role]) - _ahead_ns(series["speed"])) / SECOND_NS)
-    if abs(logged) >= LEAST_SHIFT_S and max(at[0] - its[0] + logged, its[-1] - at[-1] - logged) <= LARGEST_SHIFT_S:
+    if (
+        abs(logged) >= LEAST_SHIFT_S
+        and max(speed_times[0] - times[0] + logged, times[-1] - speed_times[-1] - logged) <= LARGEST_SHIFT_S
+    ):
         return _Offset(logged, True)
-    begin, end = its[0] - at[0], its[-1] - at[-1]
-    tolerance = max(BOTH_ENDS_S, 3.0 * float(np.median(np.diff(its))))
+    begin, end = times[0] - speed_times[0], times[-1] - speed_times[-1]
+    tolerance = max(BOTH_ENDS_S, 3.0 * float(np.median(np.diff(times))))
     return _Offset(round(0.5 * (begin + end)), False) if abs(begin - end) <= tolerance else None
 
 
@@ -384,16 +403,16 @@ def _ahead_ns(series: Series) -> float:
     return float(np.median(series.stamp_ns - series.arrival_ns))
 
 
-def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], seconds: int, where: str, given: str) -> bool:
+def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], seconds: int, where: str, statement: str) -> bool:
     """Whether a torque fits the speed better after the shift, not without it; an `InputError` if it fits neither way."""
-    as_it_is, moved = (_explained(speed, (torque[0] - off, torque[1])) for off in (0, seconds))
-    if moved >= SURE and moved >= as_it_is + CLEARLY_BETTER:
+    present, shifted = (_explained(speed, (torque[0] - off, torque[1])) for off in (0, seconds))
+    if shifted >= SURE and shifted >= present + CLEARLY_BETTER:
         return True
-    if as_it_is >= SURE:
+    if present >= SURE:
         return False
     raise InputError(
         where,
-        f"{given}: its clock may be {seconds:+d} s off",
+        f"{statement}: its clock may be {seconds:+d} s off",
         "torque and speed on one clock",
         "correct the times of one of them; for a bag with wrong header stamps, set stamp: log in the topics file",
     )
@@ -403,13 +422,13 @@ def _explained(speed: tuple[Array, Array], torque: tuple[Array, Array]) -> float
     """Correlation of a torque with the fitted torque of speed and acceleration; 0 with too few common samples."""
     edges = np.arange(speed[0][0], speed[0][-1], STEP_S)
     v, known = means(*speed, edges)
-    shown, measured = means(*torque, edges)
+    torques, measured = means(*torque, edges)
     use = known & measured & (np.abs(v) > SLOWEST_MPS)
     if use.sum() < FEWEST:
         return 0.0
     accel = np.diff(np.interp(edges, *speed)) / STEP_S
     columns = np.column_stack([accel, np.sign(v), v, v * np.abs(v)])[use]
-    fitted = columns @ np.linalg.lstsq(columns, shown[use], rcond=None)[0]
-    if np.ptp(fitted) == 0.0 or np.ptp(shown[use]) == 0.0:
+    fitted = columns @ np.linalg.lstsq(columns, torques[use], rcond=None)[0]
+    if np.ptp(fitted) == 0.0 or np.ptp(torques[use]) == 0.0:
         return 0.0
-    return float(np.corrcoef(fitted, shown[use])[0, 1])
+    return float(np.corrcoef(fitted, torques[use])[0, 1])

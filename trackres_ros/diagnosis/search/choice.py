@@ -17,7 +17,16 @@ import numpy as np
 
 from trackres_ros.diagnosis.empirical.finders import SURE
 from trackres_ros.diagnosis.empirical.forms import varies
-from trackres_ros.diagnosis.empirical.term import CLOCK, FORM, ONLY_BETWEEN, Round, Term, active_of, displaced, on_bounds
+from trackres_ros.diagnosis.empirical.term import (
+    CLOCK,
+    FORM,
+    ONLY_BETWEEN,
+    Round,
+    Term,
+    active_of,
+    displaced_parameters,
+    on_bounds,
+)
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
@@ -79,7 +88,7 @@ class Choice:
             without = self._search.without(explanation, name)
             improvement = self._validation.improvement(without.score, explanation.score)
             faults = self._faults(explanation, name, improvement, without) if improvement.confirmed else ()
-            displaces = displaced(improvement, explanation.fit, without.fit)
+            displaces = displaced_parameters(improvement, explanation.fit, without.fit)
             bounds = on_bounds(active_of(explanation.fit, name))
             self._graded[key] = replace(
                 term, improvement=improvement, faults=tuple(faults), on_bounds=bounds, displaces=displaces
@@ -89,58 +98,58 @@ class Choice:
     def _faults(self, explanation: Explanation, name: str, improvement: Improvement, without: Explanation) -> list[str]:
         """Why laps and recordings left out do not confirm a term that predicts the laps better, in words after its name."""
         term, validation = explanation.terms[name], self._validation
-        shows = f"from {figures(improvement.before)} to {figures(improvement.after)} Nm on laps left out"
-        found = []
-        least = ALIKE_WITHIN if term.kind == CLOCK else ALIKE_WITHIN + self._search.cost
-        if not improvement.likelier > 0.0 or improvement.gained < least:
-            found.append(f"gains no more than the best of many candidates may by chance: {shows}")
+        change = f"from {figures(improvement.before)} to {figures(improvement.after)} Nm on laps left out"
+        faults = []
+        threshold = ALIKE_WITHIN if term.kind == CLOCK else ALIKE_WITHIN + self._search.cost
+        if not improvement.likelier > 0.0 or improvement.gained < threshold:
+            faults.append(f"gains no more than the best of many candidates may by chance: {change}")
         if not term.matters:
-            found.append(f"adds only {100.0 * term.share:.1f} % of the torque")
-        small = improvement.before - improvement.after < SMALL_SHARE * improvement.before
-        if small and not validation.level_falls(without.score, explanation.score):
-            found.append(f"hardly reduces the error: {shows}")
-        fallen = float((without.score.square - explanation.score.square).sum())
-        if fallen < LEAST_OF_SIZE * float((self._beyond_base(explanation.fit.contribution(name)) ** 2).sum()):
-            found.append("mostly cancels another term")
-        moves = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
-        acts = (moves > MOVES * moves.max()) & (validation.by_recording(np.ones_like(without.score.error)) > 0.0)
-        if len(moves) < FEWEST_SESSIONS and self._only_between(explanation, name):
-            found.append(f"{ONLY_BETWEEN} {len(moves)} recordings, as other things may")
-        gained = validation.by_recording(without.score.error - explanation.score.error)[acts]
-        if len(gained) > 1 and np.mean(gained > 0.0) <= 0.5:
-            found.append(f"helps in {int((gained > 0.0).sum())} of the {len(gained)} recordings in which it acts")
+            faults.append(f"adds only {100.0 * term.share:.1f} % of the torque")
+        is_small = improvement.before - improvement.after < SMALL_SHARE * improvement.before
+        if is_small and not validation.level_falls(without.score, explanation.score):
+            faults.append(f"hardly reduces the error: {change}")
+        decrease = float((without.score.square - explanation.score.square).sum())
+        if decrease < LEAST_OF_SIZE * float((self._beyond_base(explanation.fit.contribution(name)) ** 2).sum()):
+            faults.append("mostly cancels another term")
+        spreads = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
+        is_active = (spreads > MOVES * spreads.max()) & (validation.by_recording(np.ones_like(without.score.error)) > 0.0)
+        if len(spreads) < FEWEST_SESSIONS and self._only_between(explanation, name):
+            faults.append(f"{ONLY_BETWEEN} {len(spreads)} recordings, as other things may")
+        gains = validation.by_recording(without.score.error - explanation.score.error)[is_active]
+        if len(gains) > 1 and np.mean(gains > 0.0) <= 0.5:
+            faults.append(f"helps in {int((gains > 0.0).sum())} of the {len(gains)} recordings in which it acts")
         before, after = without.score.unseen, explanation.score.unseen
-        if acts.sum() >= 3 and after > NO_WORSE * before:
-            found.append(f"predicts recordings left out worse: {figures(before)} to {figures(after)} Nm")
-        if term.is_name and not found:
-            found += self._unsteady(explanation, name)
-        if not term.is_name and not found:
-            found += self._clock_rivals(explanation, name, without)
-        return found or self._values_instead(explanation, without)
+        if is_active.sum() >= 3 and after > NO_WORSE * before:
+            faults.append(f"predicts recordings left out worse: {figures(before)} to {figures(after)} Nm")
+        if term.is_name and not faults:
+            faults += self._size_faults(explanation, name)
+        if not term.is_name and not faults:
+            faults += self._clock_rivals(explanation, name, without)
+        return faults or self._value_rivals(explanation, without)
 
-    def _unsteady(self, explanation: Explanation, name: str) -> list[str]:
-        """A name without one size, or that passes only beside a form."""
-        found = unstable(explanation.fit, name, self._validation.scored)
-        if found:
+    def _size_faults(self, explanation: Explanation, name: str) -> list[str]:
+        """Faults of a name whose size changes, or that is confirmed only together with a form."""
+        faults = unstable(explanation.fit, name, self._validation.scored)
+        if faults:
             self._unstable.add(name)
-            return found
-        named = explanation
+            return faults
+        by_names = explanation
         for other, term in explanation.terms.items():
-            named = named if term.is_name else self._search.without(named, other)
-        if named.key == explanation.key:
+            by_names = by_names if term.is_name else self._search.without(by_names, other)
+        if by_names.key == explanation.key:
             return []
-        improvement = self._validation.improvement(self._search.without(named, name).score, named.score)
+        improvement = self._validation.improvement(self._search.without(by_names, name).score, by_names.score)
         return [] if improvement.confirmed else ["passes only beside a form, which bends to the data"]
 
-    def _values_instead(self, explanation: Explanation, without: Explanation) -> list[str]:
-        """Values outside the ranges of the vehicle file that predict as well as a term."""
+    def _value_rivals(self, explanation: Explanation, without: Explanation) -> list[str]:
+        """A fault if base values outside the ranges of the vehicle file predict as well as the term."""
         fitted = without.fit
-        held = [(q, fitted.base_values[q.name]) for q in fitted.problem.base.parameters]
-        if not any(min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low) for q, value in held):
+        values = [(q, fitted.base_values[q.name]) for q in fitted.problem.base.parameters]
+        if not any(min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low) for q, value in values):
             return []
         if without.key not in self._wide:
             problem = replace(fitted.problem, base=self._use.base)
-            wide = fit(problem, [a.effect for a in fitted.effects], fitted.at, fitted.noises, largest_root=SHORT_ROOT)
+            wide = fit(problem, [a.effect for a in fitted.effects], fitted.estimates, fitted.noises, largest_root=SHORT_ROOT)
             self._wide[without.key] = wide, self._validation.score(wide)
         wide, score = self._wide[without.key]
         if self._validation.least_gain(score, explanation.score) > 0.0:
@@ -154,16 +163,16 @@ class Choice:
         problem = explanation.fit.problem
         resists = against_travel(problem.sessions, explanation.fit.contribution(name))
         slow = min(SLOWEST_MPS, SLOW * max(float(np.nanmax(np.abs(s.speed))) for s in problem.sessions))
-        moving = [
+        rows = [
             x[m & np.isfinite(x) & (np.abs(s.speed) > slow)]
             for x, m, s in zip(resists, problem.masks, problem.sessions, strict=True)
         ]
-        every = np.concatenate(moving)
-        within = sum(len(x) * float(np.var(x)) for x in moving if len(x)) / len(every)
-        return varies(every) and within < (LEAST_WITHIN * float(np.std(every))) ** 2
+        series = np.concatenate(rows)
+        within = sum(len(x) * float(np.var(x)) for x in rows if len(x)) / len(series)
+        return varies(series) and within < (LEAST_WITHIN * float(np.std(series))) ** 2
 
     def _clock_rivals(self, explanation: Explanation, name: str, without: Explanation) -> list[str]:
-        """A form over a channel and one over the clock that laps left out do not separate."""
+        """A fault if the laps left out do not separate a form over a channel from one over the clock."""
         other_kind = {FORM: CLOCK, CLOCK: FORM}[explanation.terms[name].kind]
         for key, rival in self._search.known.items():
             new = key - without.key
@@ -177,21 +186,25 @@ class Choice:
                 return [f"cannot be separated from {other} in these drives"]
         return []
 
-    def _all_graded(self, explanation: Explanation) -> dict[str, Term]:
+    def _graded_terms(self, explanation: Explanation) -> dict[str, Term]:
         return {name: self.graded(explanation, name) for name in explanation.terms}
 
     def _is_confirmed(self, explanation: Explanation) -> bool:
-        whole = self._validation.improvement(self._search.nothing.score, explanation.score)
-        kept = self._kept(explanation)
+        improvement = self._validation.improvement(self._search.nothing.score, explanation.score)
+        hold_out = self._hold_out_improvement(explanation)
         # Terms that pass only together were chosen from many more sets, and cancel each other as they please.
         if explanation.worth <= SURE * (len(explanation.key) - 1):
             return False
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
-        if not whole.confirmed or kept.after > min(kept.before, self._by_file) or not self._laps.predicts(explanation.fit):
+        if (
+            not improvement.confirmed
+            or hold_out.after > min(hold_out.before, self._by_file)
+            or not self._laps.predicts(explanation.fit)
+        ):
             return False
         return all(self.graded(explanation, name).confirmed for name in explanation.terms)
 
-    def _kept(self, explanation: Explanation) -> Improvement:
+    def _hold_out_improvement(self, explanation: Explanation) -> Improvement:
         return self._laps.improvement_of(self._refitted, explanation.fit)
 
     def best(self, keep_suspected: bool = False) -> Chosen:
@@ -201,35 +214,37 @@ class Choice:
         """
         nothing = self._search.nothing
         for _ in range(2):  # replacements of each term may make a better explanation
-            judged, confirmed, best = self._chosen()
+            judged, confirmed, best = self._judge()
             # A name whose size changes hides what is there instead.
             if judged and judged[0].worth > best.worth and self._search.leave_out(judged[0].key & self._unstable):
-                judged, confirmed, best = self._chosen()
+                judged, confirmed, best = self._judge()
             for explanation in (best, *(self._search.without(best, name) for name in names_of(best))):
                 self._search.expand(explanation)
         first = judged[0] if judged else nothing
-        doubted = tuple(term for term in self._all_graded(first).values() if not term.confirmed and term.name not in best.key)
-        graded = self._all_graded(best)
+        doubts = tuple(term for term in self._graded_terms(first).values() if not term.confirmed and term.name not in best.key)
+        graded = self._graded_terms(best)
         shares = self._shares([e for e in confirmed if _competes(e, best)] or [nothing])
         if keep_suspected and not best.key:
-            best, doubted, graded = first, (), self._all_graded(first)
+            best, doubts, graded = first, (), self._graded_terms(first)
             graded = {name: replace(term, faults=(NOT_AS_A_WHOLE, *term.faults)) for name, term in graded.items()}
-        terms = {name: self._with_class(best, term) for name, term in graded.items()}
-        return Chosen(replace(best, terms=terms), self._round(nothing), self._round(best), doubted, shares)
+        terms = {name: self._classify(best, term) for name, term in graded.items()}
+        return Chosen(replace(best, terms=terms), self._round(nothing), self._round(best), doubts, shares)
 
-    def _chosen(self) -> tuple[list[Explanation], list[Explanation], Explanation]:
+    def _judge(self) -> tuple[list[Explanation], list[Explanation], Explanation]:
         """The judged explanations, the confirmed ones of them, and the best one of these."""
         judged = self._judged()
         confirmed = [e for e in judged if self._is_confirmed(e)]
-        return judged, confirmed, self._pick(confirmed)
+        return judged, confirmed, self._select(confirmed)
 
     def _judged(self) -> list[Explanation]:
         """The explanations with the highest worth and all with a term by place, and each without some of its terms."""
         known = self._search.known
-        room = (e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0 and not self._search.has_left_out(e))
-        found = sorted(room, key=lambda e: -e.worth)
-        named = [e for e in found if not e.without_a_name][:MOST_NAMED]
-        queue = [e for i, e in enumerate(found) if i < MOST_JUDGED or e in named or e.by_place is not None]
+        candidates = (
+            e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0 and not self._search.has_left_out(e)
+        )
+        ranking = sorted(candidates, key=lambda e: -e.worth)
+        by_names = [e for e in ranking if not e.without_a_name][:MOST_NAMED]
+        queue = [e for i, e in enumerate(ranking) if i < MOST_JUDGED or e in by_names or e.by_place is not None]
         judged: dict[Key, Explanation] = {}
         while queue:
             explanation = queue.pop(0)
@@ -238,7 +253,7 @@ class Choice:
                 queue += [self._search.without(explanation, name) for name in explanation.terms]
         return sorted(judged.values(), key=lambda e: -e.worth)
 
-    def _pick(self, confirmed: Sequence[Explanation]) -> Explanation:
+    def _select(self, confirmed: Sequence[Explanation]) -> Explanation:
         """Choose among those that no other significantly beats: fewest unnamed terms first, then the highest worth.
 
         A named function is accurate to about 10 %: a flexible form added to a true name has a higher score, but predicts
@@ -280,14 +295,14 @@ class Choice:
         ordered = tuple(sorted(added, key=lambda term: -term.level))
         return Round(explanation.fit, proposals.separability, ordered, self._search.cost)
 
-    def _with_class(self, best: Explanation, term: Term) -> Term:
+    def _classify(self, best: Explanation, term: Term) -> Term:
         """A term with the round without it and its class: the term and the rivals of its kind that it does not surely beat."""
         without, name = self._search.without(best, term.name), term.name
         search_round = self._round(without)
         level = self._validation.gain(without.score, best.score)
-        near = [c for c in search_round.candidates if c.is_name == term.is_name and c.level > level - NEAR]
-        rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in near}
-        rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._rivals(e, other, name)} | {name: best}
+        contenders = [c for c in search_round.candidates if c.is_name == term.is_name and c.level > level - NEAR]
+        rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in contenders}
+        rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._is_rival(e, other, name)} | {name: best}
         worse = {other for other, e in rivals.items() if e is not best and self._beats(best, e)}
         shares = dict(zip(rivals, self._validation.shares([e.score for e in rivals.values()]).tolist(), strict=True))
         separability = search_round.separability
@@ -304,18 +319,18 @@ class Choice:
             worse=tuple(sorted(worse)),
         )
 
-    def _rivals(self, explanation: Explanation, name: str, chosen: str) -> bool:
+    def _is_rival(self, explanation: Explanation, name: str, chosen: str) -> bool:
         """Whether a replacement of a chosen term would be confirmed itself, or these drives hardly separate the two."""
         return {name, chosen} <= set(TIED) or (self.graded(explanation, name).confirmed and self._is_confirmed(explanation))
 
     def _shares(self, judged: Sequence[Explanation]) -> dict[str, float]:
         """Probability of each name, and of no name: shares of the explanations that have it."""
         shares = self._validation.shares([e.score for e in judged])
-        found: dict[str, float] = {}
+        probabilities: dict[str, float] = {}
         for explanation, share in zip(judged, shares.tolist(), strict=True):
             for name in names_of(explanation) or [NONE_OF_THESE]:
-                found[name] = found.get(name, 0.0) + share
-        return dict(sorted(found.items(), key=lambda pair: -pair[1]))
+                probabilities[name] = probabilities.get(name, 0.0) + share
+        return dict(sorted(probabilities.items(), key=lambda pair: -pair[1]))
 
 
 def _competes(rival: Explanation, chosen: Explanation) -> bool:
@@ -325,11 +340,11 @@ def _competes(rival: Explanation, chosen: Explanation) -> bool:
 
 def _class_of(name: str, shares: Mapping[str, float], alike: Collection[str]) -> list[str]:
     """The smallest set with `CLASS_SHARE` of the probability, including the chosen one, plus those that it does not beat."""
-    members, held = [name], shares[name]
+    members, total = [name], shares[name]
     for other, share in sorted(shares.items(), key=lambda pair: -pair[1]):
-        if held >= CLASS_SHARE:
+        if total >= CLASS_SHARE:
             break
         if other != name:
             members.append(other)
-            held += share
+            total += share
     return [*members, *(other for other in sorted(alike) if other not in members)]

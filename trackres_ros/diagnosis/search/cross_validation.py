@@ -56,101 +56,101 @@ class CrossValidation:
         laps = np.unique(np.concatenate([lap[m] for lap, m in fitted_laps]))
         self._fold = [np.where(m, np.searchsorted(laps, lap) % FOLDS, -1) for lap, m in fitted_laps]
         self.scored = [m | h for m, h in zip(masks, held_out, strict=True)]
-        self.measured = self._of([s.torque for s in sessions])
-        pieces = self._of(numbered(sessions, self.scored, FEWEST_LAPS))
+        self.measured = self._samples([s.torque for s in sessions])
+        pieces = self._samples(numbered(sessions, self.scored, FEWEST_LAPS))
         _, first, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
         self._count = np.bincount(self._pieces)
-        self._begin = self._of([s.time for s in sessions])[first]
-        self._session = self._of([np.full(len(s), i) for i, s in enumerate(sessions)])[first]
+        self._begin = self._samples([s.time for s in sessions])[first]
+        self._session = self._samples([np.full(len(s), i) for i, s in enumerate(sessions)])[first]
         self._rng = rng
         self._draws: dict[int, Array] = {}
 
-    def score(self, found: Fit, columns: Array | None = None) -> Score:
+    def score(self, fit: Fit, columns: Array | None = None) -> Score:
         """Score a fit by `fitting.with_levels`; `columns` are its derivatives, where they are known."""
-        problem = found.problem
-        columns = base_columns(found) if columns is None else columns
-        white = np.concatenate(problem.white(problem.split(columns), found.noises))
-        weights = np.nan_to_num(found.weights)  # zero where unused, as the residuals and derivatives
-        slopes = weights * np.nan_to_num(np.concatenate(found.white))
-        scale = np.array([f.scale for f in found.free])
+        problem = fit.problem
+        columns = base_columns(fit) if columns is None else columns
+        white = np.concatenate(problem.white(problem.split(columns), fit.noises))
+        weights = np.nan_to_num(fit.weights)  # zero where unused, as the residuals and derivatives
+        slopes = weights * np.nan_to_num(np.concatenate(fit.white))
+        scale = np.array([f.scale for f in fit.free])
         x = np.nan_to_num(white) * scale
-        prior = np.diag([(f.scale / f.std) ** 2 for f in found.free])
-        whole = (x * weights[:, np.newaxis]).T @ x + prior
-        nominal = np.array([f.nominal for f in found.free])
+        prior = np.diag([(f.scale / f.std) ** 2 for f in fit.free])
+        information = (x * weights[:, np.newaxis]).T @ x + prior
+        nominal = np.array([f.nominal for f in fit.free])
         # Zero at an optimum within the bounds; a parameter at a bound is pushed against it.
-        push = x.T @ slopes + np.diag(prior) * ((nominal - found.point) / scale)
-        ridge = 1e-9 * max(float(np.trace(whole)), 1e-300) / len(whole) * np.eye(len(whole))
-        low, high = ((np.array([getattr(f, side) for f in found.free]) - found.point) / scale for side in ("low", "high"))
-        of_laps, session = self.rows(problem)
+        push = x.T @ slopes + np.diag(prior) * ((nominal - fit.point) / scale)
+        ridge = 1e-9 * max(float(np.trace(information)), 1e-300) / len(information) * np.eye(len(information))
+        low, high = ((np.array([getattr(f, side) for f in fit.free]) - fit.point) / scale for side in ("low", "high"))
+        lap_folds, session = self.rows(problem)
         torques = np.concatenate([np.full(len(g.measured), g.kind == "torque") for g in problem.segments])
         by_session = problem.split(columns)  # torques come first
 
         def left_out(folds: Sequence[NDArray[np.int64]], rows_of: Callable[[int], Mask], count: int) -> list[Array]:
             """Expected torque of each session, each fold predicted by one Newton step to the fit without its rows."""
-            expected = [p.torque.copy() for p in found.predicted]
+            expected = [p.torque.copy() for p in fit.predicted]
             for fold in range(count):
                 rows = rows_of(fold)
                 own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
-                moved = scale * bounded(whole - own + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
-                for i, at in enumerate(folds):
-                    expected[i][at == fold] += by_session[i][at == fold] @ moved
+                shift = scale * bounded(information - own + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
+                for i, numbers in enumerate(folds):
+                    expected[i][numbers == fold] += by_session[i][numbers == fold] @ shift
             return expected
 
-        expected = left_out(self._fold, lambda fold: of_laps == fold, FOLDS)
+        expected = left_out(self._fold, lambda fold: lap_folds == fold, FOLDS)
         count, unseen = len(problem.sessions), math.nan
         if count >= FEWEST_RECORDINGS:
             recordings = [np.full(len(s), i) for i, s in enumerate(problem.sessions)]
-            without = left_out(recordings, lambda fold: torques & (session == fold), count)
-            unseen = float(np.abs(self.measured - self._of(without)).mean())
-        for active in found.effects:
+            forecasts = left_out(recordings, lambda fold: torques & (session == fold), count)
+            unseen = float(np.abs(self.measured - self._samples(forecasts)).mean())
+        for active in fit.effects:
             if isinstance(active.effect, ResidualPattern):
-                self._replace_by_forecast(active.effect, found, expected)
+                self._replace_by_forecast(active.effect, fit, expected)
         error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
         # Noise of the forecast: that of the fit is too small for unpredictable events, such as the start of a
         # spell.
         noise = estimate_noise(error, self.scored, SHORT_ROOT)
         density = []
-        for left, mask in zip(error, self.scored, strict=True):
-            e = whitened(left, mask, noise.phi) / noise.std
+        for residual, mask in zip(error, self.scored, strict=True):
+            e = whitened(residual, mask, noise.phi) / noise.std
             density.append(np.where(np.isfinite(e), noise.log_density(np.nan_to_num(e)), 0.0))
-        errors = self._of(error)
+        errors = self._samples(error)
         deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self.scored, strict=True)]
         drive = problem.sessions[0]  # all have its step
-        alike_s = correlation_length(deviations) * drive.step
-        own = alike_s > PIECE_S * drive.pace
-        occasion = np.stack([self._session, self._begin // alike_s if own else np.arange(len(self._begin))])
+        correlation_s = correlation_length(deviations) * drive.step
+        own = correlation_s > PIECE_S * drive.pace
+        occasion = np.stack([self._session, self._begin // correlation_s if own else np.arange(len(self._begin))])
         return Score(
-            self._sum(self._of(density)), self._sum(np.abs(errors)), self._sum(errors**2),
+            self._sum(self._samples(density)), self._sum(np.abs(errors)), self._sum(errors**2),
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
             self._sum(errors) / self._count, unseen,
         )  # fmt: skip
 
     def rows(self, problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Number of the fold of each row, -1 where it is never left out, and of its recording, both of shape (n,)."""
-        of_laps = [self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments]
+        folds = [self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments]
         recording = [np.full(len(g.measured), g.session) for g in problem.segments]
-        return np.concatenate(of_laps), np.concatenate(recording)
+        return np.concatenate(folds), np.concatenate(recording)
 
-    def _replace_by_forecast(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
+    def _replace_by_forecast(self, effect: ResidualPattern, fit: Fit, expected: list[Array]) -> None:
         """Replace a series learned from all laps by its forecast."""
-        adds = found.contribution(effect.name)
+        torques = fit.contribution(effect.name)
         size = sum(float((s * s).sum()) for s in effect.shape)
-        per_shape = sum(float((a * s).sum()) for a, s in zip(adds, effect.shape, strict=True)) / max(size, 1e-300)
-        for i, (shape, ahead) in enumerate(zip(effect.shape, effect.ahead, strict=True)):
-            at = self._fold[i] >= 0
-            expected[i][at] += per_shape * (ahead - shape)[at]
+        per_shape = sum(float((a * s).sum()) for a, s in zip(torques, effect.shape, strict=True)) / max(size, 1e-300)
+        for i, (shape, forecast) in enumerate(zip(effect.shape, effect.ahead, strict=True)):
+            rows = self._fold[i] >= 0
+            expected[i][rows] += per_shape * (forecast - shape)[rows]
 
     def gain(self, before: Score, after: Score) -> float:
-        """Level score of one over another."""
+        """Level score of `after` over `before`."""
         return float((after.density - before.density).sum())
 
     def least_gain(self, before: Score, after: Score) -> float:
         """Lower bound of the level score."""
-        return self._least(before, after.density - before.density)
+        return self._lower_bound(before, after.density - before.density)
 
-    def by_recording(self, of_pieces: Array) -> Array:
+    def by_recording(self, values: Array) -> Array:
         """Sums of each recording, of values of the pieces."""
-        return np.asarray(np.bincount(self._session, weights=of_pieces, minlength=len(self.scored)), dtype=np.float64)
+        return np.asarray(np.bincount(self._session, weights=values, minlength=len(self.scored)), dtype=np.float64)
 
     def level_falls(self, before: Score, after: Score) -> bool:
         """Whether the mean error of the pieces' levels falls by at least `LEAST_LEVEL`."""
@@ -159,23 +159,21 @@ class CrossValidation:
 
     def improvement(self, before: Score, after: Score) -> Improvement:
         """Change of the mean error, with the lower bound of the level score."""
-        count, fallen = self._count.sum(), before.error - after.error
+        count, decrease = self._count.sum(), before.error - after.error
         return Improvement(
             float(before.error.sum() / count), float(after.error.sum() / count),
-            self._least(before, fallen, self._count), -self._least(before, -fallen, self._count),
+            self._lower_bound(before, decrease, self._count), -self._lower_bound(before, -decrease, self._count),
             self.least_gain(before, after),
             self.gain(before, after),
         )  # fmt: skip
 
-    def _least(self, before: Score, gained: Array, count: NDArray[Any] | None = None) -> float:
+    def _lower_bound(self, before: Score, gains: Array, count: NDArray[Any] | None = None) -> float:
         """Lower bound of a sum, or of a mean, over resampled occasions; minus infinity for too few occasions."""
         if before.occasion.max() + 1 < FEWEST_OCCASIONS:
             return -np.inf
         draws = self._draw(int(before.occasion.max()) + 1)
-        of_draw = draws @ np.bincount(before.occasion, weights=gained)
-        return float(
-            np.quantile(of_draw if count is None else of_draw / (draws @ np.bincount(before.occasion, weights=count)), SURELY)
-        )
+        sums = draws @ np.bincount(before.occasion, weights=gains)
+        return float(np.quantile(sums if count is None else sums / (draws @ np.bincount(before.occasion, weights=count)), SURELY))
 
     def shares(self, scores: Sequence[Score]) -> Array:
         """Share of resampled laps in which each is the most likely; equal likelihoods share.
@@ -195,21 +193,21 @@ class CrossValidation:
     def beyond(self, base: Fit) -> Callable[[Sequence[Array]], Array]:
         """Function that returns the scored samples of each session's series, orthogonal to the parameters of a base."""
         columns = base_columns(base) * np.array([f.scale for f in base.free])
-        own = self._of(base.problem.split(columns)[: len(self.scored)])  # torques come first
+        own = self._samples(base.problem.split(columns)[: len(self.scored)])  # torques come first
         basis, size, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
 
         def rest(series: Sequence[Array]) -> Array:
-            whole = self._of(series)
+            whole = self._samples(series)
             return np.asarray(whole - basis @ (basis.T @ whole))
 
         return rest
 
-    def _of(self, series: Sequence[Any]) -> Any:
+    def _samples(self, series: Sequence[Any]) -> Any:
         return np.concatenate([x[m] for x, m in zip(series, self.scored, strict=True)])
 
-    def _sum(self, of_samples: Array) -> Array:
-        return np.asarray(np.bincount(self._pieces, weights=of_samples, minlength=len(self._count)), dtype=np.float64)
+    def _sum(self, values: Array) -> Array:
+        return np.asarray(np.bincount(self._pieces, weights=values, minlength=len(self._count)), dtype=np.float64)
 
 
 def correlation_length(series: Sequence[Array]) -> float:

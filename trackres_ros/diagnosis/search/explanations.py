@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.empirical.finders import find_terms
 from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
-from trackres_ros.diagnosis.empirical.term import Route, Term, compared, share
+from trackres_ros.diagnosis.empirical.term import Route, Term, share, term_of_fit
 from trackres_ros.diagnosis.inference.fitting import Fit, bounded, first_look, fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.session import Array
@@ -59,18 +59,18 @@ class LinearSets:
         )
         self._effects = {name: term.effect for name, term in terms.items()}
         self._own, count = len(scale), len(scale)
-        self._at: dict[str, NDArray[np.int64]] = {}
+        self._indices: dict[str, NDArray[np.int64]] = {}
         for name, term in terms.items():
-            self._at[name] = np.arange(count, count + term.columns.shape[1])
+            self._indices[name] = np.arange(count, count + term.columns.shape[1])
             count += term.columns.shape[1]
         used = np.isfinite(weights := fit.weights)
         root = np.sqrt(weights[used])
         x, y = np.empty((len(root), count)), valid_rows(fit.white) * root
         # Term by term: together they would be the largest arrays of a diagnosis.
-        of_terms = ((self._at[name], term.columns, amplitude_spans(term.effect)) for name, term in terms.items())
-        for at, derivatives, sizes in [(np.arange(self._own), own, scale), *of_terms]:
+        term_columns = ((self._indices[name], term.columns, amplitude_spans(term.effect)) for name, term in terms.items())
+        for indices, derivatives, sizes in [(np.arange(self._own), own, scale), *term_columns]:
             white = fit.problem.white(fit.problem.split(derivatives * sizes), fit.noises)
-            x[:, at] = valid_rows(white) * root[:, np.newaxis]
+            x[:, indices] = valid_rows(white) * root[:, np.newaxis]
         prior = np.full(count, PRIOR)
         prior[: self._own] = scale / std
         self._prior = np.diag(prior**2 + RIDGE * len(y))
@@ -93,46 +93,46 @@ class LinearSets:
 
     def gain(self, names: Collection[str]) -> float:
         """Gain in log-likelihood on the rows left out, less one for each amplitude beyond the first of a term."""
-        more = sum(len(self._at[name]) - 1 for name in names)
+        extra = sum(len(self._indices[name]) - 1 for name in names)
         pairs = zip(self._nothing, self._errors(names), self._folds, strict=True)
-        return float(np.mean([0.5 * self._left_out(f) * np.log(before / after) for before, after, f in pairs])) - more
+        return float(np.mean([0.5 * self._left_out(f) * np.log(before / after) for before, after, f in pairs])) - extra
 
     def _left_out(self, folds: NDArray[np.bool_]) -> int:
         return int((folds @ self._rows).sum())
 
     def _errors(self, names: Collection[str]) -> list[float]:
         """Sum of squares of the rows left out, by laps and by recordings."""
-        at = np.concatenate([np.arange(self._own), *(self._at[name] for name in names)]).astype(np.int64)
-        square = np.ix_(at, at)
-        information, right = self._information[:, at[:, np.newaxis], at], self._right[:, at]
-        prior, pull = self._prior[square], self._pull[at]
+        indices = np.concatenate([np.arange(self._own), *(self._indices[name] for name in names)]).astype(np.int64)
+        square = np.ix_(indices, indices)
+        information, right = self._information[:, indices[:, np.newaxis], indices], self._right[:, indices]
+        prior, pull = self._prior[square], self._pull[indices]
         whole, all_right = information.sum(axis=0) + prior, right.sum(axis=0) + pull
-        values, free = bounded(whole, all_right, self._low[at], self._high[at])
+        values, free = bounded(whole, all_right, self._low[indices], self._high[indices])
         held = np.where(free, 0.0, values)
-        found = []
+        errors = []
         for folds in self._folds:
             own, own_right = np.tensordot(folds, information, 1), folds @ right
             rest = whole - own
             fitted = np.tile(held, (len(folds), 1))
             target = all_right - own_right - rest @ held
             fitted[:, free] = np.linalg.solve(rest[:, free][:, :, free], target[:, free, np.newaxis])[..., 0]
-            fitted = np.clip(fitted, self._low[at], self._high[at])
-            bent = (fitted[:, np.newaxis] @ own)[:, 0]
-            found.append(
-                float((folds @ self._square + (bent * fitted).sum(axis=1) - 2.0 * (fitted * own_right).sum(axis=1)).sum())
+            fitted = np.clip(fitted, self._low[indices], self._high[indices])
+            product = (fitted[:, np.newaxis] @ own)[:, 0]
+            errors.append(
+                float((folds @ self._square + (product * fitted).sum(axis=1) - 2.0 * (fitted * own_right).sum(axis=1)).sum())
             )
-        return found
+        return errors
 
     def _fits(self, name: str, names: Names) -> bool:
         return name not in names and not any(same_variable(self._effects[name], self._effects[other]) for other in names)
 
-    def best(self, among: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
+    def best(self, pool: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
         """The `count` sets of each size of some terms with the highest gain less a `cost` for each term, best first."""
         beam: list[Names] = [()]
         gains: dict[Names, float] = {}
         chosen: list[Names] = []
         for size in range(1, most_terms + 1):
-            pairs = ((names, name) for names in beam for name in among if self._fits(name, names))
+            pairs = ((names, name) for names in beam for name in pool if self._fits(name, names))
             sets = dict.fromkeys(tuple(sorted((*names, name))) for names, name in pairs)  # in an order of its own
             gains |= {names: self.gain(names) - cost * size for names in sets}
             beam = sorted(sets, key=lambda names: -gains[names])[:EXPANDED_SETS]
@@ -214,9 +214,9 @@ class Search:
         new = set(names) - self._left_out
         if new:
             self._left_out |= new
-            found = self.rounds[self.nothing.key]
-            self._add_best(self.nothing, found)
-            self._combine(found)
+            proposals = self.rounds[self.nothing.key]
+            self._add_best(self.nothing, proposals)
+            self._combine(proposals)
         return bool(new)
 
     def has_left_out(self, explanation: Explanation) -> bool:
@@ -237,16 +237,16 @@ class Search:
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
         own = _by_parameter(base, proposals.own)
         catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
-        best = [names for among in (terms, catalogue) for names in sets.best(among, SETS, MOST_TERMS, self.cost)]
+        best = [names for pool in (terms, catalogue) for names in sets.best(pool, SETS, MOST_TERMS, self.cost)]
         for names in dict.fromkeys(best):
             chosen = [proposals.every[name] for name in names]
             known, start = dict(own), dict[tuple[str, str], float]()
             for p in chosen:
                 known |= p.derivatives
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
-            found, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
-            added = {p.effect.name: compared(base, found, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
-            self._keep(self._explained(found, self.validation.score(found, columns), added))
+            result, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
+            new_terms = {p.effect.name: term_of_fit(base, result, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
+            self._keep(self._explanation(result, self.validation.score(result, columns), new_terms))
 
     def _swap(self, explanation: Explanation) -> None:
         """Expand an explanation, and look at what it is without each of its terms."""
@@ -259,14 +259,14 @@ class Search:
         known = self.known[explanation.key]
         if known.settled:
             return known
-        found = self._fitted(known.fit, [a.effect for a in known.fit.effects], {})
-        terms = {name: replace(term, share=share(found, name)) for name, term in known.terms.items()}
-        explained = self._explained(found, self.validation.score(found), terms)
+        result = self._refit(known.fit, [a.effect for a in known.fit.effects], {})
+        terms = {name: replace(term, share=share(result, name)) for name, term in known.terms.items()}
+        explained = self._explanation(result, self.validation.score(result), terms)
         self.known[known.key] = replace(explained, settled=True)
         return self.known[known.key]
 
-    def _explained(self, found: Fit, score: Score, terms: Mapping[str, Term]) -> Explanation:
-        explained = Explanation(found, score, terms=terms)
+    def _explanation(self, result: Fit, score: Score, terms: Mapping[str, Term]) -> Explanation:
+        explained = Explanation(result, score, terms=terms)
         worth = self.validation.gain(self.nothing.score, score) - self.cost * len(explained.key - explained.searched)
         return replace(explained, worth=worth)
 
@@ -276,18 +276,18 @@ class Search:
             return self.rounds[explanation.key]
         explanation = self.polished(explanation)
         self._on_stage(f"missing physics besides {', '.join(explanation.fit.effect_names) or 'the base alone'}")
-        found = self.rounds[explanation.key] = self._proposer.proposals(explanation.fit)
-        self._add_best(explanation, found)
-        return found
+        proposals = self.rounds[explanation.key] = self._proposer.proposals(explanation.fit)
+        self._add_best(explanation, proposals)
+        return proposals
 
-    def _add_best(self, explanation: Explanation, found: Proposals) -> None:
+    def _add_best(self, explanation: Explanation, proposals: Proposals) -> None:
         current, by_place = explanation.fit, explanation.by_place is not None
-        best = [p for p in found.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
-        own, effects = _by_parameter(current, found.own), [a.effect for a in current.effects]
+        best = [p for p in proposals.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
+        own, effects = _by_parameter(current, proposals.own), [a.effect for a in current.effects]
         for p in counted(best, "fits of candidate effects", len(best)):
             start = {(p.effect.name, q): value for q, value in p.start.items()}
             fitted, columns = first_look(current, [*effects, p.effect], own | p.derivatives, start, SHORT_ROOT)
-            self._add(explanation, compared(current, fitted, p.effect, 0.0, p.kept, p.d_prime), columns)
+            self._add(explanation, term_of_fit(current, fitted, p.effect, 0.0, p.kept, p.d_prime), columns)
 
     @property
     def cost(self) -> float:
@@ -300,24 +300,26 @@ class Search:
             return
         current = explanation.fit
         effects = [a.effect for a in current.effects]
-        tested = fit(current.problem, effects, current.at)  # with the noise that best whitens: a drift is no spell
+        tested = fit(current.problem, effects, current.estimates)  # with the noise that best whitens: a drift is no spell
         for term in find_terms(tested, self._roads, self._kinds, explanation.by_place, waves=not explanation.key):
-            fitted = self._fitted(current, [*effects, term.effect], term.fit.at)
+            fitted = self._refit(current, [*effects, term.effect], term.fit.estimates)
             self._add(explanation, replace(term, fit=fitted))
 
-    def _fitted(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
+    def _refit(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
         """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
-        return fit(self.nothing.fit.problem, effects, {**current.at, **start}, current.noises, largest_root=SHORT_ROOT)
+        return fit(self.nothing.fit.problem, effects, {**current.estimates, **start}, current.noises, largest_root=SHORT_ROOT)
 
     def _add(self, explanation: Explanation, term: Term, columns: Array | None = None) -> None:
         score = self.validation.score(term.fit, columns)
         term = replace(term, level=self.validation.gain(explanation.score, score))
-        self._keep(self._explained(term.fit, score, {**explanation.terms, term.name: term}))
+        self._keep(self._explanation(term.fit, score, {**explanation.terms, term.name: term}))
 
     def _keep(self, explanation: Explanation) -> None:
-        """Keep the better one of two ways to the same set. A slope by place has the name of a constant one."""
-        same = self.known.get(explanation.key)
-        if same is None or (explanation.worth > same.worth and not (same.settled and same.searched == explanation.searched)):
+        """Keep the better of two explanations by the same names. A slope by place has the name of a constant one."""
+        previous = self.known.get(explanation.key)
+        if previous is None or (
+            explanation.worth > previous.worth and not (previous.settled and previous.searched == explanation.searched)
+        ):
             self.known[explanation.key] = explanation
             self.rounds.pop(explanation.key, None)
 
@@ -327,9 +329,9 @@ class Search:
         if key not in self.known:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
             known = _by_parameter(explanation.fit, base_columns(explanation.fit))
-            found, columns = first_look(explanation.fit, effects, known, {}, SHORT_ROOT)
-            kept = {other: term for other, term in explanation.terms.items() if other != name}
-            self.known[key] = self._explained(found, self.validation.score(found, columns), kept)
+            result, columns = first_look(explanation.fit, effects, known, {}, SHORT_ROOT)
+            terms = {other: term for other, term in explanation.terms.items() if other != name}
+            self.known[key] = self._explanation(result, self.validation.score(result, columns), terms)
         return self.known[key]
 
     def _best_known(self) -> Explanation:
@@ -337,13 +339,13 @@ class Search:
 
     def _best_unexpanded(self, count: int) -> list[Explanation]:
         """The best explanations with room for a term; not those that are worth less than the base alone."""
-        among = (e for key, e in self.known.items() if key not in self.rounds and not self.has_left_out(e))
-        room = [e for e in among if 0 < len(e.key) < MOST_TERMS and e.worth > 0.0]
+        candidates = (e for key, e in self.known.items() if key not in self.rounds and not self.has_left_out(e))
+        room = [e for e in candidates if 0 < len(e.key) < MOST_TERMS and e.worth > 0.0]
         return sorted(room, key=lambda e: -e.worth)[:count]
 
 
-def _by_parameter(found: Fit, columns: Array) -> dict[tuple[str, str], Array]:
-    return dict(zip([f.key for f in found.free], columns.T, strict=True))
+def _by_parameter(result: Fit, columns: Array) -> dict[tuple[str, str], Array]:
+    return dict(zip([f.key for f in result.free], columns.T, strict=True))
 
 
 def names_of(explanation: Explanation) -> list[str]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.empirical.forms import candidates, followed, found_by_clock, found_by_scan, series
+from trackres_ros.diagnosis.empirical.forms import candidates, clock_forms, scanned_forms, series, variable_codes
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, Mask
 from trackres_ros.diagnosis.selection.level_errors import Amplitudes, Levels
@@ -48,15 +48,15 @@ class Proposals:
     separability: Separability
 
     def best(self, left_out: Collection[str]) -> tuple[Proposal, ...]:
-        """The best of each list, without some names, and what is tied with one of them."""
-        among = [p for name, p in self.every.items() if name not in left_out]
-        least = math.log(max(len(self.every), 1))  # the best of as many gains that by chance
-        by_level = sorted(among, key=lambda p: -p.level)[:BEST]
-        by_white = sorted(among, key=lambda p: -p.fast)[:BEST]
-        found = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > least}
-        if not found.keys().isdisjoint(TIED):
-            found |= {p.effect.name: p for p in among if p.effect.name in TIED}
-        return tuple(found.values())
+        """The best of each list, without some names; with one of `TIED`, all of these."""
+        pool = [p for name, p in self.every.items() if name not in left_out]
+        threshold = math.log(max(len(self.every), 1))  # the best of as many gains that by chance
+        by_level = sorted(pool, key=lambda p: -p.level)[:BEST]
+        by_white = sorted(pool, key=lambda p: -p.fast)[:BEST]
+        proposals = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > threshold}
+        if not proposals.keys().isdisjoint(TIED):
+            proposals |= {p.effect.name: p for p in pool if p.effect.name in TIED}
+        return tuple(proposals.values())
 
 
 class Proposer:
@@ -71,42 +71,44 @@ class Proposer:
         own = base_columns(current)
         levels = Levels(current, own, self._used)
         present = [a.effect for a in current.effects]
-        pool = {**self._pool, **self._scanned(current, levels)}
+        pool = {**self._pool, **self._scanned_forms(current, levels)}
         pool = {key: e for key, e in pool.items() if not any(e.name == p.name or same_variable(e, p) for p in present)}
         seen = separability(pool, current, own, self._columns)
         every: dict[str, Proposal] = {}
         for s in counted(seen.visible, "levels left out", len(seen.visible)):
-            found = _proposal(s, levels)
-            before = every.get(found.effect.name)
-            if before is None:
-                every[found.effect.name] = found
+            proposal = _proposal(s, levels)
+            previous = every.get(proposal.effect.name)
+            if previous is None:
+                every[proposal.effect.name] = proposal
             else:
-                every[found.effect.name] = _stronger(before, found)
+                every[proposal.effect.name] = _stronger(previous, proposal)
         return Proposals(own, every, seen)
 
-    def _scanned(self, current: Fit, levels: Levels) -> dict[str, Effect]:
+    def _scanned_forms(self, current: Fit, levels: Levels) -> dict[str, Effect]:
         """Forms whose thresholds depend on the residual."""
-        facts, found = current.problem.base.facts, dict[str, Effect]()
+        facts, effects = current.problem.base.facts, dict[str, Effect]()
         self._columns.forget()
-        forms = found_by_scan(current, levels, {code: series(code, current) for code in followed(current)})
-        for form, rows in (*forms, *found_by_clock(current, levels)):
+        forms = scanned_forms(current, levels, {code: series(code, current) for code in variable_codes(current)})
+        for form, rows in (*forms, *clock_forms(current, levels)):
             effect = sized(form, facts.weight * facts.radius) if isinstance(form, EmpiricalEffect) else form
             self._columns.give(effect, rows[:, np.newaxis])
-            found[f"scanned {form.name}"] = effect
-        return found
+            effects[f"scanned {form.name}"] = effect
+        return effects
 
 
-def same_variable(one: Effect, other: Effect) -> bool:
+def same_variable(effect: Effect, other: Effect) -> bool:
     """Whether both are forms over the same variable: then one of them describes it, and not a sum of both."""
-    if not (isinstance(one, EmpiricalEffect) and isinstance(other, EmpiricalEffect) and one.is_function and other.is_function):
+    if not (
+        isinstance(effect, EmpiricalEffect) and isinstance(other, EmpiricalEffect) and effect.is_function and other.is_function
+    ):
         return False
-    return one.variable == other.variable
+    return effect.variable == other.variable
 
 
-def _stronger(one: Proposal, other: Proposal) -> Proposal:
+def _stronger(first: Proposal, second: Proposal) -> Proposal:
     """The start with the larger gain; each list has the best of both."""
-    better = max(one, other, key=lambda p: max(p.level, p.fast))
-    return replace(better, level=max(one.level, other.level), fast=max(one.fast, other.fast))
+    better = max(first, second, key=lambda p: max(p.level, p.fast))
+    return replace(better, level=max(first.level, second.level), fast=max(first.fast, second.fast))
 
 
 def _proposal(s: Proposal, levels: Levels) -> Proposal:
@@ -114,19 +116,19 @@ def _proposal(s: Proposal, levels: Levels) -> Proposal:
     spans, (low, high) = amplitude_spans(s.effect), amplitude_bounds(s.effect)
     candidate = Amplitudes(levels.means(s.columns) * spans, low, high)
     level = levels.gain(candidate)
-    moved = levels.start(candidate) if level >= s.fast else s.moved
-    return replace(s, start=_begin(s, moved), level=level)
+    amplitudes = levels.start(candidate) if level >= s.fast else s.moved
+    return replace(s, start=_initial_values(s, amplitudes), level=level)
 
 
-def _begin(s: Proposal, moved: Array) -> dict[str, float]:
+def _initial_values(s: Proposal, moved: Array) -> dict[str, float]:
     """Initial values: the first-order optimum, but not zero, where the shape has no influence."""
     values = dict(s.start)
     amplitudes = [q for q in s.effect.parameters if q.off is not None]
     moved = np.clip(moved, -BEGUN_WITHIN, BEGUN_WITHIN)
     if len(moved) == 1 and abs(moved[0]) < LEAST_BEGUN:
         low, high = amplitude_bounds(s.effect)
-        begun = np.copysign(LEAST_BEGUN, moved)
-        moved = np.where((begun < low) | (begun > high), -begun, begun)
+        initial = np.copysign(LEAST_BEGUN, moved)
+        moved = np.where((initial < low) | (initial > high), -initial, initial)
     for q, share in zip(amplitudes, moved.tolist(), strict=True):
         assert q.off is not None
         values[q.name] = float(np.clip(q.off + share * (q.start - q.off), q.low, q.high))

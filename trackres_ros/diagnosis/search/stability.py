@@ -28,18 +28,18 @@ CONDITIONS = {"late in a drive": "early", "with hot belts": "cold", "fast": "slo
 def unstable(fit: Fit, name: str, used: Sequence[Mask]) -> list[str]:
     """Where the size of an effect surely differs, in words after its name; at most one."""
     levels, known = Levels(fit, base_columns(fit), used), np.concatenate(list(used))
-    adds = np.concatenate(fit.contribution(name))
-    worst, found = LEAST, []
-    for (there, here), over in zip(CONDITIONS.items(), _conditions(fit), strict=True):
-        if not np.ptp(over[known]) > 0.0:  # nan where a belt temperature is unknown
+    torque = np.concatenate(fit.contribution(name))
+    worst, faults = LEAST, []
+    for (condition, opposite), series in zip(CONDITIONS.items(), _conditions(fit), strict=True):
+        if not np.ptp(series[known]) > 0.0:  # nan where a belt temperature is unknown
             continue
-        changing = adds * np.clip((over - over[known].mean()) / over[known].std(), -2.0, 2.0)
-        change, std = levels.change_of(adds, changing, CLUSTER_S)
-        surely = abs(change) - SURELY * std
-        if surely > worst and levels.falls(changing) > LEAST_FALL:
-            worst, way = surely, "larger" if change > 0.0 else "smaller"
-            found = [f"has no constant size: it is {way} {there} than {here}"]
-    return found
+        changing = torque * np.clip((series - series[known].mean()) / series[known].std(), -2.0, 2.0)
+        change, std = levels.change_of(torque, changing, CLUSTER_S)
+        excess = abs(change) - SURELY * std
+        if excess > worst and levels.falls(changing) > LEAST_FALL:
+            worst, comparison = excess, "larger" if change > 0.0 else "smaller"
+            faults = [f"has no constant size: it is {comparison} {condition} than {opposite}"]
+    return faults
 
 
 def _conditions(fit: Fit) -> list[Array]:

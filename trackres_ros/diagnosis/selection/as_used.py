@@ -42,100 +42,102 @@ MOST_TRIES = 8
 GROWTH = 2.0
 
 
-def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
+def at_implausible_bounds(result: Fit) -> tuple[str, ...]:
     """Base parameters on a bound, more than `MOVED` standard deviations from the vehicle file's value."""
     return tuple(
-        q.name for q, value in moved_parameters(found) if min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low)
+        q.name for q, value in moved_parameters(result) if min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low)
     )
 
 
-def moved_parameters(found: Fit) -> list[tuple[BaseParameter, float]]:
+def moved_parameters(result: Fit) -> list[tuple[BaseParameter, float]]:
     """Base parameters that moved by more than `MOVED` standard deviations of their range, furthest first."""
-    moved = [(q, found.base_values[q.name]) for q in found.problem.base.parameters if np.isfinite(q.std)]
-    far = [(q, value) for q, value in moved if abs(value - q.nominal) > MOVED * q.std]
-    return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
+    values = [(q, result.base_values[q.name]) for q in result.problem.base.parameters if np.isfinite(q.std)]
+    shifts = [(q, value) for q, value in values if abs(value - q.nominal) > MOVED * q.std]
+    return sorted(shifts, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
 
 
-def far_from_file(found: Fit) -> list[tuple[BaseParameter, float]]:
+def far_from_file(result: Fit) -> list[tuple[BaseParameter, float]]:
     """Several base parameters `FAR` outside their range, or as far as is plausible: they compensate another error of the file."""
-    furthest = at_implausible_bounds(found)
-    far = [
+    names_on_bounds = at_implausible_bounds(result)
+    shifts = [
         (q, value)
-        for q, value in moved_parameters(found)
-        if abs(value - q.nominal) > FAR * q.std or (q.name in furthest and q.outside(value))
+        for q, value in moved_parameters(result)
+        if abs(value - q.nominal) > FAR * q.std or (q.name in names_on_bounds and q.outside(value))
     ]
-    return far if len(far) > 1 else []
+    return shifts if len(shifts) > 1 else []
 
 
-def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
+def intervals(result: Fit) -> dict[tuple[str, str], Interval]:
     """Intervals of all parameters of a fit by `fitting.with_levels`: the base's from the curvature, those of effects from their
     profile; both from laps and sessions where wider. A value at the end of its range is only bounded. One fixed at a
     typical value may lie anywhere within its bounds.
 
     The size of an effect also depends on its function, which is accurate to `FORM_ERROR`.
     """
-    session_of_row = np.concatenate([np.full(len(g.measured), g.session) for g in found.problem.segments])
-    laps, sessions = lap_std(found), _jackknife_std(found, session_of_row)  # unmodelled conditions differ between sessions
+    session_of_row = np.concatenate([np.full(len(g.measured), g.session) for g in result.problem.segments])
+    laps, sessions = lap_std(result), _jackknife_std(result, session_of_row)  # unmodelled conditions differ between sessions
     by_laps = {key: max(std, sessions.get(key, 0.0)) for key, std in laps.items()}
-    offs = {(a.effect.name, q.name): q.off for a in found.effects for q in a.effect.parameters if q.off is not None}
+    offs = {(a.effect.name, q.name): q.off for a in result.effects for q in a.effect.parameters if q.off is not None}
 
     def interval(f: Free) -> Interval:
-        if f.key not in found.at:
+        if f.key not in result.estimates:
             return Interval(f.low, f.high, True)
-        at = found.at[f.key]
-        std = max(by_laps.get(f.key, 0.0), found.std_of(*f.key))
+        value = result.estimates[f.key]
+        std = max(by_laps.get(f.key, 0.0), result.std_of(*f.key))
         if not f.key[0]:
-            at_end = min(at - f.low, f.high - at) <= ON_BOUND * (f.high - f.low)
-            return Interval(max(f.low, at - NORMAL_95 * std), min(f.high, at + NORMAL_95 * std), at_end)
-        low, low_open = _edge(found, f.key, -1.0, f.low)
-        high, high_open = _edge(found, f.key, 1.0, f.high)
+            at_end = min(value - f.low, f.high - value) <= ON_BOUND * (f.high - f.low)
+            return Interval(max(f.low, value - NORMAL_95 * std), min(f.high, value + NORMAL_95 * std), at_end)
+        low, low_open = _edge(result, f.key, -1.0, f.low)
+        high, high_open = _edge(result, f.key, 1.0, f.high)
         lap = NORMAL_95 * by_laps.get(f.key, 0.0)
-        form = NORMAL_95 * FORM_ERROR * abs(at - offs.get(f.key, at))
-        below, above = (float(np.hypot(max(reach, lap), form)) for reach in (at - low, high - at))
-        return Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
+        form = NORMAL_95 * FORM_ERROR * abs(value - offs.get(f.key, value))
+        below, above = (float(np.hypot(max(reach, lap), form)) for reach in (value - low, high - value))
+        return Interval(max(f.low, value - below), min(f.high, value + above), low_open or high_open)
 
-    of = free_parameters(found.problem.base, [a.effect for a in found.effects])
-    return {f.key: interval(f) for f in counted(of, "intervals", len(of))}
-
-
-def lap_std(found: Fit, together: int = 1) -> dict[tuple[str, str], float]:
-    """Standard deviations from leaving out one lap at a time, or `together` consecutive ones, to first order."""
-    return _jackknife_std(found, np.concatenate([g.block for g in found.problem.segments]) // together)
+    parameters = free_parameters(result.problem.base, [a.effect for a in result.effects])
+    return {f.key: interval(f) for f in counted(parameters, "intervals", len(parameters))}
 
 
-def _jackknife_std(found: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, str], float]:
+def lap_std(result: Fit, count: int = 1) -> dict[tuple[str, str], float]:
+    """Standard deviations from leaving out one lap at a time, or `count` consecutive ones, to first order."""
+    return _jackknife_std(result, np.concatenate([g.block for g in result.problem.segments]) // count)
+
+
+def _jackknife_std(result: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, str], float]:
     """Standard deviations from leaving out one block of rows at a time."""
-    scale = np.array([f.scale for f in found.free])
-    prior = np.array([f.scale / f.std for f in found.free])
-    columns = found.problem.white(found.problem.split(base_columns(found) * scale), found.noises)
-    x, e = np.concatenate(columns), np.concatenate(found.white)
+    scale = np.array([f.scale for f in result.free])
+    prior = np.array([f.scale / f.std for f in result.free])
+    columns = result.problem.white(result.problem.split(base_columns(result) * scale), result.noises)
+    x, e = np.concatenate(columns), np.concatenate(result.white)
     valid = np.isfinite(e) & np.isfinite(x).all(axis=1)
-    x, e, blocks = x[valid], (e * found.weights)[valid], blocks[valid]
+    x, e, blocks = x[valid], (e * result.weights)[valid], blocks[valid]
     inverse = np.linalg.pinv(x.T @ x + np.diag(prior**2), rcond=1e-13)
     shifts = np.array([inverse @ (x[blocks == b].T @ e[blocks == b]) for b in np.unique(blocks)])
     count = len(shifts)
     if count < 3:
         return {}
     std = np.sqrt(count / (count - 1) * ((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0)) * scale
-    return {f.key: float(s) for f, s in zip(found.free, std, strict=True)}
+    return {f.key: float(s) for f, s in zip(result.free, std, strict=True)}
 
 
-def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[float, bool]:
+def _edge(result: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[float, bool]:
     """Point where the profile has fallen by `DROP`, or the bound with True if it does not."""
-    at, effects = found.at[key], [a.effect for a in found.effects]
-    reach = abs(bound - at)
-    if reach <= 1e-6 * max(abs(bound), abs(at), 1e-12):
+    optimum, effects = result.estimates[key], [a.effect for a in result.effects]
+    reach = abs(bound - optimum)
+    if reach <= 1e-6 * max(abs(bound), abs(optimum), 1e-12):
         return bound, True
-    step = min(max(NORMAL_95 * found.std_of(*key), 1e-4 * reach), reach)
+    step = min(max(NORMAL_95 * result.std_of(*key), 1e-4 * reach), reach)
     inside, outside = (0.0, 0.0), None
     for _ in range(MOST_TRIES):
-        fixed = {key: at + side * step}
-        held = fit(found.problem, effects, found.at, found.noises, rounds=1, fixed=fixed, largest_root=SHORT_ROOT)
-        fallen = found.log_likelihood - held.log_likelihood
-        if fallen >= DROP:
-            outside = (step, fallen)
+        fixed = {key: optimum + side * step}
+        profile_fit = fit(
+            result.problem, effects, result.estimates, result.noises, rounds=1, fixed=fixed, largest_root=SHORT_ROOT
+        )
+        decrease = result.log_likelihood - profile_fit.log_likelihood
+        if decrease >= DROP:
+            outside = (step, decrease)
             break
-        inside = (step, max(fallen, 0.0))
+        inside = (step, max(decrease, 0.0))
         if step >= reach * (1.0 - 1e-9):
             return bound, True
         step = min(reach, GROWTH * step)
@@ -144,7 +146,7 @@ def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[
     # Between them the square root of the fall is nearly linear.
     a, b = np.sqrt(inside[1]), np.sqrt(outside[1])
     share = (np.sqrt(DROP) - a) / (b - a) if b > a else 1.0
-    return at + side * float(inside[0] + share * (outside[0] - inside[0])), False
+    return optimum + side * float(inside[0] + share * (outside[0] - inside[0])), False
 
 
 Bounds = Mapping[tuple[str, str], Interval]
@@ -169,14 +171,14 @@ class AsUsed:
         self._alone = self._around
         pairs = list(zip(self._around[1], recorded, strict=True))
         if base.alone is not base or any(s.given != r.given or s.torque_by_place is not r.torque_by_place for s, r in pairs):
-            plain = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
-            self._alone = base.alone, tuple(plain)
+            sessions_alone = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
+            self._alone = base.alone, tuple(sessions_alone)
         self.base, self._laps = base, laps
         self.distance = sum(float(np.abs(np.nan_to_num(s.speed)).sum()) * s.step for s in sessions)
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
 
     def written(self, effects: Sequence[Active]) -> tuple[Active, ...]:
-        """Effects for a file that is first used after the recordings, without those that have faded, as a belt runs in.
+        """Effects for a file that is first used after the recordings. Faded ones are left out: a belt has run in by then.
 
         A fit counts the distance from the first recording, a replay and a live node from their own first start.
         """
@@ -184,26 +186,26 @@ class AsUsed:
 
     def recorded(self, values: Values | None, effects: Sequence[Active]) -> list[Array]:
         """Sensed torque of each session [Nm], one after the other, from a file with other values, or with its own."""
-        base = self._with(values, alone=False)
+        base = self._base_with(values, alone=False)
         return [p.torque for p in base.predict(self._sessions, base.nominal, effects)]
 
     def expected(self, values: Values | None, effects: Sequence[Active], alone: bool) -> list[Array]:
-        """The same as the written file would have it: each drive by itself."""
-        base = self._with(values, alone)
+        """Sensed torque of each session [Nm] from the written file, with each drive by itself."""
+        base = self._base_with(values, alone)
         _, sessions = self._alone if alone else self._around
         return [p.torque for p in base.predict(sessions, base.nominal, self.written(effects))]
 
     def outside(self, values: Values | None) -> dict[str, RangedValue]:
-        """Values of the written file outside their range in the present one, with that range, by their place in the file."""
-        now, written = (self._with(of, alone=True).quantities for of in (None, values))
-        found = {name: one._replace(value=written[name].value) for name, one in now.items()}
+        """Values of the written file outside the range of the present file, with that range, by their place in the file."""
+        original, written = (self._base_with(file_values, alone=True).quantities for file_values in (None, values))
+        quantities = {name: quantity._replace(value=written[name].value) for name, quantity in original.items()}
         return {
             name: q
-            for name, q in found.items()
+            for name, q in quantities.items()
             if not q.low - ROUNDING * abs(q.low) <= q.value <= q.high + ROUNDING * abs(q.high)
         }
 
-    def _with(self, values: Values | None, alone: bool) -> Base:
+    def _base_with(self, values: Values | None, alone: bool) -> Base:
         base, _ = self._alone if alone else self._around
         if values is None:
             return base
@@ -214,54 +216,54 @@ class AsUsed:
 
     def error(self, values: Values | None, effects: Sequence[Active] = (), alone: bool = False) -> float:
         """Mean absolute error on hold-out laps [Nm]."""
-        return float(np.abs(self._laps.measured - self._laps.of(self.expected(values, effects, alone))).mean())
+        return float(np.abs(self._laps.measured - self._laps.samples(self.expected(values, effects, alone))).mean())
 
     def surely_better(self, after: Fit, before: Fit) -> bool:
         """Whether the error of one fit is significantly smaller, without surroundings."""
         base, sessions = self._alone
         written = (self.written(of_kind(f.effects, VEHICLE, SENSOR)) for f in (before, after))
-        both = (base.predict(sessions, f.base_values, of) for f, of in zip((before, after), written, strict=True))
-        return self._laps.improvement(*([p.torque for p in one] for one in both)).grade == CONFIRMED
+        results = (base.predict(sessions, f.base_values, effects) for f, effects in zip((before, after), written, strict=True))
+        return self._laps.improvement(*([p.torque for p in predictions] for predictions in results)).grade == CONFIRMED
 
 
-def inside_ranges(found: Fit, use: AsUsed, fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
+def inside_ranges(result: Fit, use: AsUsed, fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
     """A fit with base values inside the ranges of the vehicle file, except values confirmed outside on hold-out laps.
 
     The alternative to a value outside is the end of its range with a re-fit of the others, and parameters `fixed` at a value. It
     is confirmed if vehicle.yaml alone is significantly better with it, and it is not as far outside as is plausible: then it is
     no estimate. Further fits of the same problem keep to these ranges.
     """
-    names = {q.name for q in found.problem.base.parameters}
-    held, confirmed = set[str](), set[str]()
+    names = {q.name for q in result.problem.base.parameters}
+    limited, confirmed = set[str](), set[str]()
     while True:
-        outside = [q for q in _outside(found) if q.name not in confirmed]
+        outside = [q for q in _parameters_outside(result) if q.name not in confirmed]
         if not outside:
             break
         name = outside[0].name
-        inside = with_levels(_within(found, names - held - {name}), (), fixed)
-        if name not in at_implausible_bounds(found) and use.surely_better(found, inside):
+        inside = with_levels(_limited_fit(result, names - limited - {name}), (), fixed)
+        if name not in at_implausible_bounds(result) and use.surely_better(result, inside):
             confirmed.add(name)
         else:
-            found = inside
-            held.add(name)
-    return _within(found, confirmed)
+            result = inside
+            limited.add(name)
+    return _limited_fit(result, confirmed)
 
 
-def _outside(found: Fit) -> list[BaseParameter]:
+def _parameters_outside(result: Fit) -> list[BaseParameter]:
     """Parameters of the base outside the ranges of the vehicle file, furthest first."""
-    base, values = found.problem.base, found.base_values
+    base, values = result.problem.base, result.base_values
     outside = [q for q in base.parameters if q.outside(values[q.name])]
     return sorted(outside, key=lambda q: -abs(values[q.name] - q.nominal) / q.std)
 
 
-def _within(found: Fit, free: Collection[str]) -> Fit:
+def _limited_fit(result: Fit, free: Collection[str]) -> Fit:
     """The same values for a base limited to the ranges of the vehicle file, except the parameters in `free`."""
-    base = found.problem.base.inside_ranges(free)
+    base = result.problem.base.inside_ranges(free)
     bounds = {("", q.name): (q.low, q.high) for q in base.parameters}
-    limits = ((f, *bounds.get(f.key, (f.low, f.high))) for f in found.free)
+    limits = ((f, *bounds.get(f.key, (f.low, f.high))) for f in result.free)
     return replace(
-        found,
-        problem=replace(found.problem, base=base),
+        result,
+        problem=replace(result.problem, base=base),
         free=tuple(replace(f, low=low, high=high) for f, low, high in limits),
     )
 
@@ -279,8 +281,8 @@ class _Option:
 
     @property
     def text(self) -> str:
-        of = "the file's own values" if self.fitted is None else "the re-fitted values"
-        return " and ".join([of, *([", ".join(a.effect.name for a in self.effects)] if self.effects else [])])
+        base = "the file's own values" if self.fitted is None else "the re-fitted values"
+        return " and ".join([base, *([", ".join(a.effect.name for a in self.effects)] if self.effects else [])])
 
 
 def choose_written(
@@ -302,13 +304,13 @@ def choose_written(
     written = tuple(a for a in final.effects if a.effect.name in believed and a.effect.acts_on != WATCHED)
     if any(a.effect.name in passing for a in final.effects):
         refitted = _with_refitted_base((), final, use)
-    first = ""
+    note = ""
     for option in _options(written, final, refitted, use):
-        why = _refused(option, confirmed, use)
-        if not why:
-            return _kept(option, final, confirmed, use, bounds, first)
-        first = first or f"; not {option.text}, as {why}"
-    return _kept(_Option(None, ()), final, confirmed, use, bounds, first)
+        objection = _objection(option, confirmed, use)
+        if not objection:
+            return _file_changes(option, final, confirmed, use, bounds, note)
+        note = note or f"; not {option.text}, as {objection}"
+    return _file_changes(_Option(None, ()), final, confirmed, use, bounds, note)
 
 
 def _options(written: tuple[Active, ...], final: Fit, refitted: Fit, use: AsUsed) -> Iterator[_Option]:
@@ -327,14 +329,14 @@ def _options(written: tuple[Active, ...], final: Fit, refitted: Fit, use: AsUsed
 def _with_refitted_base(written: Sequence[Active], final: Fit, use: AsUsed) -> Fit:
     """Re-fit of the base with some effects at their final parameters."""
     names = {a.effect.name for a in written}
-    without = [a.effect.name for a in final.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
-    if not without:
+    names_left = [a.effect.name for a in final.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
+    if not names_left:
         return final
-    held = {(a.effect.name, q.name): a.values[q.name] for a in written for q in a.effect.parameters if q.fitted}
-    return inside_ranges(with_levels(final, without, held), use, held)
+    fixed = {(a.effect.name, q.name): a.values[q.name] for a in written for q in a.effect.parameters if q.fitted}
+    return inside_ranges(with_levels(final, names_left, fixed), use, fixed)
 
 
-def _refused(option: _Option, confirmed: Collection[str], use: AsUsed) -> str:
+def _objection(option: _Option, confirmed: Collection[str], use: AsUsed) -> str:
     """Reason for not writing an option; empty if it may be written."""
     values, effects = option.values, option.effects
     try:
@@ -344,11 +346,11 @@ def _refused(option: _Option, confirmed: Collection[str], use: AsUsed) -> str:
     if alone > before:
         return f"the mean error of vehicle.yaml alone would be {figures(alone)} Nm, {figures(before)} Nm with the old file"
     together = use.error(values, effects)
-    for kind, what in ((SURROUNDINGS, "surroundings.yaml"), (SENSOR, "the topics file")):
-        of = of_kind(effects, kind)
-        without = use.error(values, [a for a in effects if a not in of]) if of else together
+    for kind, file in ((SURROUNDINGS, "surroundings.yaml"), (SENSOR, "the topics file")):
+        group = of_kind(effects, kind)
+        without = use.error(values, [a for a in effects if a not in group]) if group else together
         if together > without:
-            return f"with {what} the mean error would be {figures(together)} Nm, {figures(without)} Nm without"
+            return f"with {file} the mean error would be {figures(together)} Nm, {figures(without)} Nm without"
     nominal = use.error(None)
     if together > nominal:
         return f"the mean error would be {figures(together)} Nm, {figures(nominal)} Nm with the old file"
@@ -357,61 +359,66 @@ def _refused(option: _Option, confirmed: Collection[str], use: AsUsed) -> str:
 
 def _alone(option: _Option, confirmed: Collection[str], use: AsUsed) -> tuple[float, float]:
     """Errors of vehicle.yaml alone and of its original against the torque with confirmed sensor corrections [Nm]."""
-    sensors = _correcting(option, confirmed)
-    after = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], alone=True)
-    return after, use.error(None, sensors, alone=True)
+    sensors = _sensor_corrections(option, confirmed)
+    error = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], alone=True)
+    return error, use.error(None, sensors, alone=True)
 
 
-def _correcting(option: _Option, confirmed: Collection[str]) -> list[Active]:
+def _sensor_corrections(option: _Option, confirmed: Collection[str]) -> list[Active]:
     return [a for a in of_kind(option.effects, SENSOR) if a.effect.name in confirmed]
 
 
-def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, not_first: str) -> FileChanges:
+def _file_changes(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, note: str) -> FileChanges:
     """An option with its intervals and a text."""
     effects = use.written(option.effects)
-    spans = {key: one for active in option.effects for key, one in _after(active, bounds, use.distance).items()}
+    ranges = {
+        key: interval for active in option.effects for key, interval in _later_intervals(active, bounds, use.distance).items()
+    }
     if option.fitted is not None:
-        of_base = bounds if option.fitted is final else intervals(option.fitted)
-        spans |= {key: one for key, one in of_base.items() if not key[0]}
+        base_intervals = bounds if option.fitted is final else intervals(option.fitted)
+        ranges |= {key: interval for key, interval in base_intervals.items() if not key[0]}
     alone, before = _alone(option, confirmed, use)
     error = f"the mean error on hold-out laps is {figures(alone)} Nm with vehicle.yaml alone"
     error += f", {figures(before)} Nm with the old file" if option.fitted is not None or option.effects else ""
-    error += ", compared with the torque that the topics file corrects" if _correcting(option, confirmed) else ""
+    error += ", compared with the torque that the topics file corrects" if _sensor_corrections(option, confirmed) else ""
     if of_kind(option.effects, SURROUNDINGS):
         error += f", {figures(use.error(option.values, option.effects))} Nm with surroundings.yaml"
     names = {a.effect.name for a in option.effects}
     doubted = [a.effect.name for a in final.effects if a.effect.acts_on != WATCHED and a.effect.name not in names]
-    but = f"; not written: {', '.join(doubted)}" if doubted else ""
+    omissions = f"; not written: {', '.join(doubted)}" if doubted else ""
     return FileChanges(
         None if option.values is None else dict(option.values),
         tuple(a for a in effects if not isinstance(a.effect, ByPlace)),
-        spans,
-        f"written: {option.text}; {error}{_changed(option, effects, use)}{but}{not_first}",
+        ranges,
+        f"written: {option.text}; {error}{_change_notes(option, effects, use)}{omissions}{note}",
         route=tuple(a.effect.learned(a.numbers[0]) for a in effects if isinstance(a.effect, ByPlace)),
     )
 
 
-def _after(active: Active, bounds: Bounds, distance: float) -> dict[tuple[str, str], Interval]:
-    """Intervals of an effect's parameters from a first start that comes so much further [m], see `Effect.values_after`."""
+def _later_intervals(active: Active, bounds: Bounds, distance: float) -> dict[tuple[str, str], Interval]:
+    """Intervals of the parameters of an effect after this distance [m], see `Effect.values_after`."""
 
-    def moved(q: str, value: float) -> float:
+    def later_value(q: str, value: float) -> float:
         return active.effect.values_after({**active.values, q: value}, distance)[q]
 
-    of = {(name, q): one for (name, q), one in bounds.items() if name == active.effect.name}
-    return {key: replace(one, low=moved(key[1], one.low), high=moved(key[1], one.high)) for key, one in of.items()}
+    own = {(name, q): interval for (name, q), interval in bounds.items() if name == active.effect.name}
+    return {
+        key: replace(interval, low=later_value(key[1], interval.low), high=later_value(key[1], interval.high))
+        for key, interval in own.items()
+    }
 
 
-def _changed(option: _Option, written: Sequence[Active], use: AsUsed) -> str:
-    """Text on values outside their range, and on effects that the file has otherwise than the report."""
-    found, left, km = "", {a.effect.name: a.values for a in written}, figures(use.distance / 1000.0)
+def _change_notes(option: _Option, written: Sequence[Active], use: AsUsed) -> str:
+    """Text on values outside their range, and on effects whose values differ between file and report."""
+    text, written_values, km = "", {a.effect.name: a.values for a in written}, figures(use.distance / 1000.0)
     for place, q in use.outside(option.values).items():
         value, low, high = (figures(x, SHOWN) for x in q[1:])
         unit = "" if q.unit == "1" else f" {q.unit}"
-        found += f"; {place} is {value}{unit}, outside its range from {low} to {high}{unit}: hold-out laps confirm it"
+        text += f"; {place} is {value}{unit}, outside its range from {low} to {high}{unit}: hold-out laps confirm it"
     for active in option.effects:
         name = active.effect.name
-        if name not in left:
-            found += f"; vehicle.yaml is without {name}, which has faded over the {km} km of the recordings"
-        elif left[name] != active.values:
-            found += f"; {name} is written as it is after the {km} km of the recordings"
-    return found
+        if name not in written_values:
+            text += f"; vehicle.yaml is without {name}, which has faded over the {km} km of the recordings"
+        elif written_values[name] != active.values:
+            text += f"; {name} is written as it is after the {km} km of the recordings"
+    return text

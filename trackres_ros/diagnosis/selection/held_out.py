@@ -56,7 +56,7 @@ class Improvement:
 
     @property
     def less_likely(self) -> bool:
-        """Whether the laps do not confirm it for their level score alone, which falls although the mean error surely falls."""
+        """Whether only the level score prevents a confirmation: it falls although the mean error significantly falls too."""
         return self._falls and self.gained <= 0.0
 
     @property
@@ -76,35 +76,35 @@ class HeldOutLaps:
 
     def __init__(self, sessions: Sequence[DriveSession], masks: Sequence[Mask], rng: np.random.Generator) -> None:
         if not any(m.any() for m in masks):
-            given = "hold-out laps without a comparable sample"
+            reason = "hold-out laps without a comparable sample"
             allowed = "laps of driving with a measured torque"
-            raise InputError(", ".join(s.name for s in sessions), given, allowed, "choose them with --holdout")
+            raise InputError(", ".join(s.name for s in sessions), reason, allowed, "choose them with --holdout")
         self._masks = masks
-        self.measured = self.of([s.torque for s in sessions])
+        self.measured = self.samples([s.torque for s in sessions])
         self.blocks = np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)])
         self.names = {int(b): lap_name(s, int(b)) for s in sessions for b in np.unique(s.block)}
-        _, self._piece = np.unique(self.of(numbered(sessions, masks, FEWEST_LAPS)), return_inverse=True)
+        _, self._piece = np.unique(self.samples(numbered(sessions, masks, FEWEST_LAPS)), return_inverse=True)
         self._count = np.bincount(self._piece)
         n = len(self._count)
         self._draws = rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
 
-    def of(self, series: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    def samples(self, series: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """The hold-out samples of a series of each session."""
         return np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
 
     def improvement(self, before: Sequence[Array], after: Sequence[Array]) -> Improvement:
         """Improvement by one predicted torque of each session over another [Nm]."""
-        errors = [np.abs(self.measured - self.of(x)) for x in (before, after)]
-        gained = np.bincount(self._piece, weights=errors[0] - errors[1])
-        means = (self._draws @ gained) / (self._draws @ self._count)  # over resampled laps
+        errors = [np.abs(self.measured - self.samples(x)) for x in (before, after)]
+        decrease = np.bincount(self._piece, weights=errors[0] - errors[1])
+        means = (self._draws @ decrease) / (self._draws @ self._count)  # over resampled laps
         low, high = np.quantile(means, (0.025, 0.975))
         return Improvement(float(errors[0].mean()), float(errors[1].mean()), float(low), float(high))
 
-    def predicts(self, found: Fit) -> bool:
+    def predicts(self, fit: Fit) -> bool:
         """Whether a fit predicts better than the mean torque, or with a small error: in a steady drive it hardly varies."""
-        error = self.measured - self.of([p.torque for p in found.predicted])
-        small = float(np.abs(error).mean()) < SMALL_ERROR * float(np.abs(self.measured).mean())
-        return small or _r2(self.measured, error) >= 0.0
+        error = self.measured - self.samples([p.torque for p in fit.predicted])
+        is_small = float(np.abs(error).mean()) < SMALL_ERROR * float(np.abs(self.measured).mean())
+        return is_small or _r2(self.measured, error) >= 0.0
 
     def improvement_of(self, before: Fit, after: Fit) -> Improvement:
         """Improvement by one fit over another."""
@@ -138,12 +138,12 @@ def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]], as_file
     without assumed sensor errors.
     """
     numbers = np.unique(laps.blocks)
-    error = {stage: laps.measured - laps.of(expected[stage]) for stage in STAGES}
-    of_lap = [laps.blocks == b for b in numbers]
+    error = {stage: laps.measured - laps.samples(expected[stage]) for stage in STAGES}
+    lap_masks = [laps.blocks == b for b in numbers]
     by_lap = {
-        "mae": {stage: np.array([np.abs(e[lap]).mean() for lap in of_lap]) for stage, e in error.items()},
-        "r2": {stage: np.array([_r2(laps.measured[lap], e[lap]) for lap in of_lap]) for stage, e in error.items()},
-        "bias": {stage: np.array([e[lap].mean() for lap in of_lap]) for stage, e in error.items()},
+        "mae": {stage: np.array([np.abs(e[lap]).mean() for lap in lap_masks]) for stage, e in error.items()},
+        "r2": {stage: np.array([_r2(laps.measured[lap], e[lap]) for lap in lap_masks]) for stage, e in error.items()},
+        "bias": {stage: np.array([e[lap].mean() for lap in lap_masks]) for stage, e in error.items()},
     }
     return HeldOut(
         tuple(laps.names[int(b)] for b in numbers),

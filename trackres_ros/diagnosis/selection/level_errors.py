@@ -64,8 +64,8 @@ class Levels:
         self._prior = scale / std
         self._pull = np.nan_to_num((nominal - fit.point) / std)
         self.nothing = self.errors(None)
-        kept = np.eye(len(self._prior)) * (self._prior**2 + RIDGE)
-        self._projector = np.linalg.solve(self._own.T @ self._own + kept, self._own.T)
+        prior = np.eye(len(self._prior)) * (self._prior**2 + RIDGE)
+        self._projector = np.linalg.solve(self._own.T @ self._own + prior, self._own.T)
 
     def _index(self, fit: Fit, used: Sequence[Mask]) -> None:
         """Block of each row, and the folds of the blocks."""
@@ -130,14 +130,14 @@ class Levels:
 
     def errors(self, candidate: Amplitudes | None) -> LevelErrors:
         """Errors of the blocks with the base, and a candidate, fitted to the others."""
-        found = []
+        errors = []
         for folds in (self._pieces, self._recordings):
             error = np.full(self.blocks, np.nan)
             if len(folds):
                 predicted = self._solved(candidate, ~folds)[0]
                 error[:] = np.where(folds, self.residual - predicted, 0.0).sum(axis=0)
-            found.append(error)
-        return LevelErrors(*found)
+            errors.append(error)
+        return LevelErrors(*errors)
 
     def start(self, candidate: Amplitudes) -> Array:
         """The amplitudes over their typical ones that fit all blocks best."""
@@ -173,18 +173,18 @@ class Levels:
         gains = [log_likelihood(after) - log_likelihood(before) for before, after in pairs if np.isfinite(before).any()]
         return float(np.mean(gains) - (candidate.columns.shape[1] - 1))
 
-    def falls(self, more: Array) -> float:
+    def falls(self, torque: Array) -> float:
         """Share by which a column of all torques lowers the mean error of the blocks that are predicted without their piece."""
-        column = self.means(more)[:, np.newaxis]
+        column = self.means(torque)[:, np.newaxis]
         after = self.errors(Amplitudes(column, np.array([-np.inf]), np.array([np.inf])))
         return 1.0 - float(np.nanmean(np.abs(after.pieces)) / np.nanmean(np.abs(self.nothing.pieces)))
 
-    def change_of(self, adds: Array, more: Array, cluster_s: float) -> tuple[float, float]:
-        """Coefficient of a column `more` beside the base and a term's torque `adds`, and its standard deviation.
+    def change_of(self, torque: Array, changing: Array, cluster_s: float) -> tuple[float, float]:
+        """Fit the coefficient of a column `changing`, with the base and the `torque` of a term; and its standard deviation.
 
         The deviation is that of clusters of `cluster_s` [s] whose errors may be alike.
         """
-        x = np.column_stack([self._own, self.means(adds), self.means(more)])
+        x = np.column_stack([self._own, self.means(torque), self.means(changing)])
         prior = np.diag(np.append(self._prior**2, [0.0, 0.0]) + RIDGE)
         pull = np.append(self._prior * self._pull, [0.0, 0.0])
         weight = np.ones((1, self.blocks))

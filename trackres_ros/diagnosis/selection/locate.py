@@ -27,9 +27,9 @@ from trackres_ros.text import figures, on_scale
 from trackres_ros.units import GRAVITY
 
 
-def torque_residuals(found: Fit) -> list[Array]:
+def torque_residuals(fit: Fit) -> list[Array]:
     """Measured less expected torque of each session [Nm]."""
-    return [s.torque - p.torque for s, p in zip(found.problem.sessions, found.predicted, strict=True)]
+    return [s.torque - p.torque for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
 
 
 def against_travel(sessions: Sequence[DriveSession], torques: Sequence[Array]) -> list[Array]:
@@ -92,13 +92,13 @@ def regime_map(fit: Fit, rng: np.random.Generator, predicted: Sequence[Predicted
     rows = fit.white[: len(sessions)]
     turns_back = np.concatenate([np.abs(s.speed) < 0.5 * s.step * np.abs(s.accel) for s in sessions])
     valid = np.isfinite(np.concatenate(rows)) & ~turns_back
-    e, plain = (np.concatenate(against_travel(sessions, of))[valid] for of in (rows, torque_residuals(fit)))
+    e, plain = (np.concatenate(against_travel(sessions, values))[valid] for values in (rows, torque_residuals(fit)))
     pieces = _pieces(rows)[valid]
     members, bins = [], []
     for name, series in varying(sessions, predicted or fit.predicted).items():
-        of = series[valid]
-        for low, high in _edges(of):
-            inside = (of >= low) & (of <= high)
+        values = series[valid]
+        for low, high in _edges(values):
+            inside = (values >= low) & (values <= high)
             if inside.sum() >= FEWEST_IN_BIN:
                 members.append(inside)
                 bins.append((name, low, high, float(plain[inside].mean()), BY_NAME[name].unit, int(inside.sum())))
@@ -108,11 +108,11 @@ def regime_map(fit: Fit, rng: np.random.Generator, predicted: Sequence[Predicted
     sums = np.array([np.bincount(number, weights=np.where(inside, e, 0.0), minlength=number.max() + 1) for inside in members])
     middle = sums - sums.mean(axis=1, keepdims=True) if sums.shape[1] > 1 else sums
     spread = np.sqrt((middle**2).sum(axis=1)) + 1e-12
-    found = np.abs(sums.sum(axis=1)) / spread
+    statistics = np.abs(sums.sum(axis=1)) / spread
     flips = (rng.choice((-1.0, 1.0), (AT_ONCE, sums.shape[1])) for _ in range(REPLICATES // AT_ONCE))
-    reached = np.concatenate([np.abs(signs @ middle.T / spread).max(axis=1) for signs in flips])
-    p = (1.0 + (reached[:, np.newaxis] >= found).sum(axis=0)) / (REPLICATES + 1.0)
-    return RegimeMap(tuple(Bin(*of, p=float(q)) for of, q in zip(bins, p, strict=True)), float(p.min()), len(e))
+    largest = np.concatenate([np.abs(signs @ middle.T / spread).max(axis=1) for signs in flips])
+    p = (1.0 + (largest[:, np.newaxis] >= statistics).sum(axis=0)) / (REPLICATES + 1.0)
+    return RegimeMap(tuple(Bin(*values, p=float(q)) for values, q in zip(bins, p, strict=True)), float(p.min()), len(e))
 
 
 def cumulative_periodogram(fit: Fit) -> float:
@@ -140,11 +140,11 @@ def _edges(series: Array) -> list[tuple[float, float]]:
 
 def _pieces(rows: Sequence[Array]) -> NDArray[np.int64]:
     """Number of the piece of each row, whose sign is flipped together."""
-    first, found = 0, []
+    first, pieces = 0, []
     for row in rows:
-        found.append(first + np.arange(len(row)) // FLIPPED_TOGETHER)
-        first = int(found[-1][-1]) + 1
-    return np.concatenate(found)
+        pieces.append(first + np.arange(len(row)) // FLIPPED_TOGETHER)
+        first = int(pieces[-1][-1]) + 1
+    return np.concatenate(pieces)
 
 
 PIECE_S, MOST_PIECES = 30.0, 400  # the search time grows with their number squared; longer recordings have longer pieces
@@ -162,28 +162,28 @@ class Change:
     after: float
 
 
-def changes(found: Fit) -> list[Change]:
+def changes(fit: Fit) -> list[Change]:
     """Change points of the torque residual in each recording, by means of the whitened one over the std of such a mean."""
-    listed = []
-    sessions, masks = found.problem.sessions, found.problem.masks
-    of_torque = found.white[: len(sessions)], torque_residuals(found)
-    for session, mask, white, residual in zip(sessions, masks, *of_torque, strict=True):
+    points = []
+    sessions, masks = fit.problem.sessions, fit.problem.masks
+    series = fit.white[: len(sessions)], torque_residuals(fit)
+    for session, mask, white, residual in zip(sessions, masks, *series, strict=True):
         valid = np.isfinite(white)
         shortest = PIECE_S * session.pace
         length = shortest * max(1, -(-int(session.time[-1] // shortest + 1) // MOST_PIECES))
         piece = (session.time // length).astype(int)
         count = np.bincount(piece[valid], minlength=piece[-1] + 1)
-        there = count > 0
-        if there.sum() < 2 * SHORTEST_PIECES:
+        filled = count > 0
+        if filled.sum() < 2 * SHORTEST_PIECES:
             continue
-        influence = white[valid] * found.noise.weights(white[valid])
-        level = np.bincount(piece[valid], weights=influence, minlength=len(count))[there] / np.sqrt(count[there])
+        influence = white[valid] * fit.noise.weights(white[valid])
+        level = np.bincount(piece[valid], weights=influence, minlength=len(count))[filled] / np.sqrt(count[filled])
         penalty = COST_OF_A_CHANGE * math.log(len(level))
-        starts = np.flatnonzero(there)
+        starts = np.flatnonzero(filled)
         edges = [0.0, *(length * starts[first] for first in segments(level, penalty)), np.inf]
         means = [float(residual[mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
-        listed += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
-    return listed
+        points += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
+    return points
 
 
 def segments(level: Array, penalty: float) -> list[int]:
@@ -200,10 +200,10 @@ def segments(level: Array, penalty: float) -> list[int]:
         total = cost[begin] + squares[end] - squares[begin] - (sums[end] - sums[begin]) ** 2 / (end - begin) + penalty
         first[end] = int(total.argmin())
         cost[end] = total[first[end]]
-    found = [int(first[-1])]
-    while found[-1]:
-        found.append(int(first[found[-1]]))
-    return found[-2::-1]
+    starts = [int(first[-1])]
+    while starts[-1]:
+        starts.append(int(first[starts[-1]]))
+    return starts[-2::-1]
 
 
 FOLLOWS_LEAST = 0.3  # of the mean square: a smaller share means that a torque follows no variable
@@ -249,13 +249,13 @@ def _cells(x: Array, bins: int) -> NDArray[np.int64]:
 def _explained(torque: Array, cells: NDArray[np.int64], laps: NDArray[np.int64]) -> float:
     """Share of the variance of a torque that the means of its cells over the other laps explain, at least zero."""
     number, width = int(laps.max()) + 1, int(cells.max()) + 1
-    at = laps * width + cells
+    cell = laps * width + cells
     size = number * width
-    count, total = (np.bincount(at, w, size).reshape(number, width) for w in (None, torque))
+    count, total = (np.bincount(cell, w, size).reshape(number, width) for w in (None, torque))
     others, sums = (x.sum(axis=0) - x if number > 1 else x for x in (count, total))
     means = np.where(others > 0.0, sums / np.maximum(others, 1.0), torque.mean()).ravel()
     variance = float(np.var(torque))
-    return max(0.0, 1.0 - float(np.mean((torque - means[at]) ** 2)) / variance) if variance > 0.0 else 0.0
+    return max(0.0, 1.0 - float(np.mean((torque - means[cell]) ** 2)) / variance) if variance > 0.0 else 0.0
 
 
 ACTING_SHARE = 0.5  # of its 95th percentile
@@ -297,16 +297,16 @@ def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]
     if not len(used) or not used.max() > 0.0:
         return []
     limit = ACTING_SHARE * float(np.percentile(used, 95.0))
-    found: list[Span] = []
+    periods: list[Span] = []
     for session, x in zip(sessions, series, strict=True):
         acting = (np.abs(x) >= limit) & session.used
         for begin, end in session.stretches(acting):
-            last = found[-1] if found and found[-1].recording == session.name else None
+            last = periods[-1] if periods and periods[-1].recording == session.name else None
             if last and begin - last.end <= JOINED_S * session.pace:
-                found[-1] = replace(last, end=end)
+                periods[-1] = replace(last, end=end)
             else:
-                found.append(Span(session.name, begin, end))
-    lasting = [s for s in found if s.end - s.begin >= SHORTEST_S * sessions[0].pace]
+                periods.append(Span(session.name, begin, end))
+    lasting = [s for s in periods if s.end - s.begin >= SHORTEST_S * sessions[0].pace]
     longest = sorted(lasting, key=lambda s: s.begin - s.end)[:MOST_SPANS]
     return [s for s in lasting if s in longest]
 
@@ -376,17 +376,17 @@ def within(variable: str, low: float, high: float, session: DriveSession, predic
     return np.asarray(session.used & (series >= low) & (series <= high))
 
 
-def locate(found: Fit, adds: Sequence[Array]) -> Location:
+def locate(fit: Fit, adds: Sequence[Array]) -> Location:
     """The variable whose bins explain most of a series, and their range where the series is large."""
-    sessions = found.problem.sessions
+    sessions = fit.problem.sessions
     used = np.concatenate([s.used for s in sessions])
     series = np.concatenate(adds)[used]
     square = float(np.mean(series**2))
     best, result = -1.0, Location("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
     shares: dict[str, float] = {}
     # Time-like variables follow every single change in a drive, so they must explain clearly more.
-    for name, everywhere in sorted(varying(sessions, found.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
-        x = everywhere[used]
+    for name, values in sorted(varying(sessions, fit.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
+        x = values[used]
         if np.ptp(x) == 0.0:
             continue
         edges, place = evenly_filled(x, BINS)
@@ -425,8 +425,8 @@ def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S
 
 def rms_over_time(means: Sequence[Array]) -> tuple[list[float], float]:
     """Root mean square of a `smoothed` residual, of each session and of all their time [Nm]."""
-    *sizes, of_all = (float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in (*means, np.concatenate(means)))
-    return sizes, of_all
+    *sizes, total = (float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in (*means, np.concatenate(means)))
+    return sizes, total
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,10 +443,10 @@ class SlowResidual:
     closest: str = ""
 
 
-def slow_residual(found: Fit) -> SlowResidual:
+def slow_residual(fit: Fit) -> SlowResidual:
     """Residual torque that lasts longer than noise."""
-    means, torques, problem = [], [], found.problem
-    for session, mask, residual in zip(problem.sessions, problem.masks, torque_residuals(found), strict=True):
+    means, torques, problem = [], [], fit.problem
+    for session, mask, residual in zip(problem.sessions, problem.masks, torque_residuals(fit), strict=True):
         slow_s = SLOW_S * session.pace
         number = (session.time // slow_s).astype(int)
         count = np.bincount(number[mask])
@@ -462,38 +462,38 @@ def slow_residual(found: Fit) -> SlowResidual:
     return SlowResidual(size, size / max(torque, 1e-12), slope, SLOW_S * problem.sessions[0].pace)
 
 
-def is_like_slope(found: Fit) -> bool:
+def is_like_slope(fit: Fit) -> bool:
     """Whether an unrecorded slope may be the residual: most of its variation lasts longer than noise."""
-    slow = slow_residual(found)
-    every = np.concatenate([r[m] for r, m in zip(torque_residuals(found), found.problem.masks, strict=True)])
-    offset = float(np.nanmean(every))
-    return math.isfinite(slow.slope) and slow.size**2 - offset**2 > MOSTLY * float(np.nanvar(every))
+    summary = slow_residual(fit)
+    residual = np.concatenate([r[m] for r, m in zip(torque_residuals(fit), fit.problem.masks, strict=True)])
+    offset = float(np.nanmean(residual))
+    return math.isfinite(summary.slope) and summary.size**2 - offset**2 > MOSTLY * float(np.nanvar(residual))
 
 
 def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
     """Mean absolute errors on the fitted and the `unused` hold-out laps [Nm], if the latter is much larger; else None."""
     torques = [s.torque for s in refitted.problem.sessions]
     error, torque = (
-        float(np.nanmean(np.abs(np.concatenate([x[m] for x, m in zip(of, refitted.problem.masks, strict=True)]))))
-        for of in (torque_residuals(refitted), torques)
+        float(np.nanmean(np.abs(np.concatenate([x[m] for x, m in zip(series, refitted.problem.masks, strict=True)]))))
+        for series in (torque_residuals(refitted), torques)
     )
     return (error, unused) if unused > max(LATER * error, error + LATER_SHARE * torque) else None
 
 
-def regime_of(refitted: Fit, final: Fit, at_base: RegimeMap, where: Location) -> tuple[Bin, ...]:
+def regime_of(refitted: Fit, final: Fit, at_base: RegimeMap, location: Location) -> tuple[Bin, ...]:
     """Residual of the base against travel where an effect of the `final` fit acts, and its other significant bins."""
-    sessions, limits = refitted.problem.sessions, (where.variable, where.low, where.high)
+    sessions, limits = refitted.problem.sessions, (location.variable, location.low, location.high)
     inside = [within(*limits, s, p) for s, p in zip(sessions, final.predicted, strict=True)]
     residual = np.concatenate(against_travel(sessions, torque_residuals(refitted)))[np.concatenate(inside)]
     mean = float(residual.mean()) if len(residual) else 0.0
-    here = Bin(*limits, mean, where.unit, len(residual), at_base.likeliest(*limits))
-    return (here, *(b for b in at_base.significant if b.variable != where.variable))
+    local_bin = Bin(*limits, mean, location.unit, len(residual), at_base.likeliest(*limits))
+    return (local_bin, *(b for b in at_base.significant if b.variable != location.variable))
 
 
-def thermal_check(found: Fit) -> ThermalCheck | None:
+def thermal_check(fit: Fit) -> ThermalCheck | None:
     """Compare measured and simulated belt temperature; None without a measured one."""
-    of_belts = [r[g.mask] for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "belt"]
-    differences = np.concatenate([np.empty(0), *of_belts])
+    belt_residuals = [r[g.mask] for r, g in zip(fit.residuals, fit.problem.segments, strict=True) if g.kind == "belt"]
+    differences = np.concatenate([np.empty(0), *belt_residuals])
     if not len(differences):
         return None
     mean, size = float(differences.mean()), float(np.abs(differences).mean())

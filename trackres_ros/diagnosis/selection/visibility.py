@@ -90,15 +90,15 @@ def is_name(effect: Effect) -> bool:
 
 def infeasible(effect: Effect, fit: Fit) -> str:
     """Why an effect cannot be examined with the inputs and the base of a fit; empty if it can."""
-    given = frozenset.intersection(*(s.given for s in fit.problem.sessions))
-    missing = [need for need in effect.needs if need not in ALWAYS_KNOWN and need not in given]
+    inputs = frozenset.intersection(*(s.given for s in fit.problem.sessions))
+    missing = [need for need in effect.needs if need not in ALWAYS_KNOWN and need not in inputs]
     if effect.name in fit.problem.base.includes:
         return "the model already has it"
     if effect.of_belts and not fit.problem.base.has_belt:
         return "the vehicle has no belt"
     if missing:
         return f"needs {', '.join(missing)}, which is not recorded"
-    return "grade is recorded, and in the model" if effect.name in SLOPES and "grade" in given else ""
+    return "grade is recorded, and in the model" if effect.name in SLOPES and "grade" in inputs else ""
 
 
 def separability(
@@ -107,31 +107,31 @@ def separability(
     """Linearise all effects about a fit; compare them with its own parameters, with columns `own`, and with each other."""
     columns_of = columns_of or EffectColumns(fit)
     own = base_columns(fit) if own is None else own
-    others = [effect for effect in effects.values() if effect.name not in fit.effect_names]
-    reasons = [infeasible(effect, fit) for effect in others]
-    not_visible = [NotVisible(effect, why) for effect, why in zip(others, reasons, strict=True) if why]
-    possible = [effect for effect, why in zip(others, reasons, strict=True) if not why]
-    seen_by, quick = _Visibility(fit, own), _FastGains(for_tests(fit), own)
+    candidates = [effect for effect in effects.values() if effect.name not in fit.effect_names]
+    reasons = [infeasible(effect, fit) for effect in candidates]
+    not_visible = [NotVisible(effect, reason) for effect, reason in zip(candidates, reasons, strict=True) if reason]
+    possible = [effect for effect, reason in zip(candidates, reasons, strict=True) if not reason]
+    visibility, quick = _Visibility(fit, own), _FastGains(for_tests(fit), own)
     visible, directions = [], dict[str, Array]()
     for effect in counted(possible, "visibility of each effect", len(possible)):
         columns = [(start, columns_of(effect, start)) for start in starts(effect)]
-        found, best = seen_by.strongest(effect, columns)
+        proposals, best = visibility.strongest(effect, columns)
         if best is None:
             not_visible.append(NotVisible(effect, "it has no effect here"))
         elif LARGE * best.d_prime < LEAST_D_PRIME:
             size = f"{LARGE:g} times as large as is typical"
-            why = f"even {size}, it would reach only {LARGE * best.d_prime:.1f} standard deviations"
-            not_visible.append(NotVisible(effect, why))
+            reason = f"even {size}, it would reach only {LARGE * best.d_prime:.1f} standard deviations"
+            not_visible.append(NotVisible(effect, reason))
         else:
             # An absorbed effect is hardly visible, but may explain better than base values outside their ranges.
             if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
-                why = f"the base's parameters absorb {100.0 * (1 - best.kept):.0f} % of it"
-                not_visible.append(NotVisible(effect, why))
+                reason = f"the base's parameters absorb {100.0 * (1 - best.kept):.0f} % of it"
+                not_visible.append(NotVisible(effect, reason))
             if is_name(effect):
                 directions[effect.name] = best.direction
-            visible += [replace(quick.added(s), direction=np.empty(0)) for s in found]
-    of_names = np.array(list(directions.values())) if directions else np.empty((0, 0))
-    return Separability(tuple(visible), tuple(not_visible), tuple(directions), of_names @ of_names.T)
+            visible += [replace(quick.added(s), direction=np.empty(0)) for s in proposals]
+    matrix = np.array(list(directions.values())) if directions else np.empty((0, 0))
+    return Separability(tuple(visible), tuple(not_visible), tuple(directions), matrix @ matrix.T)
 
 
 def starts(effect: Effect) -> list[dict[str, float]]:
@@ -151,31 +151,31 @@ class EffectColumns:
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
-        self._known, self._given = (dict[tuple[Effect, tuple[float, ...]], Array]() for _ in range(2))
+        self._known, self._torque_columns = (dict[tuple[Effect, tuple[float, ...]], Array]() for _ in range(2))
 
     def give(self, effect: Effect, torque: Array) -> None:
         """Columns of an effect that only adds a torque, of all sessions concatenated, shape (n, amplitudes): no simulation."""
         rows = sum(len(g.measured) for g in self._fit.problem.segments)
         if len(torque) < rows:
             torque = np.concatenate((torque, np.zeros((rows - len(torque), torque.shape[1]))))
-        self._given[effect, tuple(effect.values().values())] = torque
+        self._torque_columns[effect, tuple(effect.values().values())] = torque
 
     def forget(self) -> None:
         """Forget the columns that were given."""
-        self._given.clear()
+        self._torque_columns.clear()
 
     def __call__(self, effect: Effect, start: Mapping[str, float]) -> Array:
         """Columns of one effect about its initial values, shape (n, amplitudes)."""
         key = effect, tuple(start.values())
-        if key in self._given:
-            return self._given[key]
+        if key in self._torque_columns:
+            return self._torque_columns[key]
         if key not in self._known:
             fit, before = self._fit, _expected(self._fit, self._fit.predicted)
             amplitudes = [(q, q.off, q.start - q.off) for q in effect.parameters if q.off is not None]
-            off = {**start, **{q.name: none for q, none, _ in amplitudes}}
+            off = {**start, **{q.name: zero for q, zero, _ in amplitudes}}
             columns = np.empty((len(before), len(amplitudes)))
-            for i, (q, none, step) in enumerate(amplitudes):  # the secant: some effects are far from linear
-                active = [*fit.acting, Active(effect, {**off, q.name: none + step})]
+            for i, (q, zero, step) in enumerate(amplitudes):  # the secant: some effects are far from linear
+                active = [*fit.acting, Active(effect, {**off, q.name: zero + step})]
                 columns[:, i] = (_expected(fit, fit.problem.predict(fit.base_values, active)) - before) / step
             self._known[key] = columns
         return self._known[key]
@@ -195,11 +195,11 @@ class _Visibility:
         self, effect: Effect, columns: Sequence[tuple[dict[str, float], Array]]
     ) -> tuple[list[Proposal], Proposal | None]:
         """Sensitivity to an effect from each start with any influence, and the largest one."""
-        found = [s for start, of in columns if (s := self._sensitivity(effect, start, of)) is not None]
-        return found, max(found, key=lambda s: s.d_prime, default=None)
+        sensitivities = [s for start, change in columns if (s := self._sensitivity(effect, start, change)) is not None]
+        return sensitivities, max(sensitivities, key=lambda s: s.d_prime, default=None)
 
     def _sensitivity(self, effect: Effect, start: Mapping[str, float], columns: Array) -> Proposal | None:
-        """That to all amplitudes together, or to the most visible one; None without influence."""
+        """Sensitivity to all amplitudes together, or to the most visible one; None without influence."""
         best = None
         spanned = columns * amplitude_spans(effect)
         for change in (spanned.sum(axis=1), *spanned.T):
@@ -207,12 +207,12 @@ class _Visibility:
             whole = float(np.linalg.norm(white))
             if not whole > 1e-9:
                 continue
-            taken = self._factor @ (self._own.T @ white)
-            left, pushed = white - self._own @ taken, taken * self._scale / self._std
-            data, prior = float(np.linalg.norm(left)), float(np.linalg.norm(pushed))
+            absorbed = self._factor @ (self._own.T @ white)
+            remainder, pushed = white - self._own @ absorbed, absorbed * self._scale / self._std
+            data, prior = float(np.linalg.norm(remainder)), float(np.linalg.norm(pushed))
             rest = float(np.hypot(data, prior))
             if best is None or rest > best.d_prime:
-                direction = np.concatenate((left, pushed)) / max(rest, 1e-300)
+                direction = np.concatenate((remainder, pushed)) / max(rest, 1e-300)
                 best = Proposal(effect, start, columns, rest / whole, rest, prior, direction)
         return best
 
@@ -231,16 +231,16 @@ class _FastGains:
         self._own = _white(own, fit) * scale * self._root[:, np.newaxis]
         self._white = valid_rows(fit.white) * self._root
         information = self._own.T @ self._own + np.diag((scale / std) ** 2) + 1e-9 * np.eye(len(scale))
-        self._taken = np.linalg.inv(information)
+        self._covariance = np.linalg.inv(information)
         self._pull = self._own.T @ self._white - np.nan_to_num((fit.point - nominal) / std**2) * scale
 
     def added(self, s: Proposal) -> Proposal:
         """The same sensitivity with its gain."""
         spans = amplitude_spans(s.effect)
         x = _white(s.columns, self._fit) * spans * self._root[:, np.newaxis]
-        taken = x.T @ self._own @ self._taken
-        score = x.T @ self._white - taken @ self._pull
-        information = x.T @ x - taken @ (self._own.T @ x) + np.eye(len(score)) / LARGE**2
+        projection = x.T @ self._own @ self._covariance
+        score = x.T @ self._white - projection @ self._pull
+        information = x.T @ x - projection @ (self._own.T @ x) + np.eye(len(score)) / LARGE**2
         moved = np.clip(np.linalg.solve(information, score), *amplitude_bounds(s.effect))
         return replace(s, fast=float(score @ moved - 0.5 * moved @ information @ moved), moved=moved)
 

@@ -153,7 +153,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     stds = {name: max(all_free.std_of("", name), scatter.get(("", name), 0.0)) for name in free}
     determined = [q.name for q in base.parameters if q.name in free and stds[q.name] < UNDETERMINED * q.std]
     problem = replace(problem, base=CoastingBase(loaded.base, determined, unpaired))
-    found = _fit(problem, all_free.at) if determined else None
+    found = _fit(problem, all_free.estimates) if determined else None
     masses = _mass_stds(loaded.base, rolled)
     parameters = _parameters(base, all_free, found, scatter, masses)
     outside = [p for p in parameters if not p.by_file[0] <= p.value <= p.by_file[1]]
@@ -161,7 +161,7 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
         inside = loaded.base.inside_ranges(())
         base = CoastingBase(inside, free, unpaired)
         problem = replace(problem, base=CoastingBase(inside, determined, unpaired))
-        found = _fit(problem, found.at)
+        found = _fit(problem, found.estimates)
         parameters = _parameters(base, all_free, found, scatter, masses)
     rng = np.random.default_rng(seed)
     return Coastdown(
@@ -254,12 +254,12 @@ def _parameters(
     spans = intervals(all_free)
     std = np.sqrt(np.diag(all_free.covariance))
     correlation = all_free.covariance / np.outer(std, std)
-    values = {} if found is None else found.at
+    values = {} if found is None else found.estimates
     by_masses = _by_masses(all_free, masses) | ({} if found is None else _by_masses(found, masses))
     count = len(base.parameters) - len(base.slopes)
     listed = []
     for i, (q, f) in enumerate(zip(base.parameters[:count], all_free.free[:count], strict=True)):
-        determined, at, span = f.key in values, all_free.at[f.key], spans[f.key]
+        determined, at, span = f.key in values, all_free.estimates[f.key], spans[f.key]
         value = values.get(f.key, q.nominal)
         of_mass, by_rollings = NORMAL_95 * by_masses[f.key], NORMAL_95 * scatter.get(f.key, 0.0)
         below, above = (np.hypot(max(reach, by_rollings), of_mass) for reach in (at - span.low, span.high - at))
