@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-HANG_S = 60.0  # a reader ends by itself after half of it
+HANG_S = 60.0  # a reader ends by itself after 10 s of processor time
 MOST_BYTES = 10**9
 LIMIT_BYTES = 4 * 10**9
 """Of the address space; so much would be taken by what goes far beyond `MOST_BYTES`, and not by libraries that are loaded."""

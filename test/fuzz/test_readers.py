@@ -42,6 +42,7 @@ def test_the_whole_file_is_read_whole(tmp_path, name):
     assert Counter(ast.literal_eval(result["text"].partition(" of ")[0])) == form.expected
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the timer may hit a callback, and comes again
 @pytest.mark.long
 @pytest.mark.parametrize("name", FORMATS)
 def test_damaged_files(name, tmp_path, bounded):

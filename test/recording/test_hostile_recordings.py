@@ -304,6 +304,17 @@ def test_rows_of_a_database_of_any_type_are_counted(tmp_path):
         assert any("3 messages of topics that the bag does not describe" in line for line in recording.report())
 
 
+@pytest.mark.parametrize("column", ["name", "type"])
+def test_a_topic_without_a_name_or_a_type_is_refused(tmp_path, refused, column):
+    path = folder_bag(tmp_path / "bag") / "bag.db3"
+    with closing(sqlite3.connect(path)) as database, database:
+        database.executescript(
+            "CREATE TABLE loose AS SELECT * FROM topics; DROP TABLE topics; ALTER TABLE loose RENAME TO topics"
+        )
+        database.execute(f"UPDATE topics SET {column} = NULL")
+    assert str(path) in refused(path)
+
+
 ARRAY = f"{{}}\nfloat64 speed\n{'=' * 80}\nMSG: my_msgs/E\n{{}}\n"
 
 

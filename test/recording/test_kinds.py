@@ -338,6 +338,7 @@ def test_channels_of_mdf_without_times_are_not_read(tmp_path, sync, what):
             tr.read(path, topics={**speed, "torque": {"channel": name}})
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the timer may hit a callback, and comes again
 @pytest.mark.parametrize("kind", ["MF4", "MF4 of a bus"])
 @pytest.mark.parametrize("listed", [b"##DG", b"##CG", b"##CN"])
 def test_a_list_of_mdf_that_never_ends_is_refused(files, tmp_path, monkeypatch, kind, listed):

@@ -158,6 +158,7 @@ def endless(parts: int):
         time.process_time()
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the timer may hit a callback, and comes again
 def test_a_step_without_end_is_ended(tmp_path, monkeypatch):
     monkeypatch.setattr(reading, "LEAST_S", 0.1)
     handler, parts = signal.getsignal(signal.SIGVTALRM), read_in_steps(tmp_path, "a file", endless(3))

@@ -422,7 +422,11 @@ def open_bag(path: Path) -> Reader:
         _check_journal(path)
         check_file(path)
     with reading(path, READABLE, remedy(path)):
-        return opened(path)
+        reader = opened(path)
+        if all(isinstance(text, str) for one in reader.connections for text in (one.topic, one.msgtype)):
+            return reader
+        reader.close()  # a database has any values
+        raise InputError(str(path), "a topic without a name or a type", READABLE, remedy(path))
 
 
 def _opener(path: Path) -> Callable[[Path], Reader]:

@@ -25,8 +25,8 @@ from trackres_ros.files.own_files import KINDS
 LEAST_BYTES, TIMES_FILE = 3 * 2**28, 32
 """Most memory that a step of reading may add: this, and so many times the size of the file. A file that it unpacks may be as
 long. Packed tables shrink to a tenth; a few bytes of an archive may request all of the memory."""
-LEAST_S, S_PER_BYTE = 30.0, 60e-6
-"""Most processor time of reading a file: half a minute, and a minute for each megabyte. The slowest format, a packed log of a
+LEAST_S, S_PER_BYTE = 10.0, 60e-6
+"""Most processor time of reading a file: ten seconds, and a minute for each megabyte. The slowest format, a packed log of a
 bus, takes some seconds for one."""
 OWN_FAULT = "a bug: please report it, with the file"
 HEAD_BYTES = 512
@@ -61,7 +61,7 @@ class OutOfTime(BaseException):
 
 BEYOND = (MemoryError, OutOfTime)
 SMALLER = "the file is damaged or hostile; a genuine one can be read in parts, or as Parquet"
-TICK_S = 1e-3
+STEP_S = 0.01  # of reading at once: to set the limits takes 0.1 ms
 
 Part = TypeVar("Part")
 
@@ -129,14 +129,25 @@ def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
 
 
 def read_in_steps(path: Path, allowed: str, parts: Iterator[Part], remedy: str = "") -> Iterator[Part]:
-    """The parts of a file, each read within the limits; what the caller does with a part has none."""
-    limits, ended = Limits(path), object()
-    while True:
-        with in_one_line(path, allowed, remedy), limits.step():
-            part = next(parts, ended)
-        if part is ended:
-            return
-        yield part  # type: ignore[misc]
+    """The parts of a file, read within the limits; what the caller does with them has none."""
+    limits, ended = Limits(path), False
+    while not ended:
+        read: list[Part] = []
+        refused = None
+        try:
+            with in_one_line(path, allowed, remedy), limits.step():
+                until_s = time.perf_counter() + STEP_S
+                for part in parts:
+                    read.append(part)
+                    if time.perf_counter() > until_s:
+                        break
+                else:
+                    ended = True
+        except InputError as error:
+            refused = error
+        yield from read
+        if refused:
+            raise refused
 
 
 class Limits:
@@ -192,7 +203,7 @@ def _ends_after(most_s: float) -> Iterator[None]:
 
     handler = signal.signal(signal.SIGVTALRM, end)
     try:
-        signal.setitimer(signal.ITIMER_VIRTUAL, max(most_s, TICK_S), 1.0)
+        signal.setitimer(signal.ITIMER_VIRTUAL, max(most_s, STEP_S), 1.0)
         yield
     finally:
         going_on = False

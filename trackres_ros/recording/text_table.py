@@ -129,7 +129,7 @@ def is_number(text: str) -> bool:
 def number_of(text: str, mark: Mark, where: str = "") -> float | None:
     """The number in a cell, None where it is empty. Raises InputError with its place if it is no number."""
     bare, other = text.strip(), COMMA if mark == POINT else POINT
-    if bare in NO_VALUE:
+    if not bare:
         return None
     try:
         if "_" in bare or (other in bare and not GROUPED[mark].fullmatch(bare)):  # 1_0 is Python's notation, not that of a table
@@ -137,6 +137,8 @@ def number_of(text: str, mark: Mark, where: str = "") -> float | None:
         bare = bare.replace(other, "")
         return float(bare if mark == POINT else bare.replace(COMMA, POINT))
     except ValueError:
+        if bare in NO_VALUE:
+            return None
         raise InputError(where, text, "a number, or an empty cell") from None
 
 
@@ -408,11 +410,11 @@ class TextTable:
 
             def lines() -> Iterator[str]:
                 nonlocal inside
-                for progress.line, line in enumerate(file, 1):
-                    if progress.line > self.first:
-                        progress.ended = inside or line.endswith(("\n", "\r"))
-                        inside = True
-                        yield line if self.separator != " " else " ".join(line.split()) + "\n"
+                several = self.separator == " "
+                for progress.line, line in enumerate(itertools.islice(file, self.first, None), self.first + 1):
+                    progress.ended = inside or line.endswith(("\n", "\r"))
+                    inside = True
+                    yield " ".join(line.split()) + "\n" if several else line
 
             try:
                 for row in csv.reader(lines(), delimiter=self.separator):
@@ -463,7 +465,7 @@ class TextTable:
 
     def _numbers(self, row: Sequence[str], columns: Sequence[Column], line: int) -> list[float | int | None]:
         width = len(self.names)
-        if not fits(row, width):
+        if len(row) != width and not fits(row, width):
             remedy = ""
             if self.separator == "," and len(row) > width:
                 remedy = "if numbers have a decimal comma, separate cells by semicolons or tabs"

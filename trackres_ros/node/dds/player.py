@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import itertools
 import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +23,6 @@ CLOCK_PERIOD_S = 0.01  # of this machine, not of the bag
 QUALITY = Quality(reliable=True, depth=100, deadline_s=0.0)
 CLOCK_QUALITY = Quality(reliable=True, depth=10, deadline_s=0.0)
 WAIT_S = 0.05
-AT_ONCE = 16  # messages that are read ahead: images may have megabytes
 
 
 class Player:
@@ -97,8 +95,6 @@ class Player:
     def _messages(self) -> Iterator[tuple[Writer, int, bytes]]:
         with closing(open_bag(self._path)) as reader:
             wanted: list[Any] = [c for c in reader.connections if c.topic in self._writers]
-            stream = messages(reader, wanted)
-            batches = iter(lambda: list(itertools.islice(stream, AT_ONCE)), [])
-            for batch in read_in_steps(self._path, READABLE, batches, remedy(self._path)):
-                for connection, at_ns, raw in batch:
-                    yield self._writers[connection.topic], at_ns, bytes(raw)
+            stream = read_in_steps(self._path, READABLE, messages(reader, wanted), remedy(self._path))
+            for connection, at_ns, raw in stream:
+                yield self._writers[connection.topic], at_ns, bytes(raw)
