@@ -168,7 +168,7 @@ class Recorder:
         """Time [s] and columns of the estimates for a picture, once the bag is finished; empty if there were none."""
         if self._preview is None or self._thread.is_alive() or not self._preview.steps:
             return {}
-        return {"time_s": self._preview.kept[:, 0], **picture_columns(self._origin.columns, self._preview.kept)}
+        return {"time_s": self._preview.samples[:, 0], **picture_columns(self._origin.columns, self._preview.samples)}
 
     @property
     def title(self) -> str:
