@@ -453,7 +453,7 @@ def _plots(diagnosis: Diagnosis) -> Interactive | str:
     help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
 )
 @options.methods
-@options.of(diagnose, "seed", "Seed of all random draws.", options.SEEDS)
+@options.argument_option(diagnose, "seed", "Seed of all random draws.", options.SEEDS)
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that laps left out do not confirm.")
 @click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")

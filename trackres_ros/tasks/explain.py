@@ -156,10 +156,10 @@ class OperatingPoint(Content):
 
 @click.command("explain", cls=Command)
 @options.vehicle
-@options.of(explain, "speed_kmh", "Speed [km/h]; negative in reverse.")
-@options.of(explain, "belt_degc", "Belt temperature [degC]; of a vehicle without belts none.")
-@options.of(explain, "ambient_degc", options.AMBIENT)
-@options.of(explain, "weight_kn", options.WEIGHT)
+@options.argument_option(explain, "speed_kmh", "Speed [km/h]; negative in reverse.")
+@options.argument_option(explain, "belt_degc", "Belt temperature [degC]; of a vehicle without belts none.")
+@options.argument_option(explain, "ambient_degc", options.AMBIENT)
+@options.argument_option(explain, "weight_kn", options.WEIGHT)
 @click.option("--method", type=options.METHODS, help="Way from strain to heat; default the vehicle file's.")
 @options.json
 def explain_command(vehicle: str, method: str | None, as_json: bool, **point: Any) -> None:

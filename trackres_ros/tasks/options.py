@@ -58,7 +58,7 @@ def _to_complete(names: Iterable[str], beginning: str) -> list[CompletionItem]:
     return [*(CompletionItem(name) for name in names if name.startswith(beginning)), CompletionItem(beginning, type="file")]
 
 
-def of(
+def argument_option(
     function: Callable[..., Any], argument: str, text: str, kind: Any = None, metavar: str | None = None
 ) -> Callable[[Decorated], Decorated]:
     """The option of a function's argument, with its default; without a kind, a number within its limits."""

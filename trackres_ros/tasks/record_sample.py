@@ -138,10 +138,10 @@ def _share(block: slice, stride: int) -> slice:
 
 
 @click.command("record-sample", cls=Command)
-@options.of(record_sample, "vehicle", "Vehicle whose weight is recorded.", click.STRING, metavar="FILE|NAME")
-@options.of(record_sample, "speed_kmh", "Speed on the lap [km/h].")
-@options.of(record_sample, "laps", "Laps of a circle of 100 m radius, with a stop after each.")
-@options.of(record_sample, "ambient_degc", "Air temperature [degC].")
+@options.argument_option(record_sample, "vehicle", "Vehicle whose weight is recorded.", click.STRING, metavar="FILE|NAME")
+@options.argument_option(record_sample, "speed_kmh", "Speed on the lap [km/h].")
+@options.argument_option(record_sample, "laps", "Laps of a circle of 100 m radius, with a stop after each.")
+@options.argument_option(record_sample, "ambient_degc", "Air temperature [degC].")
 @click.option("-o", "--output", "path", type=options.PATH, required=True, help="File to write, .mcap.")
 @options.json
 def record_sample_command(vehicle: str, path: Path, as_json: bool, **drive: Any) -> None:

@@ -371,9 +371,9 @@ class SimulationResult(SeriesResult):
 @click.command("simulate", cls=Command)
 @options.vehicle
 @options.surroundings
-@options.of(simulate, "speed_kmh", "Speed after the ramp [km/h].")
-@options.of(simulate, "ramp_s", "Time from rest to that speed [s]; 50 with --speed-kmh.")
-@options.of(simulate, "duration_s", "How long to simulate [s]; 2500 with --speed-kmh.")
+@options.argument_option(simulate, "speed_kmh", "Speed after the ramp [km/h].")
+@options.argument_option(simulate, "ramp_s", "Time from rest to that speed [s]; 50 with --speed-kmh.")
+@options.argument_option(simulate, "duration_s", "How long to simulate [s]; 2500 with --speed-kmh.")
 @click.option(
     "--profile",
     type=options.PATH,
@@ -381,11 +381,11 @@ class SimulationResult(SeriesResult):
     help="CSV or Parquet with time_s and speed_mps or speed_kmh instead of --speed-kmh, optionally with weight_n, "
     "ambient_degc and grade; linear interpolation between rows.",
 )
-@options.of(simulate, "ambient_degc", options.AMBIENT)
-@options.of(simulate, "initial_degc", "Belt temperature at the start [degC]; default the ambient temperature.")
-@options.of(simulate, "weight_kn", options.WEIGHT)
+@options.argument_option(simulate, "ambient_degc", options.AMBIENT)
+@options.argument_option(simulate, "initial_degc", "Belt temperature at the start [degC]; default the ambient temperature.")
+@options.argument_option(simulate, "weight_kn", options.WEIGHT)
 @options.methods
-@options.of(simulate, "dt", "Time step [s].")
+@options.argument_option(simulate, "dt", "Time step [s].")
 @click.option("-o", "--output", type=options.PATH, required=True, help="Result: .csv, .csv.gz, .parquet, .mf4 or .mcap.")
 @options.json
 def simulate_command(

@@ -183,7 +183,7 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(label, total=total)
 
-        def tell(part: str, _done: int, _total: int) -> None:
+        def tell(part: str, _count: int, _total: int) -> None:
             bar.update(task, description=f"{label}: {part}")
 
         with listening(tell):

@@ -404,7 +404,7 @@ def vehicle_command() -> None:
 
 @vehicle_command.command("check", cls=Command)
 @click.argument("file", metavar="FILE|NAME")
-@options.of(
+@options.argument_option(
     check_vehicle,
     "points",
     "Number of random points for comparing the loss table with the exact method.",
