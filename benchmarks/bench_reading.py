@@ -16,8 +16,8 @@ from measuring import Row, alternated, compared
 from rosbags.rosbag2 import Reader, StoragePlugin
 
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.readers.bags import BagSource
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.rosbag import BagSource
 
 SMALL = {"messages": 500, "repeats": 1}
 RATE_HZ = 100.0

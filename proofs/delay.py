@@ -27,8 +27,8 @@ from proofs.sealed.drives import SealedDrive, drive, trapezoids
 from proofs.sealed.recordings import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from proofs.sealed.truth import HEAVY_TAILS, Build, Sensors, drawn_sensors, lagging, road_slopes, simulate_truth
 from trackres_ros.arrays import Array
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.columns import LEARNED
 from trackres_ros.learning.learner import Learner

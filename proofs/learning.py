@@ -23,8 +23,8 @@ from proofs.sealed.truth import Build, G, drawn_sensors, record, simulate_truth
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.snapshot import read_learning, save
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.learner import Learner

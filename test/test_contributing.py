@@ -13,7 +13,7 @@ import sys
 import numpy as np
 import pytest
 
-from trackres_ros.recording import file_kind
+from trackres_ros.recording import opening
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_a_reader_of_another_package_is_found_by_its_entry_point(steps, logged, 
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: our-logger\nVersion: 1.0\n")
     group, line = re.search(r'entry-points\."(.*)"\]\n(.*)', table).groups()
-    assert group == file_kind.GROUP
+    assert group == opening.GROUP
     (info / "entry_points.txt").write_text(f"[{group}]\n{line.replace(chr(34), '')}\n")
     assert read_in_a_process(logged, tmp_path) == LOGGED
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.errors import InputError, MissingExtraError
     from trackres_ros.estimator.estimator import Estimator
+    from trackres_ros.recording.mcap import Recovered
     from trackres_ros.recording.recording import Recording
-    from trackres_ros.recording.unfinished import Recovered
     from trackres_ros.tasks.arguments import load_vehicle
     from trackres_ros.tasks.diagnose import DiagnosisResult, diagnose
     from trackres_ros.tasks.explain import OperatingPoint, explain
@@ -73,7 +73,7 @@ _HOMES = {
     "errors": ("InputError", "MissingExtraError"),
     "estimator.estimator": ("Estimator",),
     "recording.recording": ("Recording",),
-    "recording.unfinished": ("Recovered",),
+    "recording.mcap": ("Recovered",),
     "tasks.arguments": ("load_vehicle",),
     "tasks.diagnose": ("DiagnosisResult", "diagnose"),
     "tasks.explain": ("OperatingPoint", "explain"),

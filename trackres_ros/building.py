@@ -11,17 +11,15 @@ from importlib import import_module
 from pathlib import Path
 from types import FunctionType, ModuleType
 
-from trackres_ros.effects.calls import shipped
-from trackres_ros.effects.dispatch import EffectCalls
+from trackres_ros.effects.calls import EffectCalls, shipped
 from trackres_ros.kernels.compiler import loaded
 from trackres_ros.kernels.extension import Extension
 from trackres_ros.kernels.flow import translate_body
 from trackres_ros.kernels.functions import Translator
-from trackres_ros.kernels.machine import NAME, sources_digest
-from trackres_ros.kernels.marks import ENTRIES
+from trackres_ros.kernels.marks import ENTRIES, NAME, sources_digest
 
 MODULES = (
-    "estimator.entry_points", "diagnosis.base.own", "diagnosis.prepare.speed_smoothing", "diagnosis.prepare.sampling",
+    "estimator.kernel", "diagnosis.base.own", "diagnosis.prepare.speed_smoothing", "diagnosis.prepare.sampling",
     "diagnosis.empirical.spells",
 )  # fmt: skip
 """Modules with entries."""

@@ -18,7 +18,8 @@ import yaml
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.fitting import Fit, with_levels
 from trackres_ros.diagnosis.prepare.session import Mask
-from trackres_ros.diagnosis.report.series import draw_timeline
+from trackres_ros.diagnosis.report.series import timeline
+from trackres_ros.diagnosis.report.static import draw
 from trackres_ros.diagnosis.selection.as_used import NORMAL_95, intervals
 from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.friction_by_direction import FrictionByDirection
@@ -72,7 +73,7 @@ def only(d: Diagnosis, names: Sequence[str]) -> Fit:
 def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
     """Draw the picture into a folder and return the page's tables, whose links begin with `of_pictures`."""
     first, second = tried.lacking, tried.with_friction
-    draw_timeline(first, folder / "believed.svg")
+    draw(timeline(first), folder / "believed.svg")
     dry, both = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
     rows = [
         ("mass, viscous friction, offset: the file re-fitted", "viscous", first, first.refitted),

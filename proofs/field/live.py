@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from proofs.field.trials import BUS, BUS_TOPICS, car, missions, robot, trips
 from proofs.pipeline import run_command
 from trackres_ros.arrays import Array
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.estimator.records import Steps
+from trackres_ros.estimator.settings import settings_for
 from trackres_ros.learning.learner import Learner
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.recording.bindings import Topics

@@ -15,12 +15,11 @@ import numpy as np
 
 from proofs.reproduce.bench import FAILS, HOLDS, INK, Bench, Claim, Figure, Section, Table, listed, percent, write_csv
 from trackres_ros.arrays import Array
-from trackres_ros.model.belt import axial_stiffness
+from trackres_ros.model.belt import along_belt, axial_stiffness, through_thickness
 from trackres_ros.model.contact import contact_force, half_length_for_force, largest_strain
 from trackres_ros.model.hysteresis import LossForce, RainflowCount
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.strain_history import along_belt, through_thickness
 from trackres_ros.model.track import TrackModel, steady_tension, track_model
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PALETTE, VERMILION, picture
 from trackres_ros.units import KMH_PER_MPS

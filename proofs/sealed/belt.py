@@ -26,8 +26,7 @@ from trackres_ros.kernels.compiler import loaded
 from trackres_ros.kernels.extension import Extension
 from trackres_ros.kernels.flow import translate_body
 from trackres_ros.kernels.functions import Translator
-from trackres_ros.kernels.machine import interpreted
-from trackres_ros.kernels.marks import kernel
+from trackres_ros.kernels.marks import interpreted, kernel
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,9 @@ from trackres_ros.errors import InputError
 from trackres_ros.node.dds.wire import CdrInput, clock_ns, diagnostic_array, prepared, typestore
 from trackres_ros.node.transport import InputTopic, Level, Status, live_topics
 from trackres_ros.output.topics import ESTIMATE_TOPIC
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.cdr import MalformedError
-from trackres_ros.recording.sums import Reading
+from trackres_ros.recording.combining import Reading
 from trackres_ros.vehicle import load
 
 STAMP_NS = 1_700_000_000_123_456_789

@@ -29,7 +29,7 @@ from trackres_ros.effects import Active, Effect, Terms, catalogue
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.vehicle import load_any
 from trackres_ros.vehicle.writing.changes import FileChanges, Interval

@@ -16,7 +16,8 @@ import trackres_ros as tr
 from trackres_ros.diagnosis import DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.empirical.term import Form
 from trackres_ros.diagnosis.report.content import report
-from trackres_ros.diagnosis.report.pictures import draw_term
+from trackres_ros.diagnosis.report.pictures import term_chart
+from trackres_ros.diagnosis.report.static import draw
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.files.resources import config_dir
@@ -196,7 +197,7 @@ def test_a_torque_repeated_at_a_place_is_described_never_written(of_bus, bus, ch
     assert found.kept.effects == ()
     check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
     pytest.importorskip("matplotlib")
-    assert "place on the route" in draw_term(found, told, tmp_path / "place.svg").alternative
+    assert "place on the route" in draw(term_chart(found, told), tmp_path / "place.svg").alternative
 
 
 def test_where_nothing_is_hidden_nothing_is_described(diagnoses):

@@ -36,7 +36,7 @@ from trackres_ros.diagnosis.findings.verdict import Verdict
 from trackres_ros.diagnosis.findings.wording import range_of, upper
 from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.report.content import inputs, report
-from trackres_ros.diagnosis.report.interactive import DOCUMENT, _nm, _places, interactive
+from trackres_ros.diagnosis.report.interactive import DOCUMENT, _number, _places, interactive
 from trackres_ros.diagnosis.report.page import (
     MOST_WORDS,
     by_file,
@@ -51,7 +51,6 @@ from trackres_ros.diagnosis.report.page import (
 )
 from trackres_ros.diagnosis.report.pictures import autocorrelation, cumulative_power
 from trackres_ros.diagnosis.report.series import (
-    MOST_RECORDINGS,
     bars,
     bins_by_variable,
     bins_of_steps,
@@ -339,20 +338,11 @@ def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
                 assert half == pytest.approx(half_interval(np.concatenate(off), laps), nan_ok=True)
 
 
-@pytest.mark.parametrize("count", [2, MOST_RECORDINGS, MOST_RECORDINGS + 3])
-def test_the_page_says_of_how_many_recordings_it_draws_some(scrubbed, diagnosed, tmp_path, count):
-    r = copy.deepcopy(scrubbed[1])
-    r["inputs"]["recordings"] = count * r["inputs"]["recordings"][:1]
-    write_page(tmp_path / "p.html", r, glance(diagnosed, {}), [], "t")
-    said = f"Of {count} recordings, the {MOST_RECORDINGS} with the largest error are drawn." in (tmp_path / "p.html").read_text()
-    assert said == (count > MOST_RECORDINGS)
-
-
 @pytest.mark.parametrize(
     ("largest", "shown"), [(1650.0, "@t{0} Nm"), (22.0, "@t{0.0} Nm"), (0.31, "@t{0.000} Nm"), (0.0, "@t{0} Nm")]
 )
 def test_hover_shows_three_figures_of_the_largest_torque(largest, shown):
-    assert _nm("t", _places(np.array([np.nan, 0.0, -largest]))) == shown
+    assert _number("t", _places(np.array([np.nan, 0.0, -largest])), "Nm") == shown
 
 
 def test_sentence_and_table_have_the_same_figures(diagnosed):

@@ -20,7 +20,7 @@ from faults import Faults, contents, shown
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.prepare.session import WarningNote
-from trackres_ros.diagnosis.report.series import Picture
+from trackres_ros.diagnosis.report.charts import Picture
 from trackres_ros.files import own_files
 from trackres_ros.files.resources import shipped_road_vehicles
 from trackres_ros.vehicle import RoadVehicle

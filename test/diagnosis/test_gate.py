@@ -22,7 +22,7 @@ from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
 from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
-from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
 

@@ -16,10 +16,9 @@ from trackres_ros.diagnosis.synthetic import drives, write_recordings
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
+from trackres_ros.estimator.constants import spread
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.uncertainty import spread
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.tasks.main import cli

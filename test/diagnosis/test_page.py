@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from browser import BROWSER, IN_A_BROWSER, asked, opened
 
+from trackres_ros.diagnosis.report.charts import Picture
 from trackres_ros.diagnosis.report.page import GRADES, glance, write_page
-from trackres_ros.diagnosis.report.series import Picture
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftotext"), reason="no chromium or pdftotext on this machine")
 WHY = "over a thousand times less likely than drivetrain_efficiency, in words that take up their room"

@@ -11,12 +11,12 @@ from trackres_ros.effects.stepping import (
     EXTRAPOLATED,
     EffectTable,
     effect_table,
-    look,
+    new_effect_scratch,
     new_memory,
-    new_work,
+    set_conditions,
     step_effects,
 )
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 
 
 @pytest.fixture(scope="session")
@@ -28,10 +28,10 @@ def stepped(xgd24d):
 
     def step(effects, at, memory=None, machine=True, dt=0.0):
         table = effects if isinstance(effects, EffectTable) else effect_table(effects)
-        work, memory = new_work(facts), new_memory(len(table.rows)) if memory is None else memory
-        look(work, *at[1:9], at.belt)
+        scratch, memory = new_effect_scratch(facts), new_memory(len(table.rows)) if memory is None else memory
+        set_conditions(scratch.conditions, *at[1:9], at.belt)
         run = in_c if machine else step_effects
-        assert run(table.rows, table.values, memory, work, dt) in (ALL_WELL, EXTRAPOLATED)
-        return work
+        assert run(table.rows, table.values, memory, scratch, dt) in (ALL_WELL, EXTRAPOLATED)
+        return scratch.terms
 
     return step

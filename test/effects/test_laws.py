@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from trackres_ros.effects import Active, Effect, Lag, Parameter, Terms, catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.settings import PARTS, Settings
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.model.resistance import TORQUE_TERMS
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load
 
@@ -81,7 +82,7 @@ def states(draw):
     effects = draw(st.lists(st.one_of(of_catalogue(), nasty()), min_size=1, max_size=3, unique_by=lambda a: a.effect.name))
     places = st.sampled_from(["vehicle", "surroundings"])
     where = [draw(places) if active.effect.name == "nasty" else active.effect.belongs_to for active in effects]
-    parts = draw(st.sets(st.sampled_from(PARTS)))
+    parts = draw(st.sets(st.sampled_from(TORQUE_TERMS)))
     known = {
         "load": draw(st.floats(0.15, 2.4)) * VEHICLE.weight,
         "ambient": draw(st.floats(-40.0, 50.0)),

@@ -44,7 +44,7 @@ from trackres_ros.effects.learned import (
 )
 from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.tasks.main import cli
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load

@@ -11,9 +11,7 @@ import pytest
 from scipy.linalg import expm
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.belt_heat import Heat
-from trackres_ros.estimator.belt_lumped import advance_lumped
-from trackres_ros.estimator.belt_two_nodes import advance_two_nodes
+from trackres_ros.estimator.belt import Heat, advance_lumped, advance_two_nodes
 
 CAPACITY, SHARE, CONDUCTANCE, NOISE, AMBIENT_STD = 7e4, 0.3, 650.0, 0.05, 2.5  # J/K, of the capacity, W/K, K/s^0.5, K
 HEAT = Heat(power=9e3, power_slope=-90.0, cooling=210.0, surroundings=12.0)

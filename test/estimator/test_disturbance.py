@@ -22,7 +22,7 @@ from trackres_ros.estimator.disturbance import (
     seen_level,
     seen_there,
 )
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.records import Steps
 from trackres_ros.tasks.replay_run import DisturbanceColumns
 from trackres_ros.vehicle import Drift, Spells
 

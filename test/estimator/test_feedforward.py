@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.effects.stepping import WORK
+from trackres_ros.effects.stepping import TERM_COUNT
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, feedforward, followed, rate_towards, towards
-from trackres_ros.estimator.motion_step import ROLLS_FROM
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, approach, feedforward, rate_towards
+from trackres_ros.estimator.motion import ROLLS_FROM
+from trackres_ros.estimator.plausible import towards
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.vehicle import load
@@ -105,7 +106,7 @@ TORQUES_NM, TIMES_S = st.floats(-LIMIT_NM, LIMIT_NM), st.floats(0.0, 5.0)
 
 @given(st.sampled_from(sorted(RATES)), TORQUES_NM, TORQUES_NM, TIMES_S, TIMES_S)
 def test_its_way_is_one_and_a_wrong_sign_goes_first_and_fast(rate, value, target, first, then):
-    number, way = RATES[rate].constants.number, followed
+    number, way = RATES[rate].constants.number, approach
     fast = rate_towards(number, 0.0)
     halfway, found = (way(number, value, target, lasted) for lasted in (first, first + then))
     assert way(number, halfway, target, then) == pytest.approx(found, abs=1e-6)
@@ -131,15 +132,15 @@ def test_feedforward_keeps_its_limit_whatever_is_no_number():
         return np.where(random.random(count) < 0.1, random.choice([math.nan, math.inf, -math.inf], count), found).tolist()
 
     for _ in range(300):
-        motion, total, work = (np.array(some(count)) for count in (at.Motion.columns, at.PARTS, WORK))
+        motion, total, terms = (np.array(some(count)) for count in (at.Motion.columns, at.PARTS, TERM_COUNT))
         motion[[at.Motion.feedforward, at.Motion.feedforward_target]] = some(2, LIMIT_NM)
         number = constants.number._replace(**dict(zip(fed, some(len(fed)), strict=True)), speed_max_age=some(1)[0])
         limit = random.choice([LIMIT_NM, math.nan, math.inf])
-        k = constants._replace(number=number._replace(feedforward_limit=limit), work=work)
+        k = constants._replace(number=number._replace(feedforward_limit=limit))
         of_effects, share, dt = some(3)
         inputs = Inputs(8.0, np.abs(some(4)), 15.0, 2.0, np.zeros(4), acceleration=0.1, grade=0.1, fed=share)
         with np.errstate(invalid="ignore", divide="ignore"):
-            moved, _ = feedforward(k, at.Motion(motion), at.Part(total), of_effects, inputs, abs(dt))
+            moved, _ = feedforward(k, terms, at.Motion(motion), at.Part(total), of_effects, inputs, abs(dt))
         assert abs(moved) <= (math.inf if limit == math.inf else LIMIT_NM)
         present = float(inputs.load @ arms / (nominal @ arms))
         assert not abs(motion[at.Motion.feedforward_target]) > limit * (present if present < 1.0 else 1.0) * (1.0 + 1e-12)

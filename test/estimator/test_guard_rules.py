@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from trackres_ros.effects import VehicleConstants
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import guards
 from trackres_ros.estimator.columns import Count, Reason
@@ -20,7 +21,8 @@ from trackres_ros.estimator.guards import (
     ACCEPTED_IN_ORDER,
     new_memory,
 )
-from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.plausible import NOTHING_TRACKED
+from trackres_ros.estimator.records import new_scratch
 from trackres_ros.route.follower import NOTHING_YET
 
 S, MS = 1_000_000_000, 1_000_000
@@ -33,7 +35,7 @@ WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
 CHANNELS = WHEELS + 1 + AXLES + ASSEMBLIES
 SHARES_OF_ALL = (0.3, 0.3, 0.25, 0.15)
 
-admit, held = guards.admit, guards.held
+admit, held_value = guards.admit, guards.held_value
 gather, gather_loads = guards.gather, guards.gather_loads
 forget_others = guards.forget_others
 
@@ -79,8 +81,9 @@ class Guard:
     def inputs(self, outcome=ACCEPTED_IN_ORDER, started=1.0, quantum=0.0):
         motion = at.Motion(np.zeros(at.Motion.columns))
         motion.started, motion.quantum, motion.last_speed = started, quantum, self.memory.values[at.SPEED]
-        self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
-        return gather(self.k, self.memory, outcome, 0, motion, self.loads, self.belts)
+        scratch = new_scratch(VehicleConstants(*[1.0] * 8), ASSEMBLIES, ASSEMBLIES)
+        self.loads, self.belts = scratch.loads, scratch.belt_measured
+        return gather(self.k, self.memory, scratch, outcome, 0, motion)
 
     def reasons(self, **given):
         return Reason(self.inputs(**given).reasons)
@@ -329,15 +332,15 @@ def test_what_is_forgotten_is_all_of_the_others_but_counters(guard):
 
 
 def test_a_value_is_held_for_so_long(guard):
-    assert math.isnan(held(guard.memory, at.AMBIENT, T, 100))
+    assert math.isnan(held_value(guard.memory, at.AMBIENT, T, 100))
     guard.send(0, -3.0, at.AMBIENT)
-    assert held(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
-    assert math.isnan(held(guard.memory, at.AMBIENT, T + 101, 100))
+    assert held_value(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
+    assert math.isnan(held_value(guard.memory, at.AMBIENT, T + 101, 100))
 
 
 def test_it_is_held_from_its_arrival(guard):
     guard.send(-50 * S, -3.0, at.AMBIENT, arrival=0)
-    assert held(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
+    assert held_value(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
 
 
 def test_the_speed_and_what_is_fresh_beside_it_make_the_inputs(guard):

@@ -199,6 +199,20 @@ def test_a_time_in_an_assumed_air_was_in_the_one_that_comes(warming, name, way, 
     assert len({one.tobytes() for one in same}) == 1
 
 
+@pytest.mark.parametrize("change", [-20.0, 10.0])
+@pytest.mark.parametrize("name", ["one", "two", "small"])
+def test_no_belt_moves_by_more_than_its_air_is_corrected(warming, name, change):
+    """However much one standard deviation of an assumed air is said to have moved it."""
+    session, air = warming[name].session(), warming[name].vehicle.chassis.ambient
+    for i in range(3):
+        send(session, START + i * S // 50, 2.0)
+    session.belts[:, :, Belt.consider_ambient] *= 3.0
+    before = session.belts[:, :, Belt.temperature].copy()
+    send(session, START + 3 * S // 50, air + change, "ambient")
+    send(session, START + 3 * S // 50, 2.0)
+    assert session.belts[:, :, Belt.temperature] - before == pytest.approx(np.full_like(before, change), abs=0.05 * abs(change))
+
+
 def test_a_rest_in_a_given_air_stays_in_it(warming):
     session = warming["two"].session()
     send(session, START)

@@ -20,16 +20,16 @@ import trackres_ros
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.building import all_entries, built
 from trackres_ros.effects import Active, catalogue
-from trackres_ros.effects.stepping import TERMS, fit_table, new_memory, new_work
+from trackres_ros.effects.stepping import fit_table, new_effect_scratch, new_memory
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.entry_points import COMPILED, INTERPRETED
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.kernel import COMPILED, INTERPRETED
 from trackres_ros.estimator.records import DriveSeries
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
-from trackres_ros.kernels import machine
+from trackres_ros.kernels import marks
 from trackres_ros.kernels.rows import Real, Reals, Row, Whole
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import load, load_any
 
@@ -78,7 +78,7 @@ def test_two_nodes_of_a_belt_give_the_same_bits(xgd24d):
 
 PROGRAM = """
 import sys
-from trackres_ros.estimator.entry_points import COMPILED
+from trackres_ros.estimator.kernel import COMPILED
 from trackres_ros.estimator.estimator import Estimator
 session = Estimator("agri3t").session()
 rows = [session.handle(0, 10**18 + i * 10**8, 10**18 + i * 10**8, 2.0 + 0.01 * i).row.tolist() for i in range(20)]
@@ -113,18 +113,13 @@ def test_sources_changed_since_they_were_compiled_run_in_python(tmp_path):
 
 N, LAYERS = 400, 15
 RISING = np.cumsum(RANDOM.uniform(0.01, 1.0, N))
-SHIFT = np.array([-60.0, 17.0, 51.0, 50.0, 40.0])
-LENGTH, FLAGS, OF_LAYERS = (N,), bool, (LAYERS,)
+LENGTH, FLAGS = (N,), bool
 OF_SERIES = {
     "filter_forward": (RISING, LENGTH, FLAGS, FLAGS, LENGTH, 0.1, (N, 5), FLAGS),
     "smooth_backward": (RISING, FLAGS, FLAGS, LENGTH, FLAGS, (N, 5), LENGTH),
     "mark_corners": (RISING, LENGTH, 0.2, FLAGS),
     "pass": (LENGTH, LENGTH, FLAGS, 0.1, 0.3, 0.25, (N, 2), (N, 2), LENGTH),
     "follow": (LENGTH, LENGTH, FLAGS, 0.9, 0.4, LENGTH, LENGTH),
-    "roll": (
-        0.1, *[LENGTH] * 7, -6.0, 0.5, (4, 30), (30,), OF_LAYERS, SHIFT, 0.1, 2e5, 6.0, 300.0, OF_LAYERS, OF_LAYERS,
-        *[LENGTH] * 3,
-    ),
 }  # fmt: skip
 """Arguments of kernels: numbers, shapes of random numbers, random flags."""
 
@@ -148,7 +143,7 @@ def test_each_kernel_that_python_calls_is_compared():
 def test_kernels_of_series_give_the_same_bits(name):
     python, given = all_entries()[name], [drawn(kind) for kind in OF_SERIES[name]]
     other = copy.deepcopy(given)
-    answers = python(*given), getattr(machine.MACHINE, name)(*other)
+    answers = python(*given), getattr(marks.MACHINE, name)(*other)
     assert answers[0] == answers[1]
     for one, same in zip(given, other, strict=True):
         np.testing.assert_array_equal(one, same)
@@ -158,12 +153,12 @@ def test_kernels_of_series_give_the_same_bits(name):
 def test_an_own_model_with_effects_gives_the_same_bits(name, xgd24d):
     effect, facts = catalogue()[name], vehicle_constants(xgd24d)
     table, found = fit_table([Active(effect, effect.values())]), []
-    for of in (all_entries(), vars(machine.MACHINE)):
-        work, memory, torque, outcome = new_work(facts), new_memory(1), np.empty(250), np.empty(250, dtype=np.int64)
+    for of in (all_entries(), vars(marks.MACHINE)):
+        scratch, memory, torque, outcome = new_effect_scratch(facts), new_memory(1), np.empty(250), np.empty(250, dtype=np.int64)
         time, speed, load, air, accel, _, yaw_rate, heading, _ = a_drive(250)
-        of["own_along"](table, work, memory, 300.0 * speed, time, speed, accel, load, air, yaw_rate, heading, torque, outcome)
-        of["rest_effects"](*table, memory, work, 5.0, 100.0)
-        found.append(np.concatenate([torque, outcome, memory, work[:TERMS]]))
+        of["own_along"](table, scratch, memory, 300.0 * speed, time, speed, accel, load, air, yaw_rate, heading, torque, outcome)
+        of["rest_effects"](*table, memory, scratch, 5.0, 100.0)
+        found.append(np.concatenate([torque, outcome, memory, scratch.terms]))
     np.testing.assert_array_equal(*found)
 
 
@@ -179,7 +174,7 @@ def test_a_fit_and_a_route_give_the_same_bits(name):
         state = estimator.cold_start(estimator.inputs(0.0))
         rows, followed = np.empty((n, 4)), np.empty((n, 4))
         entries.start_belts(k, state, 12.0, 1.0)
-        entries.predict_series(k, state, np.ones(max(kinds, 1)), drive, rows)
+        entries.predict_series(k, state, estimator.scratch(), np.ones(max(kinds, 1)), drive, rows)
         entries.follow_series(k, np.array(NOTHING_YET), time, speed, 0.8 + 1e-6 * time, 0.1 + 1e-6 * time, followed)
         found.append(np.concatenate([rows.ravel(), followed.ravel(), *map(np.ravel, state)]))
     np.testing.assert_array_equal(*found)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.motion_step import advance_motion, start_motion
+from trackres_ros.estimator.motion import advance_motion, start_motion
 from trackres_ros.estimator.settings import Settings
 
 KMH = 1 / 3.6

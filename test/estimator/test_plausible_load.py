@@ -9,7 +9,7 @@ import pytest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Count, Reason
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.plausible_change import FRESH_LOAD_NS, LOAD_LASTS_NS, LOAD_SLACK
+from trackres_ros.estimator.plausible import FRESH_LOAD_NS, LOAD_LASTS_NS, LOAD_SLACK
 from trackres_ros.vehicle import load
 
 START = 1_700_000_000_000_000_000

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Count, Reason
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.plausible_change import LONGEST_RUN_NS
+from trackres_ros.estimator.plausible import LONGEST_RUN_NS
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.vehicle import load
 

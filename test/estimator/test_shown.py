@@ -8,7 +8,7 @@ import doctest
 import numpy as np
 
 from trackres_ros.estimator import estimator as module
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.records import Steps
 
 
 def test_each_says_what_it_is_in_one_line(reference):

@@ -9,8 +9,7 @@ import pytest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.estimator.settings import Settings, settings_for
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.vehicle import load
 

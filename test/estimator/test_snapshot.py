@@ -21,7 +21,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.columns import Belt
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.plausible import NOTHING_TRACKED
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import load_any
 

@@ -3,23 +3,26 @@
 
 """The pure step: the same everywhere, and lawful outputs."""
 
+from copy import deepcopy
 from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.columns import Reason
+from trackres_ros.estimator.columns import Part, Reason, Results
 from trackres_ros.estimator.drives import assembly_values
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.resources import config_dir
+from trackres_ros.model.resistance import TORQUE_COLUMNS, TORQUE_TERMS
 from trackres_ros.vehicle import load, load_any
 
 SPEED = 30 / 3.6
@@ -55,6 +58,13 @@ def test_step_by_step_equals_the_run_along_a_series(reference):
         assert np.array_equal(estimate.row, rows[i], equal_nan=True)
 
 
+def test_rows_have_the_terms_of_the_torque_in_their_order():
+    """Topics, settings, tables and reports read them from one table; the rows of kernels name them once more."""
+    first = Results.names.index("hysteresis_nm")
+    assert Results.names[first : first + len(TORQUE_COLUMNS)] == tuple(TORQUE_COLUMNS.values())
+    assert Part.names[: len(TORQUE_TERMS)] == TORQUE_TERMS
+
+
 @given(
     speed=st.floats(-16, 16),
     ambient=st.floats(-40, 45),
@@ -75,6 +85,36 @@ def test_parts_add_up(reference, speed, ambient, weight, grade, acceleration):
     assert np.isfinite(state.belts).all()
     assert np.isfinite(estimate.feedforward_torque_nm)
     assert estimate.resistance_std_nm >= 0
+
+
+@pytest.fixture(scope="module")
+def of_two_radii(tmp_path_factory):
+    """A vehicle whose rear tracks have larger sprockets, without and with an effect."""
+    content = yaml.safe_load((config_dir() / "xgd24d.yaml").read_text())
+    content["tracks"]["large"] = deepcopy(content["tracks"]["triangular"])
+    content["tracks"]["large"]["sprocket_radius"].update(value=0.45, range=[0.4, 0.5])
+    for assembly in content["assemblies"]:
+        assembly["track"] = "large" if assembly["axle"] == "rear" else "triangular"
+    path = tmp_path_factory.mktemp("mixed") / "mixed.yaml"
+    path.write_text(yaml.safe_dump(content))
+    scrub = catalogue()["turning_scrub"]
+    return [Estimator(replace(load(path), effects=effects)) for effects in ((), (Active(scrub, scrub.values()),))]
+
+
+def test_effects_are_shared_by_load_at_each_own_radius(of_two_radii):
+    """An effect acts as one force on the whole vehicle: an assembly bears it by load, at the arm of its own sprocket."""
+    loads = np.array([70e3, 66e3, 61e3, 58e3])
+    rows = []
+    for estimator in of_two_radii:
+        inputs = estimator.inputs(SPEED, ambient=15.0, load=loads, yaw_rate=0.2)
+        rows.append(estimator.step(estimator.cold_start(inputs), inputs, 0.0)[1])
+    names = of_two_radii[0].assemblies
+    without, with_effect = (np.array([row[f"resistance_torque_nm/{name}"] for name in names]) for row in rows)
+    radii = of_two_radii[0].vehicle.sprocket_radii
+    assert len(set(radii)) == 2
+    shares = (with_effect - without) / rows[1]["effects_nm"]
+    assert shares == pytest.approx(loads * radii / (loads @ radii), rel=1e-9)
+    assert rows[1]["effects_nm"] > 100.0
 
 
 def test_each_assembly_keeps_its_own_temperature(reference):

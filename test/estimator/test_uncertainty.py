@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from trackres_ros.effects import Active, catalogue
+from trackres_ros.estimator.constants import REFERENCE_SPEED_SHARE, logarithms_at, spread
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import LEAST_STD_SHARE
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, logarithms_at, spread
 from trackres_ros.model.track import load_range, track_model, with_methods
 from trackres_ros.vehicle import load, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity

@@ -28,6 +28,7 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.reading import OWN_FAULT
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.text_table import NO_VALUE
 
 ROWS, LOAD_EVERY = 60, 3
 START_NS, STEP_NS = 1_700_000_000 * 10**9, 20_000_000
@@ -41,7 +42,7 @@ TOPICS = Topics.parse(
 )
 EXPECTED = Counter({"speed": ROWS, "load": ROWS // LOAD_EVERY})
 METADATA_SHARE = 0.2  # of the mutations of a folder that hit its metadata.yaml
-LOSSES = ("missing", "unusable", "unknown_topic", "other_bus", "unlisted", "malformed", "absent", "quoted", "cut")
+LOSSES = ("missing", "unusable", "unknown_topic", "other_bus", "unlisted", "malformed", "absent", "quoted", "cut", "comment")
 MOST_OF_A_LINE = 8000
 LINES = {
     ".log": {
@@ -346,5 +347,5 @@ def _expected(one: Damaged) -> Counter[str]:
         with contextlib.suppress(ValueError):
             place = names.index(column)
             cells = [line.split(separator) for line in lines]
-            found[role] = sum(len(cell) > place and bool(cell[place].strip()) for cell in cells)
+            found[role] = sum(len(cell) > place and cell[place].strip().decode("latin-1") not in NO_VALUE for cell in cells)
     return found

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-HANG_S = 10.0
+HANG_S = 60.0  # a reader ends by itself after half of it
 MOST_BYTES = 10**9
 LIMIT_BYTES = 4 * 10**9
 """Of the address space; so much would be taken by what goes far beyond `MOST_BYTES`, and not by libraries that are loaded."""
@@ -35,7 +35,7 @@ HEADINGS = {
     "remarks": "read with remarks",
     "alike": "read alike",
     "traceback": "traceback",
-    "hang": "hang over 10 s",
+    "hang": "hang over 60 s",
     "memory": "over 1 GB",
     "lost": "rows lost without a word",
 }

@@ -13,8 +13,16 @@ from hypothesis import strategies as st
 
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import LEARNED, shown
-from trackres_ros.learning.delay import FIRST_STD_S, DelayEstimator, KeptDelays
-from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S, SPAN_S, WORST_STD_S, window_delay
+from trackres_ros.learning.delay import (
+    EARLIEST_S,
+    FIRST_STD_S,
+    LATEST_S,
+    SPAN_S,
+    WORST_STD_S,
+    DelayEstimator,
+    KeptDelays,
+    window_delay,
+)
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
 from trackres_ros.vehicle import load_any
@@ -119,10 +127,10 @@ def test_the_standard_deviation_falls_with_more_driving():
 def test_the_same_windows_twice_are_surer_and_say_the_same(windows):
     once, twice = KeptDelays(), KeptDelays()
     for delay, std in windows:
-        once.see(delay, std**2)
+        once.add(delay, std**2)
     for delay, std in windows:
-        twice.see(delay, std**2)
-        twice.see(delay, std**2)
+        twice.add(delay, std**2)
+        twice.add(delay, std**2)
     if np.count_nonzero(twice.variances) == 2 * np.count_nonzero(once.variances) == 2 * len(windows):  # no change was seen
         assert twice.value[1] < once.value[1]
         assert twice.value[0] == pytest.approx(once.value[0], abs=once.value[1])

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.learning.filter import aged, corrected, expected, given_others, spread
+from trackres_ros.learning.parameters import aged, conditional_mean, corrected, expected, spread
 
 SIZE = 4
 
@@ -62,9 +62,9 @@ def test_if_only_a_sum_is_known_one_free_part_takes_all_of_it():
         corrected(mean, covariance, looks, 1.0 - expected(mean, looks), 0.01, np.ones(2, dtype=bool))
     assert mean == pytest.approx([0.8, 0.2], abs=1e-3)
     only_first = np.array([True, False])
-    assert given_others(mean, covariance, only_first) == pytest.approx([1.0, 0.0], abs=1e-3)
+    assert conditional_mean(mean, covariance, only_first) == pytest.approx([1.0, 0.0], abs=1e-3)
     assert spread(covariance, looks)[1] < 1e-3
 
 
 def test_nothing_that_counts_moves_nothing():
-    assert not given_others(np.ones(SIZE), covariance_of(1), np.zeros(SIZE, dtype=bool)).any()
+    assert not conditional_mean(np.ones(SIZE), covariance_of(1), np.zeros(SIZE, dtype=bool)).any()

@@ -10,7 +10,7 @@ import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.parameters import HEIGHT, SLOPE, TILT
-from trackres_ros.learning.vehicle_file import write_learned
+from trackres_ros.learning.store import write_learned
 from trackres_ros.vehicle import load_any
 
 MORE_ROLLING = 0.3

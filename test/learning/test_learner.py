@@ -16,13 +16,9 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.blocks import BLOCK_S, LATE, ResidualBlock
 from trackres_ros.learning.columns import HELD, lines, shown
-from trackres_ros.learning.correction import accepted, move
-from trackres_ros.learning.disturbances import LASTING_SHARE, close_block
-from trackres_ros.learning.filter import corrected
 from trackres_ros.learning.gate import UNSURE
-from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.learner import Learner, apply_departures, target_departures
 from trackres_ros.learning.parameters import (
     LEAST_FACTOR,
     REACH_STD,
@@ -30,12 +26,14 @@ from trackres_ros.learning.parameters import (
     STATES,
     STEP,
     VEHICLES_OWN,
+    corrected,
     learnables,
     limits_of,
     make_prior,
     rise_torques,
 )
-from trackres_ros.learning.vehicle_file import write_learned
+from trackres_ros.learning.state import BLOCK_S, LASTING_SHARE, LATE, ResidualBlock, close_block
+from trackres_ros.learning.store import write_learned
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.writing.vehicle_file import opened
 
@@ -259,7 +257,7 @@ def test_nothing_leaves_the_ranges_of_the_file(road):
     assert (learner.learned.mean >= learner.prior.low).all()
     assert (learner.learned.applied <= learner.prior.high[: at.LEARNABLE]).all()
     for state in VEHICLES_OWN:  # nor where none but this one is accepted
-        alone = accepted(learner.learned, learner.prior, np.arange(at.LEARNABLE) == state)[state]
+        alone = target_departures(learner.learned, learner.prior, np.arange(at.LEARNABLE) == state)[state]
         assert learner.prior.low[state] <= alone <= learner.prior.high[state]
 
 
@@ -267,7 +265,7 @@ def test_acting_values_are_as_uncertain_as_they_lag_and_wander(reference):
     s, learned = Learner(reference).learned, np.zeros(at.Learned.columns)
     s.mean[: at.LEARNABLE], s.applied[:] = 0.03, 0.01
     s.mean[STEP], s.lasting_nm, s.step_s, s.past.white = 90.0, 40.0, 1.0, (0.1 * s.rolling) ** 2
-    move(s, True, learned, s.second, 0.0)
+    apply_departures(s, True, learned, s.second, 0.0)
     factor = at.Learned(learned).factor.reshape(at.LEARNABLE, at.LEARNABLE)
     assert factor @ factor.T == pytest.approx(s.covariance[: at.LEARNABLE, : at.LEARNABLE] + 0.02**2, abs=1e-9)
     assert at.Learned(learned).slow ** 2 == pytest.approx(s.slow_std**2 + s.hills_variance + 50.0**2)
@@ -428,24 +426,25 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
         low, high = learner.prior.low[state], learner.prior.high[state]
         assert low <= 0.0 <= high
         s.mean[state] = low + share * (high - low)
-    found = accepted(s, learner.prior, learner.counted)
+    found = target_departures(s, learner.prior, learner.counted)
     write_learned(learner, vehicle, file)
     written = tr.load_vehicle(file).parameters
     stds = learner.stds(s.covariance, learner.own)
     for one in learner.learnables:
         for path in one.paths:
             old, new = vehicle.parameters[path], written[path]
+            rounding = 1e-5 * max(abs(new.value), abs(new.low), abs(new.high))  # a file has six figures of each
             if path == one.paths[0] and old.value:  # as uncertain as published, and the file's range is plausible
                 limits, off = limits_of(path), one.factor * REACH_STD * stds[one.state] * old.value
-                assert new.low <= max(new.value - abs(off), limits.low) + 1e-5 * abs(new.low)
-                assert new.high >= min(new.value + abs(off), limits.high) - 1e-5 * abs(new.high)
+                assert new.low <= max(new.value - abs(off), limits.low) + rounding
+                assert new.high >= min(new.value + abs(off), limits.high) - rounding
                 ends = sorted(old.value * (1.0 + one.factor * end[one.state]) for end in (learner.prior.low, learner.prior.high))
                 assert ends[0] <= max(old.low, (1.0 + one.factor * (LEAST_FACTOR - 1.0)) * old.value) + 1e-9
                 assert ends[1] >= old.high - 1e-9
             if path != one.paths[0] and old.value:  # only scaled with the first: known no better than before
                 limits, scale = limits_of(path), new.value / old.value
-                assert new.low <= max(old.low * scale, limits.low) + 1e-5 * abs(new.low)
-                assert new.high >= min(old.high * scale, limits.high) - 1e-5 * abs(new.high)
+                assert new.low <= max(old.low * scale, limits.low) + rounding
+                assert new.high >= min(old.high * scale, limits.high) - rounding
             acts_live = old.value * (1.0 + one.factor * found[one.state])  # at last
             assert new.value == pytest.approx(acts_live, rel=1e-5)
             assert new.low <= new.value <= new.high
@@ -488,17 +487,17 @@ def test_one_drive_against_learned_values_does_not_outweigh_all(reference):
     rng, state = np.random.default_rng(3), Learner(reference).learned
 
     def drive(gain, blocks):
-        state.doubt()
+        state.require_evidence()
         for one in rng.normal(gain, 8.0, blocks):
-            state.contest.see(one)
-            state.fresh.see(one)
+            state.contest.add(one)
+            state.fresh.add(one)
         return state.fresh.better
 
     assert drive(10.0, 60)
     assert drive(10.0, 30)
     assert not drive(-10.0, 15)
-    state.doubt()
+    state.require_evidence()
     assert state.fresh.better
     assert not any(drive(-10.0, 30) for _ in range(3))
-    state.doubt()
+    state.require_evidence()
     assert not state.fresh.better

@@ -13,7 +13,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.vehicle_file import write_learned
+from trackres_ros.learning.store import write_learned
 
 MINUTES = 18.0
 

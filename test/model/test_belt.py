@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from trackres_ros.model import belt as b
+from trackres_ros.model.belt import along_belt, build_loop
 from trackres_ros.model.hysteresis import RainflowCount
-from trackres_ros.model.strain_history import along_belt, build_loop
 from trackres_ros.model.track import steady_tension, track_model
 from trackres_ros.vehicle.belt_bulk import arc_length, heat_capacity, mass_per_length
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from trackres_ros.effects import Active, Effect, Parameter, Terms
 from trackres_ros.effects.stepping import MOST_TORQUE
 from trackres_ros.estimator.columns import Reason
-from trackres_ros.estimator.entry_points import INTERPRETED
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.kernel import INTERPRETED
 from trackres_ros.model.operating_point import explain, explain_road, left_out_at
 from trackres_ros.model.resistance import direction
 from trackres_ros.model.track import with_methods

@@ -14,12 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.model import contact, hysteresis
-from trackres_ros.model.belt import bending_moment_of_height
+from trackres_ros.model.belt import (
+    Profile,
+    along_belt,
+    bending_moment_of_height,
+    build_loop,
+    indentation_amplitudes,
+    through_thickness,
+)
 from trackres_ros.model.hysteresis import HARMONICS, METHODS, RainflowCount, Spectral
-from trackres_ros.model.interpolation import thinned
 from trackres_ros.model.loss_table import HARMONICS_EACH, TABLE_HARMONICS, log_speeds
-from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.strain_history import Profile, along_belt, build_loop, indentation_amplitudes, through_thickness
+from trackres_ros.model.rubber import RubberModel, thinned
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.belt_bulk import wrapped_radius

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
-from trackres_ros.model.interpolation import MonotoneCubic, cubic_weights, thinned
+from trackres_ros.model.rubber import MonotoneCubic, cubic_weights, thinned
 
 steps = st.lists(st.floats(0.1, 10.0), min_size=4, max_size=12)
 heights = st.lists(st.sampled_from([-2.0, -0.3, 0.0, 0.0, 0.5, 4.0]), min_size=12, max_size=12)

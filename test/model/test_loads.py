@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.model.loads import beam_shares, hinge_position, wheel_loads
+from trackres_ros.model.contact import beam_shares, hinge_position, wheel_loads
 from trackres_ros.vehicle import Beam
 
 split = st.floats(0.0, 1.0)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.model.rainflow import count_cycles, count_loop, turning_points
+from trackres_ros.model.hysteresis import count_cycles, count_loop, turning_points
 
 package = pytest.importorskip("rainflow")
 

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
+from trackres_ros.model import belt as sh
 from trackres_ros.model import contact
-from trackres_ros.model import strain_history as sh
 from trackres_ros.vehicle import WrappedWheel
 from trackres_ros.vehicle.loading import CLOSED_LOOP_TOLERANCE_RAD
 

@@ -28,8 +28,7 @@ from trackres_ros.model.thermal import (
     surface_temperature,
     thermal_network,
 )
-from trackres_ros.model.track import track_model, with_methods
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import track_model, vehicle_constants, with_methods
 from trackres_ros.vehicle import load
 
 NETWORKS = ("lumped", "core_surface")

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.topic_settings import AGE_LIMITS, settings_for
+from trackres_ros.estimator.settings import AGE_LIMITS, Settings, settings_for
 from trackres_ros.node.parameters import PARAMETERS, Parameters, make_parameters, read_parameters, read_with_overrides
 from trackres_ros.recording.bindings import Topics
 

@@ -12,8 +12,8 @@ import pytest
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.estimator.drives import ramp_and_hold, run_drive, simulate
-from trackres_ros.learning.buckets import SHAPE
 from trackres_ros.learning.columns import columns_of
+from trackres_ros.learning.gate import SHAPE
 from trackres_ros.learning.parameters import VEHICLES_OWN, learnables
 from trackres_ros.output.plots import estimate_figure
 from trackres_ros.output.style import picture, thinned

@@ -22,9 +22,8 @@ from waiting import exit_code
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.columns import Belt
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.settings import Settings, settings_for
 from trackres_ros.estimator.snapshot import after_time_off
-from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source

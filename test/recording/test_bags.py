@@ -20,7 +20,7 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.mcap_format import HEADER, MAGIC, record, text
+from trackres_ros.recording.mcap import HEADER, MAGIC, record, text
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 

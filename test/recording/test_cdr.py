@@ -20,7 +20,7 @@ pytest.importorskip("rosbags")
 from ros_messages import build, stamped
 from rosbags.typesys import Stores, get_typestore
 
-from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.cdr import NUMBERS, Encoding, FieldReader, MalformedError, Template, layout_of
 from trackres_ros.recording.message_types import definitions
 

@@ -11,8 +11,8 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.recording.companions import HOLD_S, Companion
-from trackres_ros.recording.directions import STANDARDS, named_ways, standard_of
+from trackres_ros.recording.combining import HOLD_S, Companion
+from trackres_ros.recording.roles import STANDARDS, named_ways, standard_of
 
 TIMES = np.arange(120) * 0.1
 TRUE = np.round(4.0 * np.sin(TIMES / 12.0 * 2.0 * math.pi), 2)  # forward for six seconds, then backwards

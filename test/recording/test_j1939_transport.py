@@ -9,7 +9,7 @@ from drive_files import packets
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.recording.j1939_transport import Frame, with_joined
+from trackres_ros.recording.can_signals import Frame, with_joined
 
 STEP_NS = 10_000_000
 SENT = st.tuples(st.sampled_from([0xFEB0, 0xFFC0, 0x0D200]), st.binary(min_size=9, max_size=80))

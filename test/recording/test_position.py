@@ -14,10 +14,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.guess import guess
-from trackres_ros.recording.position_units import PositionUnits
+from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.choosing import guess
+from trackres_ros.recording.combining import PositionUnits
 from trackres_ros.recording.samples import SampleBlock
 from trackres_ros.units import GRAVITY
 

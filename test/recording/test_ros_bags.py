@@ -19,7 +19,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosidl_runtime_py.utilities import get_message
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.rosbag import BagSource
+from trackres_ros.recording.readers.bags import BagSource
 
 TWIST, JOINTS, FLOAT = "geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/Float64"
 TOPICS = {"/speed": TWIST, "/joints": JOINTS, "/load": FLOAT}

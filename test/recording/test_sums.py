@@ -19,11 +19,10 @@ import trackres_ros as tr
 from trackres_ros.errors import InputError
 from trackres_ros.node.inputs import InputReader
 from trackres_ros.node.transport import input_topics
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.corrected_lines import corrected, line_of, line_to_write
-from trackres_ros.recording.role_units import UNITS, Conversion
-from trackres_ros.recording.sums import Sum
+from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.combining import Sum
+from trackres_ros.recording.roles import UNITS, Conversion
+from trackres_ros.recording.topics_files import corrected, line_of, line_to_write
 
 pytest.importorskip("rosbags")
 

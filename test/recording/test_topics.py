@@ -16,12 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.binding import FieldStep, TopicBinding, field_steps
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import FieldStep, TopicBinding, Topics, field_steps
 from trackres_ros.recording.channel_file import Channel
-from trackres_ros.recording.guess import guess, guess_channels
-from trackres_ros.recording.role_units import UNITS, conversion
-from trackres_ros.recording.roles import ROLES
+from trackres_ros.recording.choosing import guess, guess_channels
+from trackres_ros.recording.roles import ROLES, UNITS, conversion
 from trackres_ros.units import GRAVITY
 
 SPEED = {"topic": "/vehicle/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"}

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from trackres_ros.recording.wheels import driven, wheel_notes, wheels
+from trackres_ros.recording.recording import driven, wheel_notes, wheels
 
 RATIOS = {"front": 0.97, "rear": 1.02}
 SLIP = 0.004  # of the speed for each kNm

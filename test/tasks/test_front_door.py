@@ -21,7 +21,7 @@ import pytest
 import yaml
 
 import trackres_ros as tr
-from trackres_ros.estimator.entry_points import COMPILED, INTERPRETED
+from trackres_ros.estimator.kernel import COMPILED, INTERPRETED
 from trackres_ros.files.resources import config_dir, shipped_road_vehicles
 from trackres_ros.learning.columns import columns_of
 from trackres_ros.learning.parameters import learnables

@@ -10,7 +10,7 @@ from itertools import takewhile
 import numpy as np
 import pytest
 
-from trackres_ros.output.topics import RESISTANCE_PARTS
+from trackres_ros.model.resistance import RESISTANCE_PARTS
 
 EFFECTS = """
 effects:

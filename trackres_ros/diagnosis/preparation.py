@@ -24,10 +24,10 @@ from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
-from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.role_units import Conversion
+from trackres_ros.recording.roles import Conversion
 from trackres_ros.recording.slopes import runs_of
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.text import figures
 from trackres_ros.units import STANDSTILL_MPS
 

@@ -3,25 +3,158 @@
 
 """Numbers the functions of effects, by which the step calls them: its table of effects has these numbers.
 
-Those of the package are part of the compiled kernels. One of a user's has its address as its number: of C if it can be compiled
-here, see `own_code`, else of a function that runs it in plain Python.
+Those of the package are part of the compiled kernels. One of a user's has its address as its number. With a C compiler it is
+compiled here, and the code is kept in the cache. Without one, the address is that of a function that runs it in plain Python.
 """
 
 from __future__ import annotations
 
 import ctypes
+import hashlib
+import logging
 import math
-from collections.abc import Callable
+import os
+import platform
+from collections.abc import Callable, Sequence
 from functools import cache
 from inspect import unwrap
 from types import CodeType, FunctionType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trackres_ros.arrays import Array
-from trackres_ros.effects.effect import ANSWERS, FACTS, LOOKED_AT, Conditions, Effect, Lag, VehicleConstants, values_type
-from trackres_ros.effects.own_code import address_of
+from trackres_ros.effects.effect import (
+    ANSWERS,
+    FACTS,
+    LOOKED_AT,
+    Conditions,
+    Effect,
+    Lag,
+    VehicleConstants,
+    is_of_user,
+    values_type,
+)
+from trackres_ros.errors import InputError
+from trackres_ros.files.cache import fetched, keep, usable
+from trackres_ros.files.resources import cache_dir
+from trackres_ros.kernels.compiler import FLAGS, compiled, compiler
+from trackres_ros.kernels.kinds import REAL, ArrayOf
+from trackres_ros.kernels.marks import SLOWER, interpreted
 
-CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+if TYPE_CHECKING:  # a step alone translates nothing
+    from trackres_ros.kernels.expressions import Expressions, Value
+    from trackres_ros.kernels.functions import Instance, Translator
+
+# In C
+
+
+def effect_function(translator: Translator, kind: type[Effect], method: str, names: tuple[str, ...]) -> Instance:
+    """`terms` or `lag` of an effect behind the signature that the step calls: numbers that it looks at, parameters, its answer.
+
+    Raises
+    ------
+    InputError
+        With file and line, if it cannot be written in C.
+    """
+    known = ", ".join(f"x[{i}]" for i in range(FACTS, LOOKED_AT))
+    vehicle = ", ".join(f"x[{i}]" for i in range(FACTS))
+    name, answered = f"{kind.__name__.lower()}_{method}", ANSWERS[method]
+    lines = [
+        f"def {name}(x, p, out):",
+        f'    """{method} of {kind.__name__}"""',
+        f"    found = run(None, Conditions(VehicleConstants({vehicle}), {known}), p)",
+        *(f"    out[{i}] = found[{i}]" for i in range(answered)),
+    ]
+    text = "\n".join(lines)
+    namespace: dict[str, Any] = {"Conditions": Conditions, "VehicleConstants": VehicleConstants, "run": getattr(kind, method)}
+    exec(text, namespace)
+    made: FunctionType = namespace[name]
+    translator.add_text(made, text)
+    kinds = [ArrayOf(REAL, (LOOKED_AT,)), ArrayOf(REAL, (len(names),), names), ArrayOf(REAL, (answered,))]
+    before, translator.checked = translator.checked, is_of_user(kind)
+    try:
+        return translator.instance(made, kinds)
+    finally:
+        translator.checked = before
+
+
+# Compiled effects of a user
+
+LARGEST = 16 << 20  # bytes; a usual one has 16 kB
+NAME = "trackres_effect"
+
+_log = logging.getLogger("trackres")
+
+
+@cache
+def address_of(kind: type[Any], method: str, names: tuple[str, ...]) -> int | None:
+    """The address of C of a function of an effect; None if it must run in plain Python, which is logged."""
+    if interpreted():
+        return None
+    if compiler() is None:
+        _say(f"effect {kind.__name__}", "there is no C compiler")
+        return None
+    try:
+        text = _text(kind, method, names)
+    except InputError as error:
+        _say(f"effect {kind.__name__}", str(error))
+        return None
+    library = _library(text)
+    if library is None:
+        _say(f"effect {kind.__name__}", f"{compiler()} does not compile it")
+        return None
+    return ctypes.cast(getattr(library, NAME), ctypes.c_void_p).value
+
+
+def _text(kind: type[Any], method: str, names: tuple[str, ...]) -> str:
+    """The C of a function, which answers nan where Python raises an error."""
+    from trackres_ros.kernels.extension import used_helpers
+    from trackres_ros.kernels.flow import translate_body
+    from trackres_ros.kernels.functions import Translator
+
+    translator = Translator(translate_body)
+    one = effect_function(translator, kind, method, names)
+    functions = translator.text_of_functions([one])
+    given = ", ".join([*(name for name, _ in one.given), *["&failed"] * one.fails])
+    return "\n".join(
+        (
+            "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
+            used_helpers(translator, functions),
+            translator.text_of_structs(functions),
+            translator.text_of_tables(),
+            functions,
+            f"void {NAME}(const double *x, const double *p, double *out)\n{{",
+            f"    bool failed = false;\n    {one.name}({given});\n    if (failed) {{\n        out[0] = NAN;\n    }}\n}}\n",
+        )
+    )
+
+
+@cache
+def _library(text: str) -> ctypes.CDLL | None:
+    """The loaded library of some C, from the cache or compiled now."""
+    parts = "\n".join((platform.machine(), *FLAGS, text))
+    name = f"{hashlib.sha256(parts.encode()).hexdigest()[:32]}.code"
+    base = cache_dir()
+    folder = usable(None if base is None else base / "effects")
+    code = fetched(folder, name, LARGEST)
+    if code is None:
+        code = compiled(text)
+        if code is None:
+            return None
+        keep(folder, name, code)
+    # What was checked is what is loaded, whoever may change files meanwhile. It stays open: the loader knows it by its path.
+    file = os.memfd_create(NAME, os.MFD_CLOEXEC)
+    os.write(file, code)
+    return ctypes.CDLL(f"/proc/self/fd/{file}")
+
+
+@cache
+def _say(what: str, why: str) -> None:
+    _log.warning("trackres: %s runs in plain Python, about %d times slower: %s", what, SLOWER, why)
+
+
+# Numbers
+
+C_FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 Function = tuple[type[Effect], str, tuple[str, ...]]
 """A function of an effect: its class, `terms` or `lag`, and the names of the parameters."""
@@ -32,7 +165,7 @@ def call_at(number: int, looked_at: Array, values: Array, answer: Array) -> None
     if number <= len(shipped()):
         _in_python(int(number))(looked_at, values, answer)
     else:
-        CALL(int(number))(looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
+        C_FUNCTION(int(number))(looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
 
 
 @cache
@@ -119,4 +252,65 @@ def _callback(effect: Effect, method: str) -> Any:
         except Exception:  # of any kind, as the code is not ours
             out.from_address(answer_)[:] = [math.nan] * answered
 
-    return CALL(call)
+    return C_FUNCTION(call)
+
+
+# The call in C
+
+NUMBERS = ArrayOf(REAL, (None,))
+CALL = "tr_call_effect"
+
+
+class EffectCalls:
+    """Functions of effects by their numbers, for a step in C. With `others`, further numbers are addresses of functions."""
+
+    def __init__(self, translator: Translator, others: bool = False) -> None:
+        self._translator, self._others = translator, others
+        self.functions: dict[int, Instance] = {}
+        self.called = False  # whether a translated function calls any
+        translator.intrinsics[call_at] = self._call
+
+    def _call(self, body: Expressions, values: Sequence[Value]) -> str:
+        number, looked_at, parameters, answer = values
+        self.called = True
+        body.note_written(answer)
+        body.calls += list(self.functions.values())
+        codes = [number.code, *(body.as_kind(one, NUMBERS) for one in (looked_at, parameters, answer))]
+        return f"{CALL}({', '.join(codes)})"
+
+    def add(self, function: Function, number: int) -> None:
+        """Translate a function, which gets a number."""
+        self.functions[number] = effect_function(self._translator, *function)
+
+    def text(self) -> str:
+        """The function that calls an effect by its number; empty without effects."""
+        if not self.functions and not self._others:
+            return ""
+        real = self._translator.number(REAL)
+        cases = ""
+        for number, one in self.functions.items():
+            given = [{"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in one.given] + ["&failed"] * one.fails
+            cases += f"    case {number}:\n        {one.name}({', '.join(given)});\n        break;\n"
+        fails = any(one.fails for one in self.functions.values())
+        begun = "    bool failed = false;\n" if fails else ""
+        ended = "    answer[0] = failed ? NAN : answer[0];\n" if fails else ""
+        unused = [
+            f"    (void){name};\n"
+            for short, name in (("x", "looked_at"), ("p", "values"))
+            if not self._others and not any(short in dict(one.given) for one in self.functions.values())
+        ]
+        kind = f"void (*)(const {real} *, const {real} *, {real} *)"
+        other = f"        (({kind})(intptr_t)number)(looked_at, values, answer);\n" if self._others else ""
+        return (
+            "/* What an effect does now, by its number. */\n"
+            f"{self.prototype.removesuffix(';')}\n"
+            f"{{\n{''.join(unused)}{begun}"
+            f"    switch (number) {{\n{cases}    default:\n{other}        break;\n    }}\n"
+            f"{ended}}}\n"
+        )
+
+    @property
+    def prototype(self) -> str:
+        """Its declaration."""
+        real = self._translator.number(REAL)
+        return f"static void {CALL}(int64_t number, const {real} *looked_at, const {real} *values, {real} *answer);"

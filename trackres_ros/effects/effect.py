@@ -176,10 +176,9 @@ class Terms(NamedTuple):
         return Terms(**both, conductance=conductance, sink=self.sink + share * (other.sink - self.sink))
 
 
-FACTORS = ("drive_gain", "loss_factor", "film_offset_factor", "film_slope_factor", "speed_factor", "sensor_gain")
-SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay", "extrapolated")
-if {*FACTORS, *SUMS, "conductance", "sink"} != set(Terms._fields):
-    raise TypeError("Terms has a field that is neither a factor nor a sum: say how two effects act together in it")
+# How two effects act together in a term: factors multiply, all else adds up, but for a conductance with its sink.
+FACTORS = tuple(name for name, alone in Terms._field_defaults.items() if alone == 1.0)
+SUMS = tuple(name for name in Terms._fields if name not in (*FACTORS, "conductance", "sink"))
 SOFTENING_FROM_DEGC = 40.0
 
 
@@ -242,7 +241,7 @@ class Effect(ABC):
         return type(self).lag is not Effect.lag
 
     def run(self, method: str, at: Conditions, values: Sequence[float]) -> Any:
-        """`lag` or `terms` in plain Python; of a user's own with the arithmetic of C, see `own_file`."""
+        """`lag` or `terms` in plain Python; of a user's own with the arithmetic of C, see `registry`."""
         function = getattr(self, method)
         if self.source is None:
             return function(at, self.pack(*values))

@@ -71,9 +71,9 @@ class Part(Row):
     noise = Real()  # Nm^2, variance due to the random part of the temperature
     arm = Real()  # m, arm of a force on the whole vehicle
     unsigned = Real()  # Nm, resistance without its sign
-    twin = Real()  # the assembly that it is computed as
+    equal = Real()  # index of the first assembly with the same numbers
     by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
-    warming = Reals(3)  # K of the belt, per the first three
+    belt_change = Reals(3)  # K of the belt, per the first three
     consider = Reals(4)  # Nm, by each of the four causes of uncertainty
 
 
@@ -105,14 +105,14 @@ class Motion(Row):
     cov_accel = Real()
     quantum = Real()  # m/s, smallest step observed in the speed
     last_speed = Real()  # m/s; "last" values are those of the last step
-    feedforward = Real()  # Nm, of the last step, or of its last turn since then, see `between_steps`
+    feedforward = Real()  # Nm, of the last step, or of its last turn since then, see `feedforward`
     last_drive = Real()  # Nm
     started = Real()  # 0 before the first speed, 1 after it; RESTS, START_ANEW, START_COLD
     feedforward_target = Real()  # Nm, which the feed-forward is on its way to
     rolls = Real()  # 1, or 0 at standstill
     last_others = Real()  # Nm, last drive torque without belts and effects
-    turned = Real()  # s, age of the speed at that turn; the change of this time is in the value
-    unfed = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
+    update_age = Real()  # s, age of the speed at that turn; the change of this time is in the value
+    to_zero = Real()  # 1 while the feed-forward is on its way to zero instead of its target, else 0
     air = Real()  # degC, of the last step, measured or assumed
     air_std = Real()  # K, of the air that is assumed: that of `Belt.consider_ambient`; 0 while it is measured
     longest_age = Real()  # s, of a trusted speed where it comes so rarely that the setting is too short; else 0
@@ -142,7 +142,7 @@ START_COLD = -0.5  # and: the next speed starts cold, in the air that is known
 
 
 class Times(Row):
-    """Memory of the guards for one channel; times in ns. The doubts are those of a speed or a load, see `plausible_change`."""
+    """Memory of the guards for one channel; times in ns. The doubts are those of a speed or a load, see `plausible`."""
 
     seen = Whole()  # whether a message was accepted yet
     last_stamp = Whole()
@@ -155,19 +155,19 @@ class Times(Row):
     doubts = Whole()  # values of the run in doubt
     doubt_since = Whole()
     doubt_stamp = Whole()
-    disagrees_since = Whole()  # of the speed, see `plausible_speed`
+    disagrees_since = Whole()  # of the speed, see `plausible`
     period = Whole()  # in which messages come, see `guards.learn_period`; 0 before two of them
 
 
 class Run(Row):
-    """Memory of a channel's changes, see `plausible_change`; in its unit."""
+    """Memory of a channel's changes, see `plausible`; in its unit."""
 
     reference = Real()  # of the accepted values
     doubted = Real()  # of the values in doubt
 
 
 class Tracked(Row):
-    """Memory for the comparison with the odometer, see `plausible_speed`."""
+    """Memory for the comparison with the odometer, see `plausible`."""
 
     began = Real()  # m, odometer at the start of a comparison
     last = Real()  # m, its last value

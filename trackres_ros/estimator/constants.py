@@ -6,29 +6,160 @@
 from __future__ import annotations
 
 import functools
+import hashlib
+import json
 import math
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.effects.effect import ALL_KNOWN, VehicleConstants, conditions
-from trackres_ros.effects.stepping import ROW, effect_table, new_work, refuse_unusable
-from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.motion_step import ROLLS_FROM
-from trackres_ros.estimator.settings import PARTS, Settings
-from trackres_ros.estimator.uncertainty import ParameterUncertainty, spread
+from trackres_ros.effects.effect import ALL_KNOWN, conditions
+from trackres_ros.effects.stepping import ROW, effect_table, refuse_unusable
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as layout
+from trackres_ros.estimator.motion import ROLLS_FROM
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.files.cache import cached_arrays
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
-from trackres_ros.model.loss_table import loss_table
-from trackres_ros.model.thermal import parting_resistance, thermal_network
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.hysteresis import METHODS, Spectral
+from trackres_ros.model.loss_table import fingerprint, loss_table
+from trackres_ros.model.resistance import TORQUE_TERMS
+from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.thermal import film_coefficient, parting_resistance, thermal_network
+from trackres_ros.model.track import load_range, vehicle_constants
 from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
 from trackres_ros.route.lookup import CELL_COLUMNS, PLACE_COLUMNS
 from trackres_ros.units import GRAVITY
-from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, variants
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.description import FITTED
+
+# Uncertainty of a track's parameters
+
+VERSION = 2  # of the cached form
+STEP = 0.1  # of a standard deviation, for the differences
+REFERENCE_BELT_DEGC = (10.0, 60.0)
+REFERENCE_SPEED_SHARE = 0.5  # of the greatest speed
+HARMONICS = 512
+LOSS, CAPACITY = "rubber.loss_modulus_scale", "rubber.heat_capacity"  # overall factors of a fit, and the film
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterUncertainty:
+    """Lower factor, shape (4, 4), of the covariance of ln loss, ln cooling, ln heat capacity and ln sprocket radius."""
+
+    factor: Array
+
+    @property
+    def relative(self) -> Array:
+        """Standard deviations of the four logarithms, shape (4,)."""
+        return np.asarray(np.sqrt((self.factor**2).sum(axis=1)))
+
+
+def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> ParameterUncertainty:
+    """Propagate every range of the file to first order; parameters are independent of each other.
+
+    Notes
+    -----
+    A wider belt loses more, cools better and holds more heat: the covariance keeps such correlations.
+
+    Where recordings fitted an overall factor, its own range replaces all other ranges of that quantity: the fit compensates
+    their errors. The torque was measured at the sprockets, so with the loss their radius is known too. One factor fits film
+    offset and slope, so their errors are fully correlated.
+    """
+    ranges = {path: (q.low, q.high, q.flag == FITTED) for path, q in vehicle.parameters.items()}
+    parts = [VERSION, fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal]
+    key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+    arrays = cached_arrays(f"spread-{key}", {"factor": (4, 4)}, lambda: {"factor": _factor(vehicle, track_name)}, cache)
+    return ParameterUncertainty(arrays["factor"])
+
+
+def _factor(vehicle: Vehicle, track_name: str) -> Array:
+    speed = REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
+
+    def logarithms(moved: Vehicle) -> Array:
+        found = logarithms_at(moved, track_name, speed, np.array(REFERENCE_BELT_DEGC), vehicle)
+        return np.array([found[:-3].mean(), *found[-3:]])
+
+    found = slopes(vehicle, track_name, logarithms)
+    rows = np.array(list(found.values())).reshape(-1, 4)
+    covariance = rows.T @ rows + np.diag(np.full(4, 1e-12))
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
+def fits(vehicle: Vehicle, track_name: str, losses: int) -> dict[tuple[str, ...], list[int]]:
+    """Columns of `slopes` that recordings fitted, by the paths of the fitted values; `losses`: number of loss columns."""
+    belt, (film, capacity, radius) = f"tracks.{track_name}.belt", range(losses, losses + 3)
+    columns = {
+        (LOSS,): [*range(losses), radius], (f"{belt}.film_offset", f"{belt}.film_slope"): [film], (CAPACITY,): [capacity]
+    }  # fmt: skip
+    return {paths: of for paths, of in columns.items() if vehicle.parameters[paths[0]].flag == FITTED}
+
+
+def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Array]) -> dict[str, Array]:
+    """Sensitivity of loss, cooling, heat capacity and sprocket radius to one standard deviation of each value.
+
+    Parameters
+    ----------
+    logarithms
+        Of a vehicle: of losses (one or several), cooling, heat capacity and radius, shape (losses + 3,).
+
+    Returns
+    -------
+    dict
+        By path of the value, slopes of the same shape.
+    """
+    base = logarithms(vehicle)
+    variant = variants(vehicle)
+    rows: dict[str, Array] = {}
+    for path, quantity in vehicle.parameters.items():
+        if not path.startswith(("rubber.", f"tracks.{track_name}.")) or isinstance(quantity.value, tuple):
+            continue
+        if quantity.standard_deviation == 0.0:
+            continue
+        for sign in (1.0, -1.0):
+            step = sign * STEP * quantity.standard_deviation
+            try:
+                moved = variant({path: quantity.value + step})
+            except InputError:  # the geometry does not allow this step, but it allows the opposite one
+                continue
+            rows[path] = (logarithms(moved) - base) / (sign * STEP)
+            break
+    belt = f"tracks.{track_name}.belt"
+    for fitted, columns in fits(vehicle, track_name, len(base) - 3).items():
+        for path in rows:
+            if path not in fitted:
+                rows[path][columns] = 0.0
+    offset, slope = rows.get(f"{belt}.film_offset"), rows.get(f"{belt}.film_slope")
+    if offset is not None and slope is not None and vehicle.parameters[f"{belt}.film_offset"].flag == FITTED:
+        offset += rows.pop(f"{belt}.film_slope")
+    return rows
+
+
+def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: Array, base: Vehicle) -> Array:
+    """Logarithms of the loss at a speed [m/s] and several belt temperatures, of cooling, heat capacity and sprocket radius.
+
+    `base`: the vehicle before its values were moved. Cooling is that of its film, as if this took a change of the resistance
+    inside the belt too: both are in series.
+    """
+    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
+    nominal = load_range(vehicle, track_name).nominal
+    spectral = vehicle.hysteresis == Spectral.name
+    method = Spectral(track, rubber, HARMONICS) if spectral else METHODS[vehicle.hysteresis](track, rubber)
+    loss = method.loss_force(speed, belts_degc, nominal).total
+    network, before = (thermal_network(v.thermal, v.tracks[track_name].belt, v.rubber) for v in (vehicle, base))
+    film = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
+    cooling = film / (1.0 + (network.parting - before.parting) * film)
+    capacity = heat_capacity(track.belt, vehicle.rubber)
+    return np.array([*np.log(loss), np.log(cooling), np.log(capacity), np.log(track.sprocket_radius)])
+
+
+# Constants
 
 # Limits outside of which a measurement is refused, unless the vehicle file gives others: [low, high] in SI, degC.
 PLAUSIBLE = {
@@ -129,7 +260,7 @@ class Constants(NamedTuple):
     """Constants of the kernel."""
 
     number: Numbers
-    assembly: Annotated[Array, (None, at.Assembly.columns)]  # of the assemblies
+    assembly: Annotated[Array, (None, layout.Assembly.columns)]  # of the assemblies
     loss: Annotated[Array, (None, None, None)]  # (tables, x, load)
     drive: Annotated[Array, (None, None, 2)]  # (tables, x, 2)
     channel_limits: Annotated[Array, (None, 2)]
@@ -137,13 +268,6 @@ class Constants(NamedTuple):
     effect_values: Annotated[Array, (None, None)]  # (rows, most parameters of one)
     route_cells: Annotated[IntArray, (None, CELL_COLUMNS)]  # see route.lookup
     route_places: Annotated[Array, (None, PLACE_COLUMNS)]
-    work: Array  # inputs and outputs of effects in a step, see effects.stepping; the only part that changes
-
-
-def work_space(facts: VehicleConstants, assemblies: int) -> Array:
-    """Work space of a step: no step allocates memory."""
-    parts_and_belts = at.PARTS * (1 + assemblies) + 2 * 2 * at.BELT_COLUMNS
-    return np.concatenate([new_work(facts), np.empty(parts_and_belts)])
 
 
 class Running(NamedTuple):
@@ -157,10 +281,10 @@ class Running(NamedTuple):
 
 def check_own_effects(vehicle: AnyVehicle) -> None:
     """Refuse a user's effect that fails where all that it may look at is known. In a step it would only be inactive."""
-    at = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
+    known = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
     for active in vehicle.active:
         if active.effect.source is not None:
-            refuse_unusable(active, at)
+            refuse_unusable(active, known)
 
 
 def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, uncertain: bool = True) -> Constants:
@@ -174,7 +298,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
     acting = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
 
-    fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS}
+    fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
         with_uncertainty=uncertain,
         surroundings=bool(vehicle.surroundings or vehicle.route),
@@ -204,7 +328,7 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         acceleration_variance=settings.acceleration_std**2,
         acceleration_time=settings.acceleration_time_s,
         feedforward_rate=settings.feedforward_rate,
-        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, at.Assembly.radius])),
+        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, layout.Assembly.radius])),
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
@@ -222,13 +346,12 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         acting.rows,
         acting.values,
         *followed_in(vehicle.route, frame),
-        work_space(vehicle_constants(vehicle), len(vehicle.assemblies)),
     )
 
 
 def _places(vehicle: AnyVehicle) -> dict[str, Any]:
     """Where the channels of loads, belts and wheels are."""
-    first_wheel = at.channels(vehicle).index(at.WHEELS)
+    first_wheel = layout.channels(vehicle).index(layout.WHEELS)
     return {"axles": len(vehicle.axles), "first_belt": first_wheel - len(vehicle.assemblies), "first_wheel": first_wheel}
 
 
@@ -256,8 +379,8 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
-    constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
-    for row, load, assembly in zip(map(at.Assembly, constants), loads, vehicle.assemblies, strict=True):
+    constants = np.empty((len(vehicle.assemblies), layout.CONSIDER_FACTOR))
+    for row, load, assembly in zip(map(layout.Assembly, constants), loads, vehicle.assemblies, strict=True):
         track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
         network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber, resistance)
         row.axle = axle_names.index(assembly.axle)
@@ -293,8 +416,8 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
 
 def wheels(vehicle: RoadVehicle) -> Running:
     """All wheels as one, without a belt; the tables are unused."""
-    row = np.zeros((1, at.Assembly.columns))
-    both = at.Assembly(row[0])
+    row = np.zeros((1, layout.Assembly.columns))
+    both = layout.Assembly(row[0])
     both.nominal_load, both.radius = vehicle.weight, vehicle.values["wheel_radius"]
     both.share_of_all = 1.0
     both.consider_radius[3] = relative_std(vehicle, "road_load.wheel_radius")
@@ -348,9 +471,9 @@ def _channel_limits(vehicle: AnyVehicle) -> Array:
     loads = vehicle.nominal_loads()
     speed = OVERSPEED * vehicle.chassis.max_speed
     rows = []
-    for name in at.channels(vehicle):
+    for name in layout.channels(vehicle):
         role, _, place = name.partition("/")
-        if role in ("speed", at.WHEELS):
+        if role in ("speed", layout.WHEELS):
             rows.append((-speed, speed))
         elif role == "load":
             of_place = (load for load, a in zip(loads, vehicle.assemblies, strict=False) if place in (a.axle, a.name))

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from trackres_ros.arrays import Array
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.resistance import force_along
 from trackres_ros.text import decimals, figures

@@ -19,13 +19,11 @@ from trackres_ros.effects.stepping import EACH, FIRST_OWN, OF_AIR
 from trackres_ros.effects.stepping import cooled as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.constants import Constants, make_constants
-from trackres_ros.estimator.entry_points import COMPILED, Entries, Messages
-from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, ambient_now, new_memory
-from trackres_ros.estimator.kernel import start
-from trackres_ros.estimator.plausible_speed import NOTHING_TRACKED
+from trackres_ros.estimator.kernel import COMPILED, Entries, Messages, start
+from trackres_ros.estimator.plausible import NOTHING_TRACKED
 from trackres_ros.estimator.records import (
     FIRST_NS,
     LARGEST,
@@ -33,19 +31,24 @@ from trackres_ros.estimator.records import (
     LEAST_WEIGHT,
     LONGEST_STEP_S,
     DriveSeries,
+    Estimate,
     GroundSeries,
     Inputs,
+    Scratch,
     State,
+    Steps,
     bounded,
     checked,
     duration,
     floats,
     is_as_compiled,
+    new_scratch,
     number,
     times,
     whole_numbers,
 )
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, load_any
 
@@ -108,14 +111,15 @@ class Estimator:
         folder = None if cache is None else checks.path(cache, "cache")
         self.constants: Constants = make_constants(vehicle, self.settings, folder)
         self.assemblies = tuple(a.name for a in vehicle.assemblies)
-        self.channels = at.channels(vehicle)
-        self.columns = at.columns(vehicle)
+        self.channels = layout.channels(vehicle)
+        self.columns = layout.columns(vehicle)
         self.column_index = {name: i for i, name in enumerate(self.columns)}
+        self.facts = vehicle_constants(vehicle)
         self._sizes = len(self.constants.assembly), len(self.assemblies)
         self._no_belts = np.full(len(self.assemblies), math.nan)
         effects = new_effects_memory(len(vehicle.active))
-        belts = len(self.assemblies), 2, at.BELT_COLUMNS
-        self._state_shapes = belts, (at.Motion.columns,), effects.shape, (at.Learned.columns,)
+        belts = len(self.assemblies), 2, layout.BELT_COLUMNS
+        self._state_shapes = belts, (layout.Motion.columns,), effects.shape, (layout.Learned.columns,)
 
     def __repr__(self) -> str:
         names = ", ".join(active.effect.name for active in self.vehicle.active)
@@ -162,7 +166,7 @@ class Estimator:
         k = self.constants
         given = Inputs(
             speed,
-            k.assembly[:, at.Assembly.nominal_load] if load is None else load,
+            k.assembly[:, layout.Assembly.nominal_load] if load is None else load,
             k.number.nominal_ambient if ambient is None else ambient,
             k.number.ambient_unknown_std if ambient is None else k.number.ambient_std,
             self._no_belts if belt_measured is None else belt_measured,
@@ -176,7 +180,7 @@ class Estimator:
         found = self._checked(given)
         if weight is None:
             return found
-        shares = k.assembly[:, at.Assembly.share_of_all] if load is None else found.load / found.load.sum()
+        shares = k.assembly[:, layout.Assembly.share_of_all] if load is None else found.load / found.load.sum()
         return found._replace(load=number(weight, "weight", LEAST_WEIGHT) * shares)
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
@@ -186,15 +190,15 @@ class Estimator:
         InputError for what is no finite number, and for a negative standard deviation.
         """
         inputs = self._checked(inputs)
-        belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
+        belts = np.empty((len(self.assemblies), 2, layout.BELT_COLUMNS))
         effects = new_effects_memory(len(self.vehicle.active))
-        state = State(belts, np.empty(at.Motion.columns), effects, np.zeros(at.Learned.columns))
+        state = State(belts, np.empty(layout.Motion.columns), effects, np.zeros(layout.Learned.columns))
         self.entries.start_belts(self.constants, state, inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
-            state.belts[:, :, at.Belt.temperature] = number(belt_degc, "belt_degc")
-            state.belts[:, :, at.Belt.consider_ambient] = 0.0
+            state.belts[:, :, layout.Belt.temperature] = number(belt_degc, "belt_degc")
+            state.belts[:, :, layout.Belt.consider_ambient] = 0.0
         if belt_std_k is not None:
-            state.belts[:, :, at.Belt.noise_1] = number(belt_std_k, "belt_std_k", least=0.0)
+            state.belts[:, :, layout.Belt.noise_1] = number(belt_std_k, "belt_std_k", least=0.0)
         return state
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
@@ -214,16 +218,16 @@ class Estimator:
         after, elapsed, row = self._copy(state), duration(dt, "dt", *LONGEST_STEP), np.empty(len(self.columns))
         if not is_as_compiled(inputs, *self._sizes):
             inputs = self._checked(inputs)
-        if not self.entries.step_once(self.own_constants(), after, inputs, elapsed, row):
+        if not self.entries.step_once(self.constants, after, self.scratch(), inputs, elapsed, row):
             self._checked(inputs)  # which says why
         return after, Estimate(row, self.column_index)
 
     def _checked(self, inputs: Inputs) -> Inputs:
         return checked(inputs, *self._sizes)
 
-    def own_constants(self) -> Constants:
-        """The constants with a new work space, so that threads do not share one."""
-        return Constants._make((*self.constants[:-1], self.constants.work.copy()))
+    def scratch(self) -> Scratch:
+        """New scratch memory, as threads must not share one."""
+        return new_scratch(self.facts, *self._sizes)
 
     def run(
         self,
@@ -269,8 +273,7 @@ class Estimator:
         given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
         series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, ALONG, strict=True)))
         after, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
-        work = self.constants.number.ambient_std, np.empty(len(self.constants.assembly)), self._no_belts
-        self.entries.run_series(self.own_constants(), after, series, *work, rows)
+        self.entries.run_series(self.constants, after, self.scratch(), series, self.constants.number.ambient_std, rows)
         return after, rows
 
     def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
@@ -297,7 +300,7 @@ class Estimator:
         given = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
         series = (bounded(a, name, at_times.shape, unknown=name != "speed") for name, a in given)
         found = np.empty((len(at_times), len(GroundSeries._fields)))
-        self.entries.follow_series(self.own_constants(), np.array(NOTHING_YET), at_times, *series, found)
+        self.entries.follow_series(self.constants, np.array(NOTHING_YET), at_times, *series, found)
         return GroundSeries(*found.T)
 
     def rest(self, state: State, ambient: float | None, seconds: float) -> State:
@@ -310,7 +313,7 @@ class Estimator:
         after, std = self._copy(state), self.constants.number.ambient_unknown_std
         off = min(duration(seconds, "seconds"), LONGEST_STEP_S)
         air = math.nan if ambient is None else number(ambient, "ambient")
-        self.entries.rest_vehicle(self.own_constants(), after, air, std, off)
+        self.entries.rest_vehicle(self.constants, after, self.scratch(), air, std, off)
         return after
 
     def check(self, state: State) -> None:
@@ -347,27 +350,26 @@ class Session:
         self.estimator = estimator
         assemblies = len(estimator.assemblies)
         self.memory: Memory = new_memory(len(estimator.channels))
-        self.belts = np.zeros((assemblies, 2, at.BELT_COLUMNS))
-        self.motion = np.zeros(at.Motion.columns)
+        self.belts = np.zeros((assemblies, 2, layout.BELT_COLUMNS))
+        self.motion = np.zeros(layout.Motion.columns)
         self.effects = new_effects_memory(len(estimator.vehicle.active))
-        self.learned = np.zeros(at.Learned.columns)
-        self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
+        self.learned = np.zeros(layout.Learned.columns)
         self._channels = len(estimator.channels)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
         self._columns = len(estimator.columns)
         bound = estimator.entries.bound
-        self._k, self._memory = bound(estimator.own_constants()), bound(self.memory)
+        self._k, self._memory, self._scratch = bound(estimator.constants), bound(self.memory), bound(estimator.scratch())
         self._carried = bound(State(self.belts, self.motion, self.effects, self.learned))
 
     @property
     def started(self) -> bool:
         """Whether a speed was accepted yet."""
-        return bool(self.motion[at.Motion.started] > 0.0)
+        return bool(self.motion[layout.Motion.started] > 0.0)
 
     @property
     def has_past(self) -> bool:
         """Whether there is something to go on with: belts, or after a reset the last known air."""
-        return self.started or bool(self.motion[at.Motion.started] == at.START_COLD)
+        return self.started or bool(self.motion[layout.Motion.started] == layout.START_COLD)
 
     @property
     def state(self) -> State:
@@ -377,22 +379,22 @@ class Session:
     @property
     def share_of_air(self) -> float:
         """Share of an assumed air in the belts' temperature, without belts in the effects' own states; 0 while it is measured."""
-        std = float(self.motion[at.Motion.air_std])
+        std = float(self.motion[layout.Motion.air_std])
         if std == 0.0:
             return 0.0
         if not len(self.belts):
             return float(np.nan_to_num(self.effects[FIRST_OWN + OF_AIR :: EACH]).max(initial=0.0))
-        return min(float(np.abs(self.belts[:, 0, at.Belt.consider_ambient]).max()) / std, 1.0)
+        return min(float(np.abs(self.belts[:, 0, layout.Belt.consider_ambient]).max()) / std, 1.0)
 
     def begin(self, state: State) -> None:
         """Begin from a known state instead of a cold start. Raises InputError for the state of another vehicle."""
         self.estimator.check(state)
         self.belts[:], self.motion[:], self.effects[:], self.learned[:] = state
-        self.motion[at.Motion.started] = at.RESTS
+        self.motion[layout.Motion.started] = layout.RESTS
 
     def adopt(self, other: Session) -> None:
         """Continue from another session of the same vehicle, with its whole memory and this one's settings."""
-        self.belts[:], self.motion[:], self._loads[:] = other.belts, other.motion, other._loads
+        self.belts[:], self.motion[:] = other.belts, other.motion
         self.effects[:], self.learned[:] = other.effects, other.learned
         for mine, its in zip(self.memory, other.memory, strict=True):
             mine[:] = its
@@ -402,7 +404,7 @@ class Session:
         self.memory.times[:], self.memory.values[:] = 0, math.nan
         self.memory.followed[:], self.memory.tracked[:], self.memory.runs[:] = NOTHING_YET, NOTHING_TRACKED, math.nan
         self.effects[:] = cooled_effects(self.effects)
-        self.motion[at.Motion.started] = at.START_ANEW
+        self.motion[layout.Motion.started] = layout.START_ANEW
 
     def start_cold(self, driving: bool) -> None:
         """Reset belts and effects; other inputs stay.
@@ -412,13 +414,13 @@ class Session:
         """
         k, memory = self.estimator.constants, self.memory
         if self.started and driving:
-            motion = at.Motion(self.motion)
-            ambient, std, assumed = ambient_now(k, memory, motion, int(memory.times[at.SPEED, at.Times.last_arrival]))
+            motion = layout.Motion(self.motion)
+            ambient, std, assumed = ambient_now(k, memory, motion, int(memory.times[layout.SPEED, layout.Times.last_arrival]))
             start(k, State(self.belts, self.motion.copy(), self.effects, self.learned), ambient, std)
             motion.air, motion.air_std = ambient, std if assumed else 0.0
         elif self.started:  # otherwise it starts cold anyway
-            memory.times[at.SPEED, at.Times.seen], memory.values[at.SPEED] = 0, math.nan
-            self.motion[at.Motion.started] = at.START_COLD
+            memory.times[layout.SPEED, layout.Times.seen], memory.values[layout.SPEED] = 0, math.nan
+            self.motion[layout.Motion.started] = layout.START_COLD
 
     def channel(self, name: str) -> int:
         """Index of a channel by its name, such as `speed` or `load/front`; KeyError for an unknown name."""
@@ -439,7 +441,7 @@ class Session:
         """`handle` without its checks, for numbers that are of these types already: another channel writes outside the arrays."""
         row, estimator = np.empty(self._columns), self.estimator
         stepped = estimator.entries.feed(
-            self._k.given, self._memory.given, self._carried.given, self._loads, self._belt_measured, channel, stamp_ns,
+            self._k.given, self._memory.given, self._carried.given, self._scratch.given, channel, stamp_ns,
             arrival_ns, value, row,
         )  # fmt: skip
         return Estimate(row, estimator.column_index) if stepped else None
@@ -450,10 +452,10 @@ class Session:
         Raises InputError for different lengths, and as `handle`.
         """
         messages = self._messages(channel, stamp_ns, arrival_ns, value)
-        most = int(np.count_nonzero(messages.channels == at.SPEED))
+        most = int(np.count_nonzero(messages.channels == layout.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         of_steps = np.empty((2, most + 1), dtype=np.int64)
-        given = self._k.given, self._memory.given, self._carried.given, self._loads, self._belt_measured
+        given = self._k.given, self._memory.given, self._carried.given, self._scratch.given
         steps = self.estimator.entries.feed_all(*given, messages, rows, *of_steps)
         return Steps(of_steps[0, :steps], of_steps[1, :steps], rows[:steps])
 
@@ -470,16 +472,16 @@ class Session:
             raise InputError("channel, stamp_ns, arrival_ns, value", given, "arrays of one length, shape (messages,)")
         return found
 
-    def counts(self, before: IntArray | int = 0) -> Iterator[tuple[str, at.Count, int]]:
+    def counts(self, before: IntArray | int = 0) -> Iterator[tuple[str, layout.Count, int]]:
         """All counters that are not zero: channel, counter, number; since `before`, a copy of them."""
         numbers = self.memory.counters - before
         for i, name in enumerate(self.estimator.channels):
-            for count in at.Count:
+            for count in layout.Count:
                 if numbers[i, count]:
                     yield name, count, int(numbers[i, count])
 
-    def reason_counts(self, before: IntArray | int = 0) -> dict[at.Reason, int]:
+    def reason_counts(self, before: IntArray | int = 0) -> dict[layout.Reason, int]:
         """Each reason that occurred, and its number of steps; since `before`, a copy of these numbers."""
         return {
-            reason: int(number) for reason, number in zip(at.REASON_TEXT, self.memory.reasons - before, strict=True) if number
+            reason: int(number) for reason, number in zip(layout.REASON_TEXT, self.memory.reasons - before, strict=True) if number
         }

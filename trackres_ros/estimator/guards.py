@@ -5,7 +5,7 @@
 
 A message is one number with its channel, its stamp and its arrival. It is accepted or refused, and increments
 exactly one counter. Times are stamps; the arrival only checks whether stamps can be right. A message that waited in a queue
-keeps the arrival that its stamp tells.
+keeps the arrival that its stamp tells. Positions go to the route follower: each step reads slope and torque of the place from it.
 """
 
 from __future__ import annotations
@@ -16,46 +16,156 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from trackres_ros.arrays import Array, IntArray
-from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.by_place import ground_now, of_place
-from trackres_ros.estimator.columns import Assembly, Motion, Run, Times, Tracked
+from trackres_ros.estimator import columns as layout
+from trackres_ros.estimator.columns import Assembly, Count, Motion, Reason, Run, Times, Tracked
 from trackres_ros.estimator.constants import LEAST_LOAD_SHARE, Constants
-from trackres_ros.estimator.motion_step import is_noise
-from trackres_ros.estimator.plausible_change import (
+from trackres_ros.estimator.motion import is_noise
+from trackres_ros.estimator.plausible import (
     FRESH_LOAD_NS,
     LOAD_PER_S,
     LOAD_SLACK,
-    is_load,
-    load_is_plausible,
-    load_std,
-    trust,
-)
-from trackres_ros.estimator.plausible_speed import (
     NOTHING_TRACKED,
     disagrees,
-    drive_on,
+    integrate_speed,
+    is_load,
     is_near,
+    load_is_plausible,
+    load_std,
     move_clock,
     odometer_came,
     seems_to_stand,
     speed_is_plausible,
+    trust,
 )
-from trackres_ros.estimator.records import Inputs
-from trackres_ros.kernels.marks import kernel
-from trackres_ros.route.follower import FOLLOWED, NOTHING_YET, forget
+from trackres_ros.estimator.records import Inputs, Scratch
+from trackres_ros.kernels.marks import kernel, length
+from trackres_ros.route.follower import (
+    FOLLOWED,
+    NOTHING_YET,
+    PLACE_KNOWN,
+    SLOPE,
+    TORQUE,
+    TORQUE_STD,
+    drive_on,
+    forget,
+    look,
+    take_position,
+)
+from trackres_ros.route.track import FARTHEST_M, flat
 from trackres_ros.units import NANOSECOND
 
-ACCEPTED, NON_FINITE, OUT_OF_RANGE = int(at.Count.ACCEPTED), int(at.Count.NON_FINITE), int(at.Count.OUT_OF_RANGE)
-DUPLICATE, LATE, FUTURE, BACKWARD = int(at.Count.DUPLICATE), int(at.Count.LATE), int(at.Count.FUTURE), int(at.Count.BACKWARD)
-ZERO_STAMP, GAP, CLOCK_JUMP, RESET = int(at.Count.ZERO_STAMP), int(at.Count.GAP), int(at.Count.CLOCK_JUMP), int(at.Count.RESET)
-IMPLAUSIBLE = int(at.Count.IMPLAUSIBLE)
-LOAD_HELD, LOAD_NOMINAL = int(at.Reason.LOAD_HELD), int(at.Reason.LOAD_NOMINAL)
-LOAD_DOUBTED, LOAD_OLD, SPEED_SLOW = int(at.Reason.LOAD_DOUBTED), int(at.Reason.LOAD_OLD), int(at.Reason.SPEED_SLOW)
-SPEED_QUANTISED = int(at.Reason.SPEED_QUANTISED)
-AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPEED_STUCK)
-CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
-SPEED_IMPLAUSIBLE, SPEED_DISAGREES = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Reason.SPEED_DISAGREES)
-DISABLED, ENABLE_OLD = int(at.Reason.DISABLED), int(at.Reason.ENABLE_OLD)
+# Ground by position
+
+TOGETHER_NS = 50_000_000  # between the stamps of latitude and longitude: a bus sends them in two messages
+PLACE_UNKNOWN = int(Reason.PLACE_UNKNOWN)
+
+
+@kernel
+def has_route(k: Constants) -> bool:
+    """Whether the surroundings have data by place."""
+    return k.number.slopes_by_place or k.number.torques_by_place
+
+
+@kernel
+def position_came(k: Constants, times: IntArray, values: Array, followed: Array) -> None:
+    """A latitude or a longitude was accepted: it is a position once both of about one time came. Each serves one position."""
+    latitude, longitude = Times(times[layout.LATITUDE]), Times(times[layout.LONGITUDE])
+    if not has_route(k) or latitude.fresh == 0 or longitude.fresh == 0:
+        return
+    if abs(latitude.last_stamp - longitude.last_stamp) <= TOGETHER_NS:
+        latitude.fresh = longitude.fresh = 0
+        position_at(k, followed, values[layout.LATITUDE], values[layout.LONGITUDE])
+
+
+@kernel
+def position_at(k: Constants, followed: Array, latitude: float, longitude: float) -> None:
+    """It is at a position [rad]."""
+    x, y = flat(k.number.route_latitude, k.number.route_longitude, latitude, longitude)
+    if not length(x, y) < FARTHEST_M:
+        x = y = math.nan
+    take_position(followed, x, y)
+
+
+@kernel
+def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, elapsed: int) -> tuple[float, float, float, bool]:
+    """Ground at an accepted speed [m/s], given the time since the last one [ns].
+
+    Returns
+    -------
+    slope, torque, torque_std, known
+        Slope in the vehicle's direction, torque against travel [Nm] and its standard deviation, nan where unknown; and whether
+        the position on the route is known.
+    """
+    if not has_route(k):
+        return math.nan, math.nan, math.nan, True
+    now, latitude, longitude = Times(times[layout.SPEED]), Times(times[layout.LATITUDE]), Times(times[layout.LONGITUDE])
+    # If half of a position was refused, the earlier half is used.
+    since_position = now.last_stamp - min(latitude.last_stamp, longitude.last_stamp)
+    drive_on(followed, speed, min(elapsed, k.number.position_hold_ns) * NANOSECOND, since_position * NANOSECOND)
+    is_old = now.last_arrival - min(latitude.last_arrival, longitude.last_arrival) > k.number.position_hold_ns
+    look(k.route_cells, k.route_places, followed, is_old)
+    return followed[SLOPE], followed[TORQUE], followed[TORQUE_STD], followed[PLACE_KNOWN] > 0.0
+
+
+@kernel
+def is_missing(k: Constants, grade: float, slope: float, torque: float) -> bool:
+    """Whether the surroundings have data by place, but not for this one. A measured slope has priority over theirs."""
+    no_slope = k.number.slopes_by_place and math.isnan(grade) and math.isnan(slope)
+    return no_slope or (k.number.torques_by_place and math.isnan(torque))
+
+
+@kernel
+def place_reason(k: Constants, known: bool, grade: float, slope: float, torque: float) -> int:
+    """The reason to report if the surroundings have no data because the place is unknown, else 0."""
+    return PLACE_UNKNOWN if not known and is_missing(k, grade, slope, torque) else 0
+
+
+@kernel
+def follow_along(
+    k: Constants,
+    followed: Array,
+    times: Array,
+    speeds: Array,
+    latitudes: Array,
+    longitudes: Array,
+    out: Annotated[Array, (None, 4)],
+) -> None:
+    """Follow a drive; fill one row of `out` per time, as `records.GroundSeries`. A missing position is nan."""
+    at_s = -math.inf
+    for i in range(times.shape[0]):
+        if not (math.isnan(latitudes[i]) or math.isnan(longitudes[i])):
+            position_at(k, followed, latitudes[i], longitudes[i])
+            at_s = times[i]
+        dt, hold_s = times[i] - times[max(i - 1, 0)], k.number.position_hold_ns * NANOSECOND
+        drive_on(followed, speeds[i], min(dt, hold_s), times[i] - at_s)
+        look(k.route_cells, k.route_places, followed, times[i] - at_s > hold_s)
+        out[i, 0], out[i, 1], out[i, 2] = followed[SLOPE], followed[TORQUE], followed[TORQUE_STD]
+        out[i, 3] = followed[PLACE_KNOWN]
+
+
+# Guards
+
+ACCEPTED, NON_FINITE, OUT_OF_RANGE = int(Count.ACCEPTED), int(Count.NON_FINITE), int(Count.OUT_OF_RANGE)
+DUPLICATE, LATE, FUTURE, BACKWARD = (
+    int(Count.DUPLICATE),
+    int(Count.LATE),
+    int(Count.FUTURE),
+    int(Count.BACKWARD),
+)
+ZERO_STAMP, GAP, CLOCK_JUMP, RESET = (
+    int(Count.ZERO_STAMP),
+    int(Count.GAP),
+    int(Count.CLOCK_JUMP),
+    int(Count.RESET),
+)
+IMPLAUSIBLE = int(Count.IMPLAUSIBLE)
+LOAD_HELD, LOAD_NOMINAL = int(Reason.LOAD_HELD), int(Reason.LOAD_NOMINAL)
+LOAD_DOUBTED, LOAD_OLD, SPEED_SLOW = int(Reason.LOAD_DOUBTED), int(Reason.LOAD_OLD), int(Reason.SPEED_SLOW)
+SPEED_QUANTISED = int(Reason.SPEED_QUANTISED)
+AMBIENT_NOMINAL, SPEED_STUCK = int(Reason.AMBIENT_NOMINAL), int(Reason.SPEED_STUCK)
+CLOCK_JUMPED, TIME_RESET = int(Reason.CLOCK_JUMPED), int(Reason.TIME_RESET)
+SPEED_IMPLAUSIBLE, SPEED_DISAGREES = int(Reason.SPEED_IMPLAUSIBLE), int(Reason.SPEED_DISAGREES)
+DISABLED, ENABLE_OLD = int(Reason.DISABLED), int(Reason.ENABLE_OLD)
 
 SEEN, LAST_ARRIVAL, FRESH = Times.seen, Times.last_arrival, Times.fresh  # of one channel among many
 OLD_LOAD_NS = FRESH_LOAD_NS + int(0.5 * LOAD_SLACK / LOAD_PER_S / NANOSECOND)  # half of what it may change in the end
@@ -71,25 +181,25 @@ ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOU
 class Memory(NamedTuple):
     """Memory of the guards, one row per channel. All arrays are changed in place."""
 
-    times: Annotated[IntArray, (None, at.Times.columns)]
+    times: Annotated[IntArray, (None, layout.Times.columns)]
     values: Array  # last accepted value
-    counters: Annotated[IntArray, (None, len(at.Count))]
+    counters: Annotated[IntArray, (None, len(Count))]
     reasons: IntArray  # (reasons,) steps with each reason
     followed: Annotated[Array, (FOLLOWED,)]  # position on a route, see `route.follower`
-    tracked: Annotated[Array, (at.Tracked.columns,)]
-    runs: Annotated[Array, (None, at.Run.columns)]
+    tracked: Annotated[Array, (layout.Tracked.columns,)]
+    runs: Annotated[Array, (None, layout.Run.columns)]
 
 
 def new_memory(channels: int) -> Memory:
     """Memory of a new session."""
     return Memory(
-        np.zeros((channels, at.Times.columns), dtype=np.int64),
+        np.zeros((channels, layout.Times.columns), dtype=np.int64),
         np.full(channels, np.nan),
-        np.zeros((channels, len(at.Count)), dtype=np.int64),
-        np.zeros(len(at.REASON_TEXT), dtype=np.int64),
+        np.zeros((channels, len(Count)), dtype=np.int64),
+        np.zeros(len(layout.REASON_TEXT), dtype=np.int64),
         np.array(NOTHING_YET),
         np.array(NOTHING_TRACKED),
-        np.full((channels, at.Run.columns), np.nan),
+        np.full((channels, layout.Run.columns), np.nan),
     )
 
 
@@ -134,7 +244,7 @@ def slow_ns(k: Constants, times: Times) -> int:
 @kernel
 def longest_age(k: Constants, memory: Memory) -> float:
     """Longest age of a trusted speed [s]."""
-    return max(k.number.speed_max_age, slow_ns(k, Times(memory.times[at.SPEED])) * NANOSECOND)
+    return max(k.number.speed_max_age, slow_ns(k, Times(memory.times[layout.SPEED])) * NANOSECOND)
 
 
 @kernel
@@ -178,7 +288,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             is_behind = 0 < forward < waited
             if has_jumped(k, times, stamp, arrival, is_behind):
                 outcome, elapsed, is_behind = ACCEPTED_AFTER_JUMP, max(waited, 0), False
-                if channel == at.SPEED:
+                if channel == layout.SPEED:
                     if not is_near(k, run, elapsed, value, quantum):  # the clock of who sends this is none to go by
                         counters[IMPLAUSIBLE] += 1
                         return -IMPLAUSIBLE, 0
@@ -190,7 +300,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
                 refusal = FUTURE if forward > 0 else BACKWARD
                 counters[refusal] += 1
                 return -refusal, 0
-    if channel == at.SPEED or is_load(k, channel):
+    if channel == layout.SPEED or is_load(k, channel):
         in_doubt = times.doubts > 0
         if may_change_at_will(k, memory, channel, arrival, quantum) or outcome == ACCEPTED_AFTER_RESET:
             trust(times, run, value)
@@ -199,7 +309,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             return -IMPLAUSIBLE, 0
         elif in_doubt:
             outcome = ACCEPTED_AFTER_DOUBT
-    elif channel == at.DISTANCE:
+    elif channel == layout.DISTANCE:
         odometer_came(k, Tracked(memory.tracked), value, elapsed)
     if outcome == ACCEPTED_IN_ORDER and elapsed > 0:
         learn_period(times, elapsed)
@@ -222,10 +332,10 @@ def may_change_at_will(k: Constants, memory: Memory, channel: int, now: int, qua
     """
     if memory.times[channel, SEEN] == 0:
         return True
-    if channel == at.SPEED:
+    if channel == layout.SPEED:
         return False
-    drives = not is_noise(memory.values[at.SPEED], quantum, k.number.speed_variance, True)
-    hold_ns = k.number.passengers_hold_ns if channel == at.PASSENGERS else k.number.load_hold_ns
+    drives = not is_noise(memory.values[layout.SPEED], quantum, k.number.speed_variance, True)
+    hold_ns = k.number.passengers_hold_ns if channel == layout.PASSENGERS else k.number.load_hold_ns
     return not drives or now - memory.times[channel, LAST_ARRIVAL] > hold_ns
 
 
@@ -234,7 +344,7 @@ def is_plausible(
     k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float, quantum: float
 ) -> bool:
     """Whether the vehicle can have changed its speed, or its load, so fast."""
-    if channel == at.SPEED:
+    if channel == layout.SPEED:
         return speed_is_plausible(k, times, run, stamp, elapsed, value, quantum)
     return load_is_plausible(k, times, run, channel, stamp, elapsed, value)
 
@@ -250,12 +360,12 @@ def forget_others(memory: Memory, kept: int) -> None:
     forget(memory.followed)
     for i in range(memory.tracked.shape[0]):
         memory.tracked[i] = NOTHING_TRACKED[i]
-    if kept == at.SPEED:
+    if kept == layout.SPEED:
         trust(Times(memory.times[kept]), Run(memory.runs[kept]), memory.values[kept])
 
 
 @kernel
-def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
+def held_value(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     """The last value of a channel if it arrived within `hold_ns`, else nan."""
     if memory.times[channel, SEEN] == 0 or now - memory.times[channel, LAST_ARRIVAL] > hold_ns:
         return math.nan
@@ -265,7 +375,7 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 @kernel
 def held_motion(k: Constants, memory: Memory, channel: int, now: int) -> float:
     """The last acceleration, grade, yaw rate or heading, nan where it is too old for the period in which it comes."""
-    return held(memory, channel, now, max(k.number.motion_hold_ns, slow_ns(k, Times(memory.times[channel]))))
+    return held_value(memory, channel, now, max(k.number.motion_hold_ns, slow_ns(k, Times(memory.times[channel]))))
 
 
 @kernel
@@ -274,13 +384,13 @@ def ambient_now(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple
 
     It is assumed to be the last known, also before a time off; without one it is the nominal one.
     """
-    ambient = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns)
+    ambient = held_value(memory, layout.AMBIENT, now, k.number.ambient_hold_ns)
     if not math.isnan(ambient):
         return ambient, k.number.ambient_std, 0
-    if memory.times[at.AMBIENT, SEEN] != 0:
-        last = float(memory.values[at.AMBIENT])
+    if memory.times[layout.AMBIENT, SEEN] != 0:
+        last = float(memory.values[layout.AMBIENT])
     else:
-        last = motion.air if motion.started > 0.0 or motion.started == at.START_COLD else k.number.nominal_ambient
+        last = motion.air if motion.started > 0.0 or motion.started == layout.START_COLD else k.number.nominal_ambient
     return last, k.number.ambient_unknown_std, AMBIENT_NOMINAL
 
 
@@ -290,11 +400,11 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
 
     It is not enabled, or a required enable has expired, or the vehicle may stand: even then nothing may push it.
     """
-    if Times(memory.times[at.SPEED]).doubts > 0 and seems_to_stand(k, Run(memory.runs[at.SPEED])):
+    if Times(memory.times[layout.SPEED]).doubts > 0 and seems_to_stand(k, Run(memory.runs[layout.SPEED])):
         return SPEED_IMPLAUSIBLE
     if k.number.enable_hold_ns == 0:
-        return DISABLED if memory.values[at.ENABLE] <= 0.0 else 0
-    enable = held(memory, at.ENABLE, now, k.number.enable_hold_ns)
+        return DISABLED if memory.values[layout.ENABLE] <= 0.0 else 0
+    enable = held_value(memory, layout.ENABLE, now, k.number.enable_hold_ns)
     if math.isnan(enable):
         return ENABLE_OLD
     return 0 if enable > 0.0 else DISABLED
@@ -326,7 +436,7 @@ def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, 
 
     It is the load of an axle, or with `axle` -1 of all. In proportion to nominal loads, and no less than a plausible load.
     """
-    rest, share = held(memory, channel, now, k.number.load_hold_ns), 0.0
+    rest, share = held_value(memory, channel, now, k.number.load_hold_ns), 0.0
     for i in range(loads.shape[0]):
         assembly = Assembly(k.assembly[i])
         if axle < 0 or int(assembly.axle) == axle:
@@ -351,23 +461,23 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[
     A load of the assembly has priority over one of its axle, and that over the total. Without any, passengers add to the nominal
     loads. A load that is too old, or doubted, adds to the standard deviation; one that was never given is the vehicle file's.
     """
-    first_assembly = at.FIRST_AXLE + k.number.axles
+    first_assembly = layout.FIRST_AXLE + k.number.axles
     reasons, unsure = 0, 0.0
     for i in range(loads.shape[0]):
         loads[i] = math.nan
         if k.number.axles > 0:
-            loads[i] = held(memory, first_assembly + i, now, k.number.load_hold_ns)
+            loads[i] = held_value(memory, first_assembly + i, now, k.number.load_hold_ns)
             if not math.isnan(loads[i]):
                 reasons |= reasons_of_load(memory, first_assembly + i, now)
                 unsure += unsure_load(k, memory, first_assembly + i, now)
     for axle in range(k.number.axles):
-        found, std = share_rest(k, memory, at.FIRST_AXLE + axle, axle, now, loads)
+        found, std = share_rest(k, memory, layout.FIRST_AXLE + axle, axle, now, loads)
         reasons, unsure = reasons | found, unsure + std
-    found, std = share_rest(k, memory, at.LOAD, -1, now, loads)
+    found, std = share_rest(k, memory, layout.LOAD, -1, now, loads)
     reasons, unsure = reasons | found, unsure + std
-    payload = held(memory, at.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
-    was_known = memory.times[at.LOAD, SEEN] != 0
-    for channel in range(at.FIRST_AXLE, k.number.first_belt):
+    payload = held_value(memory, layout.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
+    was_known = memory.times[layout.LOAD, SEEN] != 0
+    for channel in range(layout.FIRST_AXLE, k.number.first_belt):
         was_known = was_known or memory.times[channel, SEEN] != 0
     boarded = 0.0
     for i in range(loads.shape[0]):
@@ -381,29 +491,27 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[
             if was_known:
                 unsure += LOAD_SLACK * assembly.nominal_load
     if boarded > 0.0:
-        unsure += boarded * k.number.passenger_weight * unsure_load(k, memory, at.PASSENGERS, now)
-        if Times(memory.times[at.PASSENGERS]).doubts > 0:
+        unsure += boarded * k.number.passenger_weight * unsure_load(k, memory, layout.PASSENGERS, now)
+        if Times(memory.times[layout.PASSENGERS]).doubts > 0:
             reasons |= LOAD_DOUBTED
     return reasons, unsure
 
 
 @kernel
-def gather(
-    k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Motion, loads: Array, belt_measured: Array
-) -> Inputs:
-    """Inputs of the step at an accepted speed; fill `loads` and `belt_measured`, one entry per assembly.
+def gather(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed: int, motion: Motion) -> Inputs:
+    """Inputs of the step at an accepted speed; loads and belt temperatures are in the scratch memory.
 
     `motion` holds whether any channel reset the time, and the smallest step observed in the speed.
     """
-    times, tracked = Times(memory.times[at.SPEED]), Tracked(memory.tracked)
+    times, tracked, belt_measured = Times(memory.times[layout.SPEED]), Tracked(memory.tracked), scratch.belt_measured
     now, stamp = times.last_arrival, times.last_stamp
-    speed = memory.values[at.SPEED]
-    reasons, unsure = gather_loads(k, memory, now, loads)
+    speed = memory.values[layout.SPEED]
+    reasons, unsure = gather_loads(k, memory, now, scratch.loads)
     if outcome == ACCEPTED_AFTER_JUMP:
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
         reasons |= SPEED_IMPLAUSIBLE
-    if motion.started == at.START_ANEW:
+    if motion.started == layout.START_ANEW:
         reasons |= TIME_RESET
     patience, quantum = 1, motion.quantum
     if motion.started > 0.0 and QUANTISED[0] < quantum < QUANTISED[1]:
@@ -417,38 +525,38 @@ def gather(
     reasons |= assumed
     for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan
-        for channel in (at.BELT, k.number.first_belt + i):
+        for channel in (layout.BELT, k.number.first_belt + i):
             since = (now - memory.times[channel, LAST_ARRIVAL]) * NANOSECOND
             if memory.times[channel, FRESH] and since <= k.number.bridge:  # an older one is of the belt before a pause
                 belt_measured[i] = memory.values[channel]
-    memory.times[at.BELT, FRESH] = 0
+    memory.times[layout.BELT, FRESH] = 0
     for i in range(belt_measured.shape[0]):
         memory.times[k.number.first_belt + i, FRESH] = 0
-    grade = held_motion(k, memory, at.GRADE, now)
+    grade = held_motion(k, memory, layout.GRADE, now)
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
-    reasons |= of_place(k, known, grade, slope, torque)
-    unfed = not_enabled(k, memory, now)
-    drive_on(k, tracked, speed, elapsed)
-    silent = (now - memory.times[at.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
+    reasons |= place_reason(k, known, grade, slope, torque)
+    stopped = not_enabled(k, memory, now)
+    integrate_speed(k, tracked, speed, elapsed)
+    silent = (now - memory.times[layout.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
     last_speed = motion.last_speed if motion.started > 0.0 else speed
     if disagrees(k, memory.times, memory.values, last_speed, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
-        unfed |= SPEED_DISAGREES
+        stopped |= SPEED_DISAGREES
     return Inputs(
         speed,
-        loads,
+        scratch.loads,
         ambient,
         ambient_std,
         belt_measured,
-        held_motion(k, memory, at.ACCEL, now),
+        held_motion(k, memory, layout.ACCEL, now),
         grade,
-        held_motion(k, memory, at.YAW_RATE, now),
-        held_motion(k, memory, at.HEADING, now),
+        held_motion(k, memory, layout.YAW_RATE, now),
+        held_motion(k, memory, layout.HEADING, now),
         math.nan,  # an odometer starts at any value; the distance is integrated from the speed, as in a fit
-        held(memory, at.TORQUE, now, k.number.torque_hold_ns),
+        held_value(memory, layout.TORQUE, now, k.number.torque_hold_ns),
         slope,
         torque,
         torque_std,
-        reasons | unfed,
-        0.0 if unfed else 1.0,
+        reasons | stopped,
+        0.0 if stopped else 1.0,
         unsure,
     )

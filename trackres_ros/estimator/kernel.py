@@ -1,46 +1,50 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes one step of the estimate: belts, motion, torque by part, its standard deviation and the feed-forward. It is
-compiled, and has no I/O and no clock.
+"""Computes the steps of the estimate: belts, motion, torque by part, its standard deviation and the feed-forward.
+
+A stream of messages passes guards and steps, one message at a time or in blocks: the same compiled code either way. It has no
+I/O and no clock.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple, TypeVar
 
-from trackres_ros.arrays import Array
+from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import (
     ALL_WELL,
-    DRAG_AREA,
     EACH,
     EXTRAPOLATED,
+    FACT,
     FIRST_OWN,
     OF_AIR,
-    TERM_BY_DRAG_AREA,
-    TERM_COOLING_VARIANCE,
-    TERM_DRIVE_GAIN,
-    TERM_FED,
-    TERM_GAIN_VARIANCE,
-    TERM_LOSS_VARIANCE,
-    TERM_VARIANCE,
-    TERMS,
-    look,
-    move_effects,
-    pass_gap_of_effects,
-    step_effects,
+    TERM,
+    correct_air_of_effects,
+    reset_terms,
+    rest_effects,
 )
 from trackres_ros.effects.vehicle.drivetrain_efficiency import drives
-from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.assembly_step import COLUMNS_EACH, FIRST_OF_ASSEMBLIES, advance_assemblies
-from trackres_ros.estimator.belt_heat import loss_force, surface
-from trackres_ros.estimator.belt_step import roll
-from trackres_ros.estimator.belt_uncertainty import add_noise
-from trackres_ros.estimator.by_place import is_missing
+from trackres_ros.estimator import columns as layout
+from trackres_ros.estimator.assemblies import (
+    COLUMNS_EACH,
+    FIRST_OF_ASSEMBLIES,
+    Moment,
+    Road,
+    advance_assemblies,
+    advance_belt,
+    begin_step,
+    end_step,
+    learn_from,
+    learned_variance,
+)
+from trackres_ros.estimator.belt import SLOWEST_LOG_SPEED, add_noise, loss_force, roll, surface
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
     OF_COOLING,
-    OF_DRAG,
     OF_LOSS,
     RESTS,
     TEMPERATURE,
@@ -51,24 +55,40 @@ from trackres_ros.estimator.columns import (
     OfAssembly,
     Part,
     Results,
+    Times,
 )
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.feedforward import feedforward
-from trackres_ros.estimator.learned_step import learn_from, learned_variance
-from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
-from trackres_ros.estimator.records import Inputs, State
-from trackres_ros.estimator.road import Road, driving_torque, road_now, torque_of_place
-from trackres_ros.kernels.arithmetic import squared
-from trackres_ros.kernels.marks import kernel
+from trackres_ros.estimator.feedforward import feedforward, update_feedforward
+from trackres_ros.estimator.guards import (
+    ACCEPTED_AFTER_RESET,
+    AMBIENT_NOMINAL,
+    GAP,
+    Memory,
+    admit,
+    follow_along,
+    forget_others,
+    gather,
+    is_missing,
+    longest_age,
+    place_reason,
+    position_came,
+)
+from trackres_ros.estimator.motion import advance_motion, rolling_state, start_motion
+from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, Scratch, State
+from trackres_ros.kernels.marks import COMPILED as HAVE_C
+from trackres_ros.kernels.marks import Bound, entry, kernel, squared
 from trackres_ros.model.resistance import direction, wind_force
+from trackres_ros.units import NANOSECOND
+
+# A step
 
 LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 
 RADIUS, RESISTANCE_OF_ONE = Assembly.radius, OfAssembly.resistance_torque_nm
-BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
-SURROUNDINGS, EFFECT_LEFT_OUT = int(at.Reason.SURROUNDINGS), int(at.Reason.EFFECT_LEFT_OUT)
-OFF_ROUTE = int(at.Reason.OFF_ROUTE)
-OUTSIDE_LEARNED = int(at.Reason.OUTSIDE_LEARNED)
+BRIDGED, UNKNOWN = int(layout.Reason.GAP_BRIDGED), int(layout.Reason.GAP_UNKNOWN)
+SURROUNDINGS, EFFECT_LEFT_OUT = int(layout.Reason.SURROUNDINGS), int(layout.Reason.EFFECT_LEFT_OUT)
+OFF_ROUTE = int(layout.Reason.OFF_ROUTE)
+OUTSIDE_LEARNED = int(layout.Reason.OUTSIDE_LEARNED)
 PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN, PREDICTED_OUTCOME = range(4)
 PREDICTED = 4
 
@@ -91,16 +111,19 @@ def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> N
 
 
 @kernel
-def follow_air(
-    k: Constants, carried: State, speed: float, weight: float, ambient: float, ambient_std: float, assumed: bool
+def correct_air(
+    k: Constants, carried: State, scratch: Scratch, speed: float, weight: float, ambient: float, ambient_std: float, assumed: bool
 ) -> None:
-    """Go on in an ambient temperature: where another was assumed, as if belts and effects had been in this one (ours).
+    """Set the ambient temperature of a step. If the last one was only assumed, correct belts and effects by its error (ours).
 
     Notes
     -----
-    A belt moves by its departure due to the air over the standard deviation of the air: after a start or a long rest by the whole
-    difference, else by the part of it that acted, to first order. So that departure begins at zero when air is first assumed: the
-    earlier one, by the thermometer, is another cause and joins the random part.
+    A belt keeps the departure [K] that one standard deviation of the assumed air gives it. Their ratio is the share of the air in
+    its temperature: 1 after a start or a long rest, less after a short one. The belt moves by this share of the correction, to
+    first order. It never moves by more than the whole correction.
+
+    While the air is measured, that departure is due to the thermometer. When the air is first assumed, it joins the random part,
+    and the departure due to the assumed air begins at zero.
     """
     motion = Motion(carried.motion)
     if motion.air_std > 0.0 and not (assumed and ambient == motion.air and ambient_std == motion.air_std):
@@ -109,7 +132,7 @@ def follow_air(
                 belt = Belt(carried.belts[i, node])
                 belt.temperature += min(belt.consider_ambient / motion.air_std, 1.0) * (ambient - motion.air)
                 belt.consider_ambient *= ambient_std / motion.air_std
-        move_effects(k.effects, k.effect_values, carried.effects, k.work, speed, weight, motion.air, ambient)
+        correct_air_of_effects(k.effects, k.effect_values, carried.effects, scratch.effects, speed, weight, motion.air, ambient)
         motion.air_std = ambient_std
     elif motion.air_std == 0.0 and assumed:
         for i in range(carried.belts.shape[0]):
@@ -126,41 +149,7 @@ def follow_air(
 
 
 @kernel
-def act(
-    k: Constants,
-    carried: State,
-    speed: float,
-    accel: float,
-    weight: float,
-    ambient: float,
-    turning: tuple[float, float, float],
-    others: float,
-    belt: float,
-    dt: float,
-) -> int:
-    """Fill the terms of all effects in a step; return the effects' reasons.
-
-    Some effects depend on the driving torque, and contribute to it. They get the last step's torque, corrected by the known
-    parts of this one: `others` [Nm], all but belts and effects. `turning` is yaw rate, heading and distance; `belt` is the
-    mean temperature of the belts [degC] after the last step.
-    """
-    if k.effects.shape[0] == 0:
-        return ALL_WELL
-    motion, effects, learned = Motion(carried.motion), carried.effects, Learned(carried.learned)
-    # As in a file with the learned drag; the rest that is learned is no fact for effects.
-    k.work[TERMS + DRAG_AREA] = k.number.drag_area * (1.0 + learned.on * learned.departures[OF_DRAG])
-    drive = motion.last_drive + others - motion.last_others
-    bridged = dt <= k.number.bridge
-    if not bridged:
-        middle = 0.5 * (motion.last_speed + speed)
-        pass_gap_of_effects(k.effects, k.effect_values, effects, k.work, middle, weight, ambient, dt)
-    look(k.work, speed, accel, weight, ambient, *turning, drive, belt)
-    # The drive during a gap too long to bridge is unknown: the distance stays.
-    return step_effects(k.effects, k.effect_values, effects, k.work, dt if bridged else 0.0)
-
-
-@kernel
-def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array) -> None:
+def advance(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: float, out: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; change the carried state, fill one row of results.
 
     Parameters
@@ -175,7 +164,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
     M = R_1 [sign(v) sum F_h + sign(v) f_b G_v + 1/2 rho_a C_d A_f v|v| + G_v sin(gamma) + delta_m G_v/g dv/dt] (32 to 36; the
     grade is ours). Effects and learned terms are added (ours).
     """
-    number, work = k.number, k.work
+    number, terms = k.number, scratch.effects.terms
     belts, motion, learned = carried.belts, Motion(carried.motion), Learned(carried.learned)
     reasons = inputs.reasons
     speed = inputs.speed
@@ -187,7 +176,7 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
         )
     elif not moves or dt > 0.0:
         start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
-    motion.rolls = rolls(motion, speed, number.speed_variance)
+    motion.rolls = rolling_state(motion, speed, number.speed_variance)
     if dt > number.bridge:
         reasons |= UNKNOWN
     elif dt > number.gap:
@@ -202,68 +191,67 @@ def advance(k: Constants, carried: State, inputs: Inputs, dt: float, out: Array)
         weight += inputs.load[i]
         arm += inputs.load[i] * k.assembly[i, RADIUS]
     arm /= weight
-    air = inputs.ambient, inputs.ambient_std
     grade = inputs.slope_by_place if math.isnan(inputs.grade) else inputs.grade
-    road = road_now(k, last_speed, speed, accel, grade, weight, motion.last_drive, *air, dt)
-    of_place = torque_of_place(inputs.torque_by_place, speed)
-    others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
-    turning = inputs.yaw_rate, inputs.heading, inputs.distance
-    outcome = act(k, carried, speed, accel, weight, inputs.ambient, turning, others, belt_degc, dt)
-    if outcome == EXTRAPOLATED:
+    moment = Moment(
+        speed, accel, grade, weight, arm, belt_degc, inputs.ambient, inputs.ambient_std, inputs.yaw_rate, inputs.heading,
+        inputs.distance, inputs.torque_by_place,
+    )  # fmt: skip
+    road = begin_step(k, carried, scratch, moment, last_speed, dt)
+    if road.outcome == EXTRAPOLATED:
         reasons |= OUTSIDE_LEARNED
-    elif outcome != ALL_WELL:
+    elif road.outcome != ALL_WELL:
         reasons |= EFFECT_LEFT_OUT
     if number.surroundings:
         reasons |= SURROUNDINGS
     if is_missing(k, inputs.grade, inputs.slope_by_place, inputs.torque_by_place):
         reasons |= OFF_ROUTE
-    sums, of_assemblies = advance_assemblies(k, belts, inputs, road, learned, out)
-    total, result = Part(sums), Results(out)
-    lasting = learn_from(total, learned, road.sign, work[TERM_DRIVE_GAIN], work[TERM_BY_DRAG_AREA] * number.drag_area)
+    reasons |= advance_assemblies(k, scratch, belts, inputs, road, learned, out)
+    total, result, gain = Part(scratch.parts[0]), Results(out), terms[TERM.drive_gain]
+    lasting = learn_from(total, learned, road.sign, gain, terms[TERM.by_drag_area] * number.drag_area)
     resisting = total.hysteresis + total.bearing + total.wind
-    driving, of_effects = driving_torque(work, resisting + lasting, of_place, total.grade, total.inertia)
+    driving, of_effects = end_step(carried, scratch, road, resisting + lasting, total.grade, total.inertia)
     of_effects += lasting
-    resistance = resisting + of_effects
     for i in range(belts.shape[0]):  # effects act on the whole vehicle: their force is shared by load
         at_own_radius = inputs.load[i] * k.assembly[i, RADIUS] / (weight * arm)
         out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + RESISTANCE_OF_ONE] += of_effects * at_own_radius
     # Only resistance to motion is fed forward, so no effects at standstill: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
-    fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
-    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, inputs, dt)
-    variance = torque_variance(k, total, learned, road, driving, inputs.torque_by_place_std)
-    variance += of_load(total, road, inputs.load_std / weight, work[TERM_DRIVE_GAIN])
-    motion.feedforward, motion.last_speed, motion.air = wanted, speed, inputs.ambient
-    motion.last_drive, motion.last_others = driving, others
+    fed_effects = (terms[TERM.fed] + lasting) * abs(direction(speed))
+    motion.feedforward, of_feedforward = feedforward(k, terms, motion, total, fed_effects, inputs, dt)
+    variance = torque_variance(k, terms, total, learned, road, driving, inputs.torque_by_place_std)
+    variance += load_variance(total, road, inputs.load_std / weight, gain)
+    motion.air = inputs.ambient
 
     result.speed_mps, result.accel_mps2 = speed, accel
     result.weight_n, result.ambient_degc = weight, inputs.ambient
-    result.resistance_torque_nm, result.effects_nm, result.drive_torque_nm = resistance, of_effects, driving
+    result.resistance_torque_nm, result.effects_nm, result.drive_torque_nm = resisting + of_effects, of_effects, driving
     result.hysteresis_nm, result.bearing_nm, result.wind_nm = total.hysteresis, total.bearing, total.wind
     result.grade_nm, result.inertia_nm = total.grade, total.inertia
-    result.resistance_std_nm = max(math.sqrt(variance), LEAST_STD_SHARE * total.unsigned * work[TERM_DRIVE_GAIN])
+    result.resistance_std_nm = max(math.sqrt(variance), LEAST_STD_SHARE * total.unsigned * gain)
     motor_gain = 1.0 / (number.motor_ratio * number.motor_efficiency ** drives(driving, road.sign, weight, arm))
-    result.feedforward_torque_nm, result.motor_torque_nm = wanted, driving * motor_gain
+    result.feedforward_torque_nm, result.motor_torque_nm = motion.feedforward, driving * motor_gain
     measured = inputs.measured_torque / number.torque_scale - number.torque_offset
     result.measured_torque_nm, result.residual_nm = measured, measured - driving
     result.heat_w, result.cooling_w = total.heat, total.cooling
-    result.reasons = reasons | of_assemblies | of_feedforward
+    result.reasons = reasons | of_feedforward
 
 
 @kernel
-def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, driving: float, of_place_std: float) -> float:
+def torque_variance(
+    k: Constants, terms: Array, total: Part, learned: Learned, road: Road, driving: float, of_place_std: float
+) -> float:
     """Variance of the resistance [Nm^2]: var M of docs/model.md, with those of effects and of a torque by place (ours).
 
     Each cause is summed over the assemblies before squaring: heating of all belts stays one cause. Learned variances replace
     those of the file. The gears' gain is on all torques behind them; that of learned torques has it already.
     """
-    number, work, by = k.number, k.work, total.by
-    gain = work[TERM_DRIVE_GAIN]
+    number, by, gain = k.number, total.by, terms[TERM.drive_gain]
+    of_place = 0.0 if math.isnan(of_place_std) else of_place_std * road.sign
     variance: float = (
-        (work[TERM_VARIANCE] + work[TERM_LOSS_VARIANCE] * squared(by[OF_LOSS])) * squared(gain)
-        + work[TERM_COOLING_VARIANCE] * squared(by[OF_COOLING] * gain)
-        + work[TERM_GAIN_VARIANCE] * squared(driving)
-        + squared(torque_of_place(of_place_std, road.speed) * gain)
+        (terms[TERM.variance] + terms[TERM.loss_variance] * squared(by[OF_LOSS])) * squared(gain)
+        + terms[TERM.cooling_variance] * squared(by[OF_COOLING] * gain)
+        + terms[TERM.gain_variance] * squared(driving)
+        + squared(of_place * gain)
     )
     of_bearing = squared(total.arm * road.weight * number.bearing_friction_std)
     of_wind = squared(total.arm * wind_force(road.speed, number.drag_area_std, number.air_density))
@@ -284,7 +272,7 @@ def torque_variance(k: Constants, total: Part, learned: Learned, road: Road, dri
 
 
 @kernel
-def of_load(total: Part, road: Road, relative_std: float, gain: float) -> float:
+def load_variance(total: Part, road: Road, relative_std: float, gain: float) -> float:
     """Variance of the resistance [Nm^2] by a relative standard deviation of the load, to which all but the wind is taken to be
     proportional (ours).
     """
@@ -292,11 +280,8 @@ def of_load(total: Part, road: Road, relative_std: float, gain: float) -> float:
 
 
 @kernel
-def predict(
-    k: Constants, carried: State, count: Array, speed: float, accel: float, grade: float, torque_by_place: float, weight: float,
-    ambient: float, turning: tuple[float, float, float], dt: float, out: Array,
-) -> None:  # fmt: skip
-    """Advance as `advance` does, without uncertainty, feed-forward and shares: for a fit, which needs thousands of runs.
+def predict(k: Constants, carried: State, scratch: Scratch, count: Array, series: DriveSeries, i: int, out: Array) -> None:
+    """The step of `advance` without uncertainty, feed-forward and shares: for a fit, which needs thousands of runs.
 
     Parameters
     ----------
@@ -304,39 +289,242 @@ def predict(
         With one belt per kind, as the rows of `k.assembly`; none for wheels without belts.
     count
         Number of assemblies of each kind, shape (kinds,).
+    series, i
+        The drive, and the index of the present time in it.
     out
         `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], the effects' reasons.
-    """  # fmt: skip
-    belts, motion = carried.belts, Motion(carried.motion)
+    """
+    belts, motion, terms = carried.belts, Motion(carried.motion), scratch.effects.terms
     arm = belts_in_all = before = 0.0
-    for i in range(count.shape[0]):
-        assembly = Assembly(k.assembly[i])
-        arm += count[i] * assembly.share_of_all * assembly.radius
-    for i in range(belts.shape[0]):
-        belts_in_all += count[i]
-        before += count[i] * belts[i, 0, TEMPERATURE]
+    for kind in range(count.shape[0]):
+        assembly = Assembly(k.assembly[kind])
+        arm += count[kind] * assembly.share_of_all * assembly.radius
+    for kind in range(belts.shape[0]):
+        belts_in_all += count[kind]
+        before += count[kind] * belts[kind, 0, TEMPERATURE]
     before = before / belts_in_all if belts.shape[0] > 0 else math.nan
-    last_speed = motion.last_speed if motion.started > RESTS else speed
-    road = road_now(k, last_speed, speed, accel, grade, weight, motion.last_drive, ambient, 0.0, dt)
-    of_place = torque_of_place(torque_by_place, speed)
-    others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
-    outcome = act(k, carried, speed, accel, weight, ambient, turning, others, before, dt)
+    speed, dt = series.speeds[i], series.times[i] - series.times[i - 1] if i > 0 else 0.0
+    moment = Moment(
+        speed, series.accelerations[i], series.grades[i], series.weights[i], arm, before, series.ambients[i], 0.0,
+        series.yaw_rates[i], series.headings[i], series.distances[i], series.torques_by_place[i],
+    )  # fmt: skip
+    road = begin_step(k, carried, scratch, moment, motion.last_speed if motion.started > RESTS else speed, dt)
     hysteresis = mean = skin = 0.0
-    for i in range(belts.shape[0]):
-        belt, assembly = belts[i], Assembly(k.assembly[i])
+    for kind in range(belts.shape[0]):
+        belt, assembly = belts[kind], Assembly(k.assembly[kind])
         share = assembly.share_of_all
-        log_load, drive = math.log(share * weight), road.last_drive * share
-        if dt > 0.0:
-            roll(k, assembly, belt, last_speed, speed, road.log10_middle, log_load, drive, ambient, 0.0, dt)
-        temperature = belt[0, TEMPERATURE]
-        loss, _ = loss_force(k, assembly, temperature, road.log10_speed, log_load, drive)
-        hysteresis += count[i] * assembly.radius * loss * road.sign
-        mean += count[i] * temperature
-        skin += count[i] * surface(k, assembly, belt, ambient, speed)[0]
+        log_load, drive = math.log(share * road.weight), road.last_drive * share
+        advance_belt(k, scratch, assembly, belt, log_load, drive, road)
+        loss, _ = loss_force(k, terms, assembly, belt[0, TEMPERATURE], road.log10_speed, log_load, drive)
+        hysteresis += count[kind] * assembly.radius * loss * road.sign
+        mean += count[kind] * belt[0, TEMPERATURE]
+        skin += count[kind] * surface(k, terms, assembly, belt, road.ambient, road.speed)[0]
     resisting = hysteresis + arm * (road.bearing + road.wind)
-    driving, _ = driving_torque(k.work, resisting, of_place, arm * road.uphill, arm * road.inertia)
-    motion.started, motion.last_speed, motion.last_drive, motion.last_others = 1.0, speed, driving, others
-    out[PREDICTED_DRIVE] = driving
+    out[PREDICTED_DRIVE], _ = end_step(carried, scratch, road, resisting, arm * road.uphill, arm * road.inertia)
     out[PREDICTED_BELT] = mean / belts_in_all if belts.shape[0] > 0 else math.nan
     out[PREDICTED_SKIN] = skin / belts_in_all if belts.shape[0] > 0 else math.nan
-    out[PREDICTED_OUTCOME] = outcome
+    out[PREDICTED_OUTCOME] = road.outcome
+
+
+# Runs of steps
+
+Record = TypeVar("Record")
+
+
+class Messages(NamedTuple):
+    """Messages in the order they arrived, shape (messages,)."""
+
+    channels: IntArray
+    stamps: IntArray  # ns
+    arrivals: IntArray  # ns
+    values: Array
+
+
+@kernel
+def feed(
+    k: Constants,
+    memory: Memory,
+    carried: State,
+    scratch: Scratch,
+    channel: int,
+    stamp: int,
+    arrival: int,
+    value: float,
+    out: Array,
+) -> bool:
+    """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
+    motion = Motion(carried.motion)
+    update_feedforward(k, memory, motion, arrival)
+    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
+    if outcome == ACCEPTED_AFTER_RESET:
+        forget_others(memory, channel)
+        motion.started = layout.START_ANEW
+    if outcome >= 0 and (channel == layout.LATITUDE or channel == layout.LONGITUDE):
+        position_came(k, memory.times, memory.values, memory.followed)
+    if outcome < 0 or channel != layout.SPEED:
+        update_feedforward(k, memory, motion, arrival)
+        return False
+    inputs = gather(k, memory, scratch, outcome, elapsed, motion)
+    assumed = inputs.reasons & AMBIENT_NOMINAL != 0
+    if motion.started <= 0.0:
+        start(k, carried, inputs.ambient, inputs.ambient_std)
+        if assumed:
+            motion.air_std = inputs.ambient_std
+    elif assumed or motion.air_std > 0.0:
+        weight = 0.0
+        for i in range(inputs.load.shape[0]):
+            weight += inputs.load[i]
+        correct_air(k, carried, scratch, inputs.speed, weight, inputs.ambient, inputs.ambient_std, assumed)
+    dt = elapsed * NANOSECOND
+    if dt > k.number.gap:
+        memory.counters[channel, GAP] += 1
+    advance(k, carried, scratch, inputs, dt, out)  # with the age that was allowed while it waited
+    longest = longest_age(k, memory)
+    motion.longest_age = longest if longest > k.number.speed_max_age else 0.0
+    found = int(Results(out).reasons)
+    for bit in range(memory.reasons.shape[0]):
+        memory.reasons[bit] += (found >> bit) & 1
+    return True
+
+
+@kernel
+def feed_all(
+    k: Constants,
+    memory: Memory,
+    carried: State,
+    scratch: Scratch,
+    messages: Messages,
+    out: Annotated[Array, (None, None)],
+    out_stamps: IntArray,
+    out_arrivals: IntArray,
+) -> int:
+    """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
+    steps = 0
+    for i in range(messages.channels.shape[0]):
+        message = messages.channels[i], messages.stamps[i], messages.arrivals[i], messages.values[i]
+        if feed(k, memory, carried, scratch, *message, out[steps]):
+            of_speed = Times(memory.times[layout.SPEED])
+            out_stamps[steps], out_arrivals[steps] = of_speed.last_stamp, of_speed.last_arrival
+            steps += 1
+    return steps
+
+
+@kernel
+def advance_once(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: float, out: Array) -> bool:
+    """`advance` for inputs from outside; false for values that `records.checked` refuses: here a check costs nothing."""
+    usable = (
+        inputs.ambient_std >= 0.0
+        and inputs.reasons >= 0
+        and inputs.fed >= 0.0
+        and inputs.load_std >= 0.0
+        and not math.isnan(inputs.speed + inputs.ambient)
+    )
+    for value in (
+        inputs.speed, inputs.ambient, inputs.ambient_std, inputs.acceleration, inputs.grade, inputs.yaw_rate, inputs.heading,
+        inputs.distance, inputs.measured_torque, inputs.slope_by_place, inputs.torque_by_place, inputs.torque_by_place_std,
+        inputs.fed, inputs.load_std,
+    ):  # fmt: skip
+        usable = usable and not abs(value) > LARGEST
+    for i in range(inputs.belt_measured.shape[0]):
+        usable = usable and not abs(inputs.belt_measured[i]) > LARGEST
+    total = 0.0
+    for i in range(inputs.load.shape[0]):
+        usable = usable and 0.0 <= inputs.load[i] <= LARGEST
+        total += inputs.load[i]
+    if not usable or total <= 0.0:
+        return False
+    advance(k, carried, scratch, inputs, dt, out)
+    return True
+
+
+@kernel
+def advance_along(
+    k: Constants,
+    carried: State,
+    scratch: Scratch,
+    series: DriveSeries,
+    ambient_std: float,
+    out: Annotated[Array, (None, None)],
+) -> None:
+    """`advance` along a drive. One row of `out` a time."""
+    loads, no_belts = scratch.loads, scratch.belt_measured
+    for j in range(no_belts.shape[0]):
+        no_belts[j] = math.nan
+    for i in range(series.times.shape[0]):
+        for j in range(loads.shape[0]):
+            loads[j] = series.weights[i] * Assembly(k.assembly[j]).share_of_all
+        grade, slope, torque = series.grades[i], series.slopes_by_place[i], series.torques_by_place[i]
+        inputs = Inputs(
+            series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], grade,
+            series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, slope, torque,
+            series.torque_stds_by_place[i], place_reason(k, series.places_known[i] > 0.0, grade, slope, torque), 1.0, 0.0,
+        )  # fmt: skip
+        advance(k, carried, scratch, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
+
+
+@kernel
+def predict_along(
+    k: Constants,
+    carried: State,
+    scratch: Scratch,
+    count: Array,
+    series: DriveSeries,
+    out: Annotated[Array, (None, PREDICTED)],
+) -> None:
+    """`predict` along a drive, from a state that was started or rested. One row of `out` a time."""
+    for i in range(series.times.shape[0]):
+        predict(k, carried, scratch, count, series, i, out[i])
+
+
+@kernel
+def rest(k: Constants, carried: State, scratch: Scratch, ambient: float, ambient_std: float, seconds: float) -> None:
+    """Let the vehicle stand for some time [s] at an ambient temperature [degC], nan for the last known: all cools."""
+    motion = Motion(carried.motion)
+    motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
+    motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
+    motion.update_age = motion.to_zero = 0.0
+    if motion.started > 0.0:
+        motion.started = layout.RESTS
+    assumed = math.isnan(ambient)
+    air = motion.air if assumed else ambient
+    effects = scratch.effects
+    correct_air(k, carried, scratch, 0.0, effects.conditions[FACT.weight], air, ambient_std, assumed)
+    rest_effects(k.effects, k.effect_values, carried.effects, effects, air, seconds)
+    for i in range(carried.belts.shape[0]):
+        assembly, belt = Assembly(k.assembly[i]), carried.belts[i]
+        roll(k, effects.terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, air, ambient_std, seconds)
+    reset_terms(effects.terms)
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Functions that an estimator runs, compiled or in plain Python, with equal results."""
+
+    compiled: bool
+    feed: Callable[..., bool]
+    feed_all: Callable[..., int]
+    run_series: Callable[..., None]
+    predict_series: Callable[..., None]
+    step_once: Callable[..., bool]
+    rest_vehicle: Callable[..., None]
+    start_belts: Callable[..., None]
+    follow_series: Callable[..., None]
+
+    def bound(self, record: Record) -> Bound[Record]:
+        """A record for many calls of them."""
+        return Bound(record, self.compiled)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Copied or in another process they are the same functions, or those that it has."""
+        return _entries_of, (self.compiled,)
+
+
+_KERNELS: tuple[Callable[..., Any], ...] = (
+    feed, feed_all, advance_along, predict_along, advance_once, rest, start, follow_along,
+)  # fmt: skip
+COMPILED = Entries(HAVE_C, *map(entry, _KERNELS))
+INTERPRETED = Entries(False, *_KERNELS)
+
+
+def _entries_of(compiled: bool) -> Entries:
+    return COMPILED if compiled else INTERPRETED

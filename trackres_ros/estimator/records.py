@@ -1,20 +1,26 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines the inputs and the state of a step."""
+"""Defines inputs, state and results of a step."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.arrays import Array, IntArray
+from trackres_ros.effects.effect import VehicleConstants
+from trackres_ros.effects.stepping import EffectScratch, new_effect_scratch
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.text import decimals
+
+# Inputs and state
 
 NOT_NUMBERS = "MmcbSUV"  # kinds of dtypes that numpy would convert: dates, durations, complex, true and false, texts, records
 DATES = "Mm"
@@ -70,15 +76,36 @@ KINDS = (
 class State(NamedTuple):
     """State carried from one step to the next; not to be changed but by the kernel. `columns` describes the numbers."""
 
-    belts: Annotated[Array, (None, 2, at.BELT_COLUMNS)]  # temperature [degC] and departures [K], of mean and surface
-    motion: Annotated[Array, (at.Motion.columns,)]  # filtered speed and values of the last step
+    belts: Annotated[Array, (None, 2, layout.BELT_COLUMNS)]  # temperature [degC] and departures [K], of mean and surface
+    motion: Annotated[Array, (layout.Motion.columns,)]  # filtered speed and values of the last step
     effects: Array  # memory of the effects, see `effects.stepping`
-    learned: Annotated[Array, (at.Learned.columns,)]  # learned departures of the vehicle
+    learned: Annotated[Array, (layout.Learned.columns,)]  # learned departures of the vehicle
 
     def __repr__(self) -> str:
-        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.Belt.temperature])
+        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, layout.Belt.temperature])
         belts = f"belts {degrees} degC, " if degrees else ""
-        return f"<State: {belts}speed {decimals(float(self.motion[at.Motion.last_speed]), 2)} m/s>"
+        return f"<State: {belts}speed {decimals(float(self.motion[layout.Motion.last_speed]), 2)} m/s>"
+
+
+class Scratch(NamedTuple):
+    """Memory within one step: it begins with the vehicle's facts for effects, and nothing is carried to the next step."""
+
+    effects: EffectScratch
+    gap_belts: Annotated[Array, (2, 2, layout.BELT_COLUMNS)]  # a belt before a gap, and after a rest
+    parts: Annotated[Array, (None, layout.Part.columns)]  # contributions of all assemblies together, then of each
+    loads: Array  # N, of each assembly; of wheels without belts their sum
+    belt_measured: Array  # degC, of each belt; nan without a new one
+
+
+def new_scratch(facts: VehicleConstants, assemblies: int, belts: int) -> Scratch:
+    """Scratch memory for a vehicle: no step allocates memory. Wheels without belts are one assembly."""
+    return Scratch(
+        new_effect_scratch(facts),
+        np.empty((2, 2, layout.BELT_COLUMNS)),
+        np.empty((1 + belts, layout.Part.columns)),
+        np.empty(assemblies),
+        np.empty(belts),
+    )
 
 
 class DriveSeries(NamedTuple):
@@ -224,3 +251,87 @@ def times(given: ArrayLike, where: str) -> Array:
         first = int(np.argmax(is_wrong))
         raise InputError(f"{where}[{first}]", float(found[first]), "finite times that do not fall")
     return found
+
+
+# Results
+
+
+class Estimate:
+    """One row of results by name: torques [Nm] positive where they resist forward travel, temperatures [degC].
+
+    Every name of `columns.columns` works as a key, `estimate["belt_degc/front_left"]`; the most used are attributes.
+    """
+
+    __slots__ = ("index", "row")
+
+    def __init__(self, row: Array, index: Mapping[str, int]) -> None:
+        self.row = row
+        self.index = index
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.row[self.index[name]])
+
+    def __repr__(self) -> str:
+        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belt_degc())
+        belts = f", belts {degrees} degC" if degrees else ""
+        texts = f": {'; '.join(self.reason_texts())}" if self.reasons else ""
+        return (
+            f"<Estimate: resistance {decimals(self.resistance_torque_nm)} +- {decimals(self.resistance_std_nm)} Nm "
+            f"at {decimals(self['speed_mps'], 2)} m/s{belts}, {self.status}{texts}>"
+        )
+
+    @property
+    def resistance_torque_nm(self) -> float:
+        """Hysteresis, bearings and wind, whole vehicle, at the sprockets or the driven wheels [Nm]."""
+        return float(self.row[layout.Results.resistance_torque_nm])
+
+    @property
+    def resistance_std_nm(self) -> float:
+        """Standard deviation of the resistance torque [Nm]."""
+        return float(self.row[layout.Results.resistance_std_nm])
+
+    @property
+    def feedforward_torque_nm(self) -> float:
+        """Chosen parts, limited in rate and size [Nm]."""
+        return float(self.row[layout.Results.feedforward_torque_nm])
+
+    @property
+    def reasons(self) -> layout.Reason:
+        """Why the status is not plainly good."""
+        return layout.Reason(int(self.row[layout.Results.reasons]))
+
+    @property
+    def status(self) -> str:
+        """`ok`, or `warn` where a reason matters to users of the torque."""
+        return "warn" if self.reasons & ~layout.HARMLESS else "ok"
+
+    def reason_texts(self) -> list[str]:
+        """One sentence for each reason."""
+        return [text for reason, text in layout.REASON_TEXT.items() if reason & self.reasons]
+
+    def belt_degc(self) -> Array:
+        """Mean belt temperature of each assembly [degC]."""
+        return self._of_assemblies(layout.OfAssembly.belt_degc)
+
+    def belt_std_k(self) -> Array:
+        """Standard deviation of each of them [K]."""
+        return self._of_assemblies(layout.OfAssembly.belt_std_k)
+
+    def _of_assemblies(self, column: int) -> Array:
+        return self.row[len(layout.VEHICLE_COLUMNS) + column :: len(layout.ASSEMBLY_COLUMNS)]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Steps:
+    """Results of a block of messages: one row a step."""
+
+    stamp_ns: IntArray  # (steps,), time of measurement of the speed that made the step
+    arrival_ns: IntArray  # (steps,), of its logging; of one that waited in a queue, by its stamp
+    rows: Array  # (steps, columns), as `Estimator.columns` names them
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        seconds = (int(self.stamp_ns[-1]) - int(self.stamp_ns[0])) * 1e-9 if len(self) else 0.0
+        return f"<Steps: {len(self)} over {decimals(seconds, 1)} s>"

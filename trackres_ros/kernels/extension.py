@@ -10,8 +10,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import FunctionType
 
 from trackres_ros.kernels.functions import TEMPLATES, Instance, Translator
-from trackres_ros.kernels.kinds import BOOL, INT, LARGEST_WHOLE, LENGTH, REAL, ArrayOf, Const, Kind, Record, Scalar, safe
-from trackres_ros.kernels.signatures import kinds_of
+from trackres_ros.kernels.kinds import (
+    BOOL,
+    INT,
+    LARGEST_WHOLE,
+    LENGTH,
+    REAL,
+    ArrayOf,
+    Const,
+    Kind,
+    Record,
+    Scalar,
+    kinds_of,
+    safe,
+)
 
 TAKEN = {REAL: "tr_real", INT: "tr_int", BOOL: "tr_truth"}
 LETTERS = {REAL: "d", INT: "l", BOOL: "?"}

@@ -5,15 +5,75 @@
 
 What Python calls runs as that C where it was built of these very sources, else as plain Python, with the same bits. The
 environment variable TRACKRES_INTERPRETED=1 leaves the C out, which the tests use to show it.
+
+Python computes `x ** 2` by the C library's `pow` and has its own `hypot`; compiled code multiplies, and uses the C library's.
+So kernels call `squared` and `length`, which give the same bits in both.
 """
 
 from __future__ import annotations
 
+import hashlib
+import logging
+import math
+import os
 from collections.abc import Callable
-from types import FunctionType
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import Any, Generic, TypeVar, cast
 
-from trackres_ros.kernels.machine import MACHINE
+# Compiled kernels
+
+ROOMS = ("model", "estimator", "effects", "kernels", "route", "diagnosis/prepare", "diagnosis/base", "diagnosis/empirical")
+FILES = ("units.py",)
+"""Sources of compiled code, and of constants, which become part of it."""
+NAME = "trackres_ros.kernels.built"
+SLOWER = 100  # times that a step in plain Python takes longer, at least: 450 us against 1.5 us of `Session.handle`
+BUILD = "tools/kernels"
+
+_log = logging.getLogger("trackres")
+
+
+@cache
+def sources_digest() -> str:
+    """Digest of every source file that compiled code can come from."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    found = [Path(folder, name) for room in ROOMS for folder, _, names in os.walk(package / room) for name in names]
+    for path in (*sorted(path for path in found if path.suffix in (".py", ".c")), *(package / file for file in FILES)):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def interpreted() -> bool:
+    """Whether plain Python is requested."""
+    return bool(os.environ.get("TRACKRES_INTERPRETED"))
+
+
+def _loaded() -> ModuleType | None:
+    if interpreted():
+        return None
+    try:
+        found = import_module(NAME)
+    except ImportError as error:
+        missing = error.name == NAME
+        why = "they were not compiled when the package was built: a C compiler or Python.h was missing" if missing else str(error)
+        found = None
+    else:
+        assert found is not None
+        if sources_digest() == found.SOURCES:
+            return found
+        why = f"their sources have changed since they were compiled; in a checkout run {BUILD}"
+    _log.warning("trackres: the kernels run in plain Python, a step about %d times slower, as %s", SLOWER, why)
+    return None
+
+
+MACHINE = _loaded()
+"""The module of compiled kernels; None in plain Python."""
+
+
+# Marks
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Record = TypeVar("Record")
@@ -56,3 +116,18 @@ class Bound(Generic[Record]):
 def record_name(kind: type) -> str:
     """The name of a record in C: `VehicleConstants` as `vehicle_constants`."""
     return "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in kind.__name__).strip("_")
+
+
+# Arithmetic
+
+
+@kernel
+def squared(x: float) -> float:
+    """X times x."""
+    return x * x
+
+
+@kernel
+def length(x: float, y: float) -> float:
+    """Length of a vector, for components whose squares neither overflow nor vanish."""
+    return math.sqrt(x * x + y * y)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
+from trackres_ros.learning.delay import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
 from trackres_ros.model.resistance import direction
@@ -36,11 +36,11 @@ class LearningColumns:
         second = learner.gate.second.number
         if second != self._second:
             self._values, self._second = shown(learner), second
-        torque = row[at.Results.resistance_torque_nm]
-        if learned[at.Learned.on] == 0.0 and learner.acts and learner.learned.applied.any():
-            moved = learner.learned.applied * learned[at.Learned.sensitivities]
-            torque += float(moved.sum()) - float(moved[at.OF_MASS])
-            torque += learner.learned.lasting_nm * direction(row[at.Results.speed_mps])
+        torque = row[layout.Results.resistance_torque_nm]
+        if learned[layout.Learned.on] == 0.0 and learner.acts and learner.learned.applied.any():
+            moved = learner.learned.applied * learned[layout.Learned.sensitivities]
+            torque += float(moved.sum()) - float(moved[layout.OF_MASS])
+            torque += learner.learned.lasting_nm * direction(row[layout.Results.speed_mps])
         return [torque, *self._values]
 
 

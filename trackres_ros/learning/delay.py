@@ -3,12 +3,14 @@
 
 """Estimates the delay of the measured torque behind the speed [s], with its standard deviation.
 
-Each window of 20 s with changes of speed gives a delay. The delays of the last windows give the mean, and their scatter its
-standard deviation.
+Each window of 20 s with changes of speed gives a delay and its quality. The delays of the last windows give the mean, and their
+scatter its standard deviation.
 
 References
 ----------
 R. T. Birge, The calculation of errors by the method of least squares, Phys. Rev. 40 (1932) 207-227.
+C. H. Knapp, G. C. Carter, The generalized correlation method for estimation of time delay, IEEE Trans. Acoust. Speech Signal
+Process. 24 (1976) 320-327.
 """
 
 from __future__ import annotations
@@ -18,9 +20,197 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trackres_ros.arrays import Array
-from trackres_ros.learning.delay_window import LONGEST_GAP_S, SPAN_S, WINDOW_S, window_delay
+from trackres_ros.arrays import Array, Mask
+from trackres_ros.learning.gate import AGAINST_SHARE, BRAKING_MPS2, SLOWEST_MPS
 from trackres_ros.units import NANOSECOND, SECOND_NS
+
+# One window
+
+EARLIEST_S, LATEST_S = -0.5, 1.0  # delays searched: a delay up to 0.5 s needs both flanks of its peak
+GRID_S = 0.05
+WINDOW_S = 20.0
+SMOOTH_S = 0.3  # least standard deviation of the kernel: an acceleration in less time is mostly noise of the speed
+SMOOTH_SPACINGS = 0.7  # minimum standard deviation over the time between two samples: values between them are unknown
+REACH = 3.0  # of the kernel, in standard deviations
+SLOWEST_RATE_HZ = 1.0
+MARGIN_S = REACH * SMOOTH_SPACINGS / SLOWEST_RATE_HZ
+SPAN_S = LATEST_S - EARLIEST_S + WINDOW_S + 2.0 * MARGIN_S
+LONGEST_GAP_S = 2.5  # at 1 Hz one sample may be missing
+GAP_SPACINGS, LEAST_GAP_S = 3.5, 0.5  # a longer pause than this, over the typical spacing and at least, is a gap
+LEAST_SAMPLES = 8
+BESIDE_BRAKES_S = 1.0  # excluded on either side of braking: the delay of the torque may be as long
+LEAST_SHARE = 0.25  # of a window that must be usable
+LEAST_EXPLAINED, LEAST_EXPLAINED_BRAKING = 0.6, 0.9  # share of the expected changes: below, another cause drives or brakes
+GAINS = (0.6, 1.5)  # expected over measured changes: beyond, the torque is not the one that moves this vehicle
+GAIN_STD = 0.1  # assumed: uncertainty of load, mass and torque sensor
+SPEED_SHARE = 0.02  # assumed: unmodelled change of the resistance per m/s, of the rolling torque
+ALIKE_S = 1.5  # points of a window further apart than this are independent
+LEAST_ALIKE = 0.1  # assumed: no noise alternates so well that it counts for less than a tenth of white noise
+FITTED = 5.0  # values of a window: level, trend, resistance over speed, gain, delay
+ROUNDING = 1e-9
+WORST_STD_S = 0.1  # a window with a larger uncertainty has no excitation
+
+_TIMES = np.arange(round(SPAN_S / GRID_S) + 1) * GRID_S
+_DELAYS = np.arange(round(EARLIEST_S / GRID_S), round(LATEST_S / GRID_S) + 1)
+_INNER = round((MARGIN_S - EARLIEST_S) / GRID_S) + np.arange(round(WINDOW_S / GRID_S))
+
+
+def window_delay(speeds: Array, torques: Array, rolling_nm: float) -> tuple[float, float] | None:
+    """Delay from the samples of one window, and its variance.
+
+    Parameters
+    ----------
+    speeds
+        Time [s], speed [m/s], resistance [Nm] and inertia per m/s^2 [Nm s^2/m]; shape (samples, 4).
+    torques
+        Time [s] and measured torque [Nm]; shape (samples, 2).
+    rolling_nm
+        Size of the rolling resistance torque [Nm]: during stronger braking, friction brakes may act.
+
+    Returns
+    -------
+    tuple or None
+        Delay [s] and variance [s^2]; None without excitation.
+
+    Notes
+    -----
+    All series are smoothed equally. Then expected(t) = gain * measured(t + delay) + a + b t + c speed(t): level, warming and an
+    unmodelled growth of the resistance with speed are no delay. Gain and c have priors, since under an exponentially decaying
+    acceleration another gain looks like another delay. The expected torque is on the left, as its noise, from the
+    differentiated speed, is larger. The sum of squares is smallest at the delay, interpolated between points of the grid by a
+    parabola.
+    """
+    if min(len(speeds), len(torques)) < LEAST_SAMPLES:
+        return None
+    (kept_speed, spacing), (kept_torque, torque_spacing) = (_near(series[:, 0]) for series in (speeds, torques))
+    smooth = min(max(SMOOTH_S, SMOOTH_SPACINGS * max(spacing, torque_spacing)), MARGIN_S / REACH)
+    speed, resisting, inertia = (np.interp(_TIMES, speeds[:, 0], speeds[:, i]) for i in (1, 2, 3))
+    torque = np.interp(_TIMES, torques[:, 0], torques[:, 1])
+    usable = kept_speed & (np.abs(speed) > SLOWEST_MPS)
+    mean, slope = _kernels(smooth)
+    accel = np.convolve(speed, slope, "same")
+    expected = np.convolve(resisting, mean, "same") + inertia * accel
+    measured, smooth_speed = np.convolve(torque, mean, "same"), np.convolve(speed, mean, "same")
+    ahead = np.sign(speed)
+    brakes = (accel * ahead < BRAKING_MPS2) & (measured * ahead <= AGAINST_SHARE * rolling_nm)
+    reach = REACH * smooth
+    there = _reached(_clear(kept_torque, reach))
+    series = np.stack([expected, measured, smooth_speed])
+    # If the torque follows the braking too, no friction brakes act; else braking is excluded.
+    least = LEAST_EXPLAINED_BRAKING if brakes.any() else LEAST_EXPLAINED
+    found = _fitted(series, there & _clear(usable, reach), smooth, rolling_nm, least)
+    if found is None and brakes.any():
+        usable &= _clear(~brakes, BESIDE_BRAKES_S)
+        found = _fitted(series, there & _clear(usable, reach), smooth, rolling_nm, LEAST_EXPLAINED)
+    return found
+
+
+def _kernels(smooth: float) -> tuple[Array, Array]:
+    """A mean over a standard deviation [s], and a slope of it, by the grid."""
+    times = np.arange(-round(REACH * smooth / GRID_S), round(REACH * smooth / GRID_S) + 1) * GRID_S
+    mean = np.exp(-0.5 * (times / smooth) ** 2)
+    mean /= mean.sum()
+    slope = -times * mean
+    return mean, slope / -(slope * times).sum()
+
+
+def _fitted(series: Array, usable: Mask, smooth: float, rolling_nm: float, least_explained: float) -> tuple[float, float] | None:
+    """Delay and variance by the points of the grid that are usable; see `window_delay`."""
+    expected, measured, speed = series
+    inner = _INNER[usable[_INNER]]
+    if len(inner) < LEAST_SHARE * WINDOW_S / GRID_S:
+        return None
+    base = np.linalg.qr(np.column_stack([np.ones(len(inner)), inner - inner.mean()]))[0]
+    by_delay = np.vstack([measured[inner[None, :] + _DELAYS[:, None]], speed[inner], expected[inner]])
+    by_delay -= (by_delay @ base) @ base.T
+    (over_speed, left), by_delay = by_delay[-2:], by_delay[:-2]
+    alike = 2.0 * math.sqrt(math.pi) * smooth / GRID_S  # smoothed points of the grid per independent one
+    free = max(len(inner) - FITTED * alike, alike)
+    products = (
+        (by_delay**2).sum(axis=1),
+        by_delay @ over_speed,
+        float(over_speed @ over_speed),
+        by_delay @ left,
+        float(over_speed @ left),
+    )
+    whole, tied = float(left @ left), (0.0, 0.0)
+    for _ in range(2):  # a fit without priors gives the noise, which sets the weight of the priors
+        unexplained, gains, slopes = _least_squares(*products, *tied)
+        best = int(np.argmin(unexplained))
+        noise = max(whole + float(unexplained[best]), ROUNDING * whole) / free
+        tied = noise * alike / GAIN_STD**2, noise * alike / (SPEED_SHARE * rolling_nm) ** 2
+    if not 0 < best < len(_DELAYS) - 1 or not GAINS[0] < gains[best] < GAINS[1]:
+        return None
+    residual = left - gains[best] * by_delay[best] - slopes[best] * over_speed
+    before, at_best, after = unexplained[best - 1 : best + 2].tolist()
+    bend = before + after - 2.0 * at_best
+    if bend <= 0.0 or float(residual @ residual) > (1.0 - least_explained) * whole:
+        return None
+    delay = (_DELAYS[best] + 0.5 * (before - after) / bend) * GRID_S
+    moved = gains[best] * (by_delay[best + 1] - by_delay[best - 1]) / (2.0 * GRID_S)  # per second of delay
+    fitted = np.stack([by_delay[best], over_speed])
+    alone = moved - np.linalg.solve(fitted @ fitted.T + np.diag(tied), fitted @ moved) @ fitted
+    spread = np.zeros((2, len(expected)))  # no data between the usable points
+    spread[:, inner] = alone, residual
+    variance = float(residual @ residual) / free * _alike(*spread) / max(float(moved @ alone), 1e-300)
+    return (float(delay), variance) if variance < WORST_STD_S**2 else None
+
+
+def _least_squares(
+    uu: Array, uv: Array, vv: float, um: Array, vm: float, of_gain: float, of_slope: float
+) -> tuple[Array, Array, Array]:
+    """Fit m = gain * u + slope * v for each delay from the products of u, v and m, with priors at a gain of 1 and a slope of 0.
+
+    Returns the sum of squares less that of m, gain and slope, each of shape (delays,).
+    """
+    first, second, third = uu + of_gain, uv, vv + of_slope
+    determinant = np.maximum(first * third - second**2, 1e-12 * uu * vv + 1e-300)
+    right = um + of_gain
+    gains, slopes = (third * right - second * vm) / determinant, (first * vm - second * right) / determinant
+    return of_gain - gains * right - slopes * vm, gains, slopes
+
+
+def _alike(slope: Array, noise: Array) -> float:
+    """Effect of the noise on a fitted slope, relative to white noise of the same size.
+
+    An acceleration from a noisy speed has alternating noise, which moves the delay much less than other noise would.
+    """
+    reach = round(ALIKE_S / GRID_S)
+    of_slope, of_noise = (np.correlate(np.pad(one, reach), one, "valid")[reach:] for one in (slope, noise))
+    weights = 1.0 - np.arange(reach + 1) / (reach + 1.0)
+    weights[1:] *= 2.0
+    return max(float((weights * of_slope * of_noise).sum()) / max(float(of_slope[0] * of_noise[0]), 1e-300), LEAST_ALIKE)
+
+
+def _near(times: Array) -> tuple[Mask, float]:
+    """Points of the grid outside gaps of the samples, shape of `_TIMES`; and the typical spacing of the samples [s]."""
+    spacing = np.diff(times)
+    typical = float(np.median(spacing))
+    longest = min(max(GAP_SPACINGS * typical, LEAST_GAP_S), LONGEST_GAP_S)
+    after = np.searchsorted(times, _TIMES, side="right")
+    inside = (after > 0) & (after < len(times))
+    near = np.zeros(len(_TIMES), dtype=bool)
+    near[inside] = spacing[after[inside] - 1] <= longest
+    return near, typical
+
+
+def _reached(good: Mask) -> Mask:
+    """Points of `_INNER` where all points used by any delay are good."""
+    bad = np.concatenate([[0], np.cumsum(~good)])
+    found = np.zeros(len(good), dtype=bool)
+    found[_INNER] = bad[_INNER + _DELAYS[-1] + 1] == bad[_INNER + _DELAYS[0]]
+    return found
+
+
+def _clear(good: Mask, reach_s: float) -> Mask:
+    """Points where all within a reach are good; beyond the ends all are."""
+    reach = round(reach_s / GRID_S)
+    bad = np.concatenate([[0], np.cumsum(~good)])
+    at = np.arange(len(good))
+    return np.asarray(bad[np.minimum(at + reach + 1, len(good))] == bad[np.maximum(at - reach, 0)])
+
+
+# Several windows
 
 APART_NS = 9_000_000  # between two kept samples: at 100 Hz all are kept
 PAST = 40  # windows that are kept
@@ -44,7 +234,7 @@ class KeptDelays:
     delays: Array = field(default_factory=lambda: np.zeros(PAST))  # s
     variances: Array = field(default_factory=lambda: np.zeros(PAST))  # s^2; 0 for none
 
-    def see(self, delay: float, variance: float) -> None:
+    def add(self, delay: float, variance: float) -> None:
         """Add the delay of a window; forget the earlier ones if the last ones agree on another."""
         place = self.count % PAST
         self.delays[place], self.variances[place] = delay, max(variance, LEAST_WINDOW_STD_S**2)
@@ -159,7 +349,7 @@ class DelayEstimator:
         self._advance()
         found = window_delay(np.array(samples.speed), np.array(samples.torque).reshape(-1, 2), self._rolling_nm)
         if found:
-            self.kept.see(*found)
+            self.kept.add(*found)
 
     def _advance(self) -> None:
         """Begin the next window at the end of this one."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decides for each step whether its measured torque is usable for learning, and sums up each second."""
+"""Decides for each step whether its measured torque is usable for learning, sums up each second, and judges coverage."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trackres_ros.arrays import Array
-from trackres_ros.estimator import columns as at
+from trackres_ros.arrays import Array, Mask
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.estimator.guards import held
+from trackres_ros.estimator.guards import held_value
 from trackres_ros.units import MAD_TO_STD, SECOND_NS, STANDSTILL_MPS
+
+# Valid seconds
 
 Row = list[float]
 
@@ -38,14 +40,14 @@ LONGEST_HOLD_NS = 10 * SECOND_NS
 APART_NS = 45_000_000  # between two samples of a second: more of them do not improve its mean
 
 SPEED_UNSURE = int(
-    at.Reason.SPEED_STUCK
-    | at.Reason.SPEED_IMPLAUSIBLE
-    | at.Reason.SPEED_DISAGREES
-    | at.Reason.GAP_UNKNOWN
-    | at.Reason.CLOCK_JUMPED
-    | at.Reason.TIME_RESET
+    layout.Reason.SPEED_STUCK
+    | layout.Reason.SPEED_IMPLAUSIBLE
+    | layout.Reason.SPEED_DISAGREES
+    | layout.Reason.GAP_UNKNOWN
+    | layout.Reason.CLOCK_JUMPED
+    | layout.Reason.TIME_RESET
 )
-UNSURE = SPEED_UNSURE | int(at.Reason.BELT_SENSOR_DISAGREES | at.Reason.OUTSIDE_TABLE | at.Reason.EFFECT_LEFT_OUT)
+UNSURE = SPEED_UNSURE | int(layout.Reason.BELT_SENSOR_DISAGREES | layout.Reason.OUTSIDE_TABLE | layout.Reason.EFFECT_LEFT_OUT)
 NO_TORQUE, SLOW, HARD, BRAKES, TURNS, STUCK, AGAINST, OUTLYING, DOUBTFUL = range(9)
 TEXTS = (
     "no torque is measured",
@@ -79,7 +81,7 @@ class Second:
     weight: float = 0.0
     inertia: float = 0.0
     felt: float = 0.0  # from an IMU [m/s^2]; nan if a sample lacks it
-    by: Array = field(default_factory=lambda: np.zeros(at.LEARNABLE))
+    by: Array = field(default_factory=lambda: np.zeros(layout.LEARNABLE))
 
     @property
     def counts(self) -> bool:
@@ -140,33 +142,37 @@ class Gate:
             return
         self.samples.seen_ns = stamp_ns
         learned = session.learned
-        residual = row[at.Results.residual_nm]
-        if learned[at.Learned.on] > 0.0:  # against the file, whatever acts
-            moved = learned[at.Learned.departures] * learned[at.Learned.sensitivities]
-            lasting = float(learned[at.Learned.torque]) * math.tanh(row[at.Results.speed_mps] / STANDSTILL_MPS)
+        residual = row[layout.Results.residual_nm]
+        if learned[layout.Learned.on] > 0.0:  # against the file, whatever acts
+            moved = learned[layout.Learned.departures] * learned[layout.Learned.sensitivities]
+            lasting = float(learned[layout.Learned.torque]) * math.tanh(row[layout.Results.speed_mps] / STANDSTILL_MPS)
             residual += float(moved.sum()) + lasting
-        why = self._why_not(stamp_ns, row, residual, _fresh(session, at.YAW_RATE))
+        why = self._why_not(stamp_ns, row, residual, _fresh(session, layout.YAW_RATE))
         second = self.second
         if why != TAKEN:
             second.refused[why] += 1.0
             return
         second.taken += 1
         second.residual += residual
-        second.drive += row[at.Results.measured_torque_nm] - residual
-        second.resisting += row[at.Results.resistance_torque_nm]
-        second.speed += row[at.Results.speed_mps]
-        second.accel += row[at.Results.accel_mps2]
-        second.weight += row[at.Results.weight_n]
-        second.inertia += row[at.Results.inertia_nm]
-        second.felt += _fresh(session, at.SPECIFIC_FORCE)  # IMU acceleration along the track
+        second.drive += row[layout.Results.measured_torque_nm] - residual
+        second.resisting += row[layout.Results.resistance_torque_nm]
+        second.speed += row[layout.Results.speed_mps]
+        second.accel += row[layout.Results.accel_mps2]
+        second.weight += row[layout.Results.weight_n]
+        second.inertia += row[layout.Results.inertia_nm]
+        second.felt += _fresh(session, layout.SPECIFIC_FORCE)  # IMU acceleration along the track
         belts = 0.0
         for column in self._belts:
             belts += row[column]
         second.belt_degc += belts / max(len(self._belts), 1)
-        second.by += learned[at.Learned.sensitivities]
+        second.by += learned[layout.Learned.sensitivities]
 
     def _why_not(self, stamp_ns: int, row: Row, residual: float, yaw_rate: float) -> int:
-        measured, speed, accel = row[at.Results.measured_torque_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
+        measured, speed, accel = (
+            row[layout.Results.measured_torque_nm],
+            row[layout.Results.speed_mps],
+            row[layout.Results.accel_mps2],
+        )
         if not math.isfinite(measured):
             return NO_TORQUE
         samples = self.samples
@@ -176,7 +182,7 @@ class Gate:
             return SLOW
         if stamp_ns - samples.since_ns > STUCK_S * SECOND_NS:
             return STUCK
-        if int(row[at.Results.reasons]) & UNSURE:
+        if int(row[layout.Results.reasons]) & UNSURE:
             return DOUBTFUL
         ahead = math.copysign(1.0, speed)
         if accel * ahead < BRAKING_MPS2 and measured * ahead <= DRIVES_SHARE * self.rolling_nm:
@@ -189,7 +195,7 @@ class Gate:
         expected = measured - residual
         if (measured > most and expected < -most) or (measured < -most and expected > most):
             return AGAINST
-        return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[at.Results.inertia_nm]))
+        return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[layout.Results.inertia_nm]))
 
     def _outlying(self, stamp_ns: int, residual: float, doubt: float) -> int:
         """Whether a sample is far from recent ones, by more than a doubt [Nm]; each moves the level by a bounded amount."""
@@ -221,4 +227,64 @@ class Gate:
 def _fresh(session: Session, channel: int) -> float:
     """The value of a channel of motion at the last speed; nan without one, or if it is old."""
     memory, hold_ns = session.memory, session.estimator.constants.number.motion_hold_ns
-    return held(memory, channel, int(memory.times[at.SPEED, at.Times.last_arrival]), hold_ns)
+    return held_value(memory, channel, int(memory.times[layout.SPEED, layout.Times.last_arrival]), hold_ns)
+
+
+# Coverage
+
+SPEED_SHARES = (0.2, 0.4, 0.6)  # edges, of the greatest speed
+MIDDLES = (0.1, 0.3, 0.5, 0.7)
+BELT_DEGC = (15.0, 30.0, 45.0)
+LOAD_SHARES = (0.9, 1.1)  # of the nominal weight
+SHAPE = (len(SPEED_SHARES) + 1, len(BELT_DEGC) + 1, len(LOAD_SHARES) + 1)
+FILLED_S = 20.0
+LEAST_S = 240.0  # of compared driving, in total
+LEAST_FILLED, LEAST_WITHOUT_BELTS = 4, 2  # buckets
+ACCELERATES_MPS2, LEAST_ACCELERATING_S = 0.15, 60.0
+
+
+class Buckets:
+    """Seconds of driving that were learned from: by speed, belt temperature and load, of `SHAPE`; and accelerating, (1,)."""
+
+    def __init__(self, greatest_speed: float, nominal_weight: float, belts: bool) -> None:
+        self._least = LEAST_FILLED if belts else LEAST_WITHOUT_BELTS
+        self._speeds = [share * greatest_speed for share in SPEED_SHARES]
+        self.middles = greatest_speed * np.array(MIDDLES)  # of the classes of speed
+        self._weights = [share * nominal_weight for share in LOAD_SHARES]
+        self.seconds, self.accelerating = np.zeros(SHAPE), np.zeros(1)
+
+    def clear(self) -> None:
+        """Empty buckets."""
+        self.seconds[:], self.accelerating[:] = 0.0, 0.0
+
+    def count(self, speed: float, belt_degc: float, weight: float, accel: float) -> None:
+        """A second at a speed [m/s], a mean belt temperature [degC], a weight [N] and an acceleration [m/s^2]."""
+        self.seconds[_place(self._speeds, abs(speed)), _place(BELT_DEGC, belt_degc), _place(self._weights, weight)] += 1.0
+        if abs(accel) >= ACCELERATES_MPS2:
+            self.accelerating += 1.0
+
+    @property
+    def filled(self) -> Mask:
+        """Buckets with enough in them, shape SHAPE."""
+        return np.asarray(self.seconds >= FILLED_S)
+
+    def covered(self) -> Mask:
+        """Whether each departure was excited enough, shape (LEARNABLE,)."""
+        filled: Mask = self.filled
+        if self.seconds.sum() < LEAST_S or filled.sum() < self._least:
+            return np.zeros(layout.LEARNABLE, dtype=bool)
+        speeds = np.asarray(filled.any(axis=(1, 2)))
+        found = np.full(layout.LEARNABLE, bool(speeds.sum() >= 2))
+        found[layout.OF_DRAG] &= bool(speeds[-2:].any())
+        found[layout.OF_MASS] = self.accelerating[0] >= LEAST_ACCELERATING_S
+        found[layout.OF_BELT] = False  # a state, not the vehicle's own
+        return found
+
+    @property
+    def share(self) -> float:
+        """Share of the required driving, 0 to 1."""
+        return float(min(self.seconds.sum() / LEAST_S, self.filled.sum() / self._least, 1.0))
+
+
+def _place(edges: tuple[float, ...] | list[float], value: float) -> int:
+    return sum(value >= edge for edge in edges)

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackres_ros.arrays import Array, Mask
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.learning.filter import corrected, spread
-from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT
+from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT, corrected, spread
 from trackres_ros.units import GRAVITY, SECOND_NS
 
 SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: prior of roads, and their correlation length
@@ -80,8 +79,8 @@ class Ground:
         """Finish a second: predict the rise from the slope, and update by a new altitude; changes both."""
         way, rise, (self.way_m, self.rise_m) = self.way_m, self.rise_m, (0.0, 0.0)
         self.known_slope = rise / way if way else 0.0
-        stamp = int(session.memory.times[at.ALTITUDE, at.Times.last_stamp])
-        came = bool(session.memory.times[at.ALTITUDE, at.Times.seen]) and stamp != self.altitude_ns
+        stamp = int(session.memory.times[layout.ALTITUDE, layout.Times.last_stamp])
+        came = bool(session.memory.times[layout.ALTITUDE, layout.Times.seen]) and stamp != self.altitude_ns
         if self.follows or self.feels:
             # Expected total, given the present estimate (the step of an EM algorithm).
             now = float(mean[SLOPE] ** 2 + covariance[SLOPE, SLOPE])
@@ -92,7 +91,7 @@ class Ground:
             _begin(mean, covariance, SLOPE, 0.0)
         if not came:
             return
-        altitude = float(session.memory.values[at.ALTITUDE])
+        altitude = float(session.memory.values[layout.ALTITUDE])
         if not self.follows or stamp - self.altitude_ns > DRIFT_MEMORY_S * SECOND_NS:
             _begin(mean, covariance, HEIGHT, self.altitude_variance)
             if not self.follows and not self.feels:
@@ -109,7 +108,7 @@ class Ground:
         if abs(way) >= STANDS_M or self.stood_ns == 0:
             self.stood_ns, self.stood_m = stamp, altitude
 
-    def feel(self, mean: Array, covariance: Array, felt: float, accel: float, free: Mask) -> None:
+    def take_force(self, mean: Array, covariance: Array, felt: float, accel: float, free: Mask) -> None:
         """Mean IMU acceleration of the finished second [m/s^2]; changes both."""
         if not math.isfinite(felt) or abs(accel) > FELT_TO_MPS2:
             return

@@ -4,7 +4,7 @@
 """Learns vehicle parameters while driving: rows of results come in; departures from the vehicle file with covariance go out.
 
 Once a second of valid driving, a Kalman filter processes the mean difference of measured and expected torque. Learned
-values act on the step only where they are covered, certain, and better than the file.
+values act on the step only where they are covered, certain, and better than the file, within limits, with their uncertainty.
 """
 
 from __future__ import annotations
@@ -15,29 +15,145 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackres_ros.arrays import Array, Mask
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.learning import correction
-from trackres_ros.learning.blocks import BLOCK_S, ResidualBlock
-from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
-from trackres_ros.learning.disturbances import DISAGREES_S, close_block, disturbance_text, let_last, why_frozen
-from trackres_ros.learning.filter import aged, corrected, expected, spread, widened
-from trackres_ros.learning.gate import AGAINST, OUTLYING, SPEED_UNSURE, TEXTS, Gate, Row
-from trackres_ros.learning.learned import SLOW_S, nothing_learned
+from trackres_ros.learning.gate import ACCELERATES_MPS2, AGAINST, OUTLYING, SPEED_UNSURE, TEXTS, Buckets, Gate, Row
 from trackres_ros.learning.parameters import (
     GAIN,
     OFFSET,
+    REACH_STD,
     SLOPE,
     SLOW,
     STATES,
     STEP,
     VEHICLES_OWN,
+    Prior,
+    aged,
+    conditional_mean,
+    corrected,
+    expected,
     learnables,
     make_prior,
     rise_torques,
+    spread,
+    widened,
+)
+from trackres_ros.learning.state import (
+    BLOCK_S,
+    DISAGREES_S,
+    SLOW_S,
+    LearnerState,
+    ResidualBlock,
+    close_block,
+    disturbance_text,
+    nothing_learned,
+    update_lasting,
+    why_frozen,
 )
 from trackres_ros.units import GRAVITY, SECOND_NS
+
+# Correction of the step
+
+RATE_PER_HOUR = 1.0  # of the file's value: limit on the rate of acting values
+FASTEST = np.full(layout.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
+FASTEST[layout.OF_BELT] = 1.0  # K
+BELT_S = 900.0  # of a belt's temperature: heat capacity over cooling
+ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
+TAKE_UP_A_RISE = (layout.OF_BEARING, layout.OF_DRAG)
+
+
+def reported_stds(covariance: Array, prior: Prior, own: Sequence[int], seen: Array) -> Array:
+    """Reported standard deviations of the filter's first states, with errors that their covariance does not include.
+
+    One is that of accelerations, for the mass. The other is that of a rolling coefficient's rise over speed: coefficient and drag
+    take it up by least squares, within their bounds.
+
+    Parameters
+    ----------
+    own
+        Departures of the vehicle that are learned; the others have the file's values.
+    seen
+        Torques by `parameters.rise_torques` in the driving so far, over their noise, shape (3, speeds).
+    """
+    errors = np.zeros(len(covariance))
+    errors[layout.OF_MASS] = ACCEL_DOUBT
+    among = [state for state in TAKE_UP_A_RISE if state in own]
+    by = seen[[TAKE_UP_A_RISE.index(state) for state in among]]
+    variances = np.diag(prior.covariance)[among]
+    taken_up = np.abs(np.linalg.solve(by @ by.T + np.diag(1.0 / variances), by @ seen[-1]))
+    errors[among] = np.minimum(taken_up, REACH_STD * np.sqrt(variances))
+    return np.hypot(np.sqrt(np.maximum(np.diag(covariance), 0.0)), errors)
+
+
+def well_known(s: LearnerState, prior: Prior) -> Mask:
+    """Which departures are known twice as well as by the vehicle file, shape (LEARNABLE,)."""
+    variances = np.diag(s.covariance)[: layout.LEARNABLE]
+    return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: layout.LEARNABLE])
+
+
+def target_departures(s: LearnerState, prior: Prior, counted: Mask) -> Array:
+    """Target of the acting departures, (LEARNABLE,): all accepted ones, with the file's values for the rest."""
+    if not counted.any():
+        return np.zeros(layout.LEARNABLE)
+    of_vehicle = counted.copy()
+    of_vehicle[layout.OF_BELT] = True
+    found = conditional_mean(s.mean[: layout.LEARNABLE], s.covariance[: layout.LEARNABLE, : layout.LEARNABLE], of_vehicle)
+    return np.clip(found, prior.low[: layout.LEARNABLE], prior.high[: layout.LEARNABLE])
+
+
+def approach_target(s: LearnerState) -> None:
+    """Move acting departures towards their target within the rate limit."""
+    s.applied += np.minimum(np.maximum(s.aim - s.applied, -FASTEST), FASTEST)
+
+
+def fade_belts(s: LearnerState, seconds: float) -> None:
+    """Let the acting departure of the belts' temperature fade over a time that did not renew it: it holds for the moment only."""
+    for departures in (s.aim, s.applied):
+        departures[layout.OF_BELT] *= belt_share_left(seconds)
+
+
+def apply_departures(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
+    """Write the acting departures into the memory of a session, see `estimator.columns`.
+
+    `now` is the present second: belts have become less certain since the last second used. `belt_variance` is that of their
+    temperature without a torque measurement [K^2].
+    """
+    if not (acts and s.applied.any()):
+        learned[: layout.Learned.slow] = 0.0
+        return
+    learned[layout.Learned.on] = 1.0
+    learned[layout.Learned.departures] = s.applied
+    learned[layout.Learned.torque] = s.lasting_nm
+    unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
+    learned[layout.Learned.slow] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
+    learned[layout.Learned.factor] = covariance_factor(s, max(now - s.second, 0), belt_variance).ravel()
+
+
+def use_file(learned: Array) -> None:
+    """Let a session use the vehicle file, until `apply_departures` is called again; the sensitivities of its last step stay."""
+    learned[: layout.Learned.sensitivities.start] = 0.0
+
+
+def belt_share_left(seconds: float) -> float:
+    """Remaining share of a belt's departure after some time."""
+    return math.exp(-seconds / BELT_S)
+
+
+def covariance_factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
+    """Lower factor of the covariance about the acting departures, shape (LEARNABLE, LEARNABLE); see `apply_departures`."""
+    keeps = belt_share_left(unseen_s)
+    off = s.mean[: layout.LEARNABLE] - s.applied
+    off[layout.OF_BELT] = keeps * s.mean[layout.OF_BELT] - s.applied[layout.OF_BELT]
+    covariance = s.covariance[: layout.LEARNABLE, : layout.LEARNABLE] + off[:, None] * off[None, :]
+    covariance[np.diag_indices_from(covariance)] += 1e-12
+    covariance[layout.OF_BELT, layout.OF_BELT] += (1.0 - keeps**2) * max(
+        belt_variance - covariance[layout.OF_BELT, layout.OF_BELT], 0.0
+    )
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
+# Learner
 
 MODES = OFF, WATCH, ON = "off", "watch", "on"
 STEP_S = 4 * 3600.0  # memory of sudden steps, in driving
@@ -53,7 +169,7 @@ DEGREES_OF_FREEDOM = 4.0  # of Student's t
 NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
-TIME_RESET, CLOCK_JUMPED = int(at.Reason.TIME_RESET), int(at.Reason.CLOCK_JUMPED)
+TIME_RESET, CLOCK_JUMPED = int(layout.Reason.TIME_RESET), int(layout.Reason.CLOCK_JUMPED)
 LEFT_OUT_SHARE = 0.1  # of the invalid samples of a minute, by fault of the torque: more are reported
 
 
@@ -64,8 +180,8 @@ def belt_variances(session: Session) -> tuple[float, float]:
     """
     if not len(session.belts):
         return 0.0, 0.0
-    by_air = float((session.belts[:, 0, at.Belt.consider_ambient] ** 2).mean())
-    noise = session.belts[:, 0, at.Belt.noise_1] ** 2 + session.belts[:, 0, at.Belt.noise_2] ** 2
+    by_air = float((session.belts[:, 0, layout.Belt.consider_ambient] ** 2).mean())
+    noise = session.belts[:, 0, layout.Belt.noise_1] ** 2 + session.belts[:, 0, layout.Belt.noise_2] ** 2
     return by_air, max(float(noise.mean()) + by_air, LEAST_BELT_STD_K**2)
 
 
@@ -82,9 +198,9 @@ class Learner:
         self.prior = make_prior(estimator)
         self._vehicle = estimator.vehicle
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
-        load = estimator.constants.assembly[:, at.Assembly.nominal_load]
+        load = estimator.constants.assembly[:, layout.Assembly.nominal_load]
         weight = float(load.sum())
-        self._arm = float(load @ estimator.constants.assembly[:, at.Assembly.radius]) / weight
+        self._arm = float(load @ estimator.constants.assembly[:, layout.Assembly.radius]) / weight
         self._inertia = self._arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
         self.delay = DelayEstimator(self.prior.rolling_nm)
         self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight, bool(self._belts))
@@ -118,24 +234,24 @@ class Learner:
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
-        reasons = int(row[at.Results.reasons])
-        samples, air = self.gate.samples, float(session.motion[at.Motion.air])
+        reasons = int(row[layout.Results.reasons])
+        samples, air = self.gate.samples, float(session.motion[layout.Motion.air])
         if reasons & TIME_RESET or samples.of_air * abs(air - samples.air) > MOVED_K:
             self.restart()
-            correction.use_file(session.learned)
+            use_file(session.learned)
         self.gate.samples.air, self.gate.samples.of_air = air, session.share_of_air
         memory = session.memory
         self.delay.take(
             stamp_ns,
-            row[at.Results.speed_mps],
-            row[at.Results.drive_torque_nm] - row[at.Results.inertia_nm],
-            row[at.Results.weight_n] * self._inertia,
-            int(memory.times[at.TORQUE, at.Times.last_stamp]),
-            float(memory.values[at.TORQUE]) / session.estimator.constants.number.torque_scale,  # an offset delays nothing
+            row[layout.Results.speed_mps],
+            row[layout.Results.drive_torque_nm] - row[layout.Results.inertia_nm],
+            row[layout.Results.weight_n] * self._inertia,
+            int(memory.times[layout.TORQUE, layout.Times.last_stamp]),
+            float(memory.values[layout.TORQUE]) / session.estimator.constants.number.torque_scale,  # an offset delays nothing
             not reasons & SPEED_UNSURE,
         )
         self.learned.ground.drive(
-            stamp_ns, row[at.Results.speed_mps], row[at.Results.grade_nm] / (row[at.Results.weight_n] * self._arm)
+            stamp_ns, row[layout.Results.speed_mps], row[layout.Results.grade_nm] / (row[layout.Results.weight_n] * self._arm)
         )
         number = stamp_ns // SECOND_NS
         second = self.gate.second
@@ -161,12 +277,12 @@ class Learner:
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)  # the ground corrects all states, also in unused seconds
         if second.counts:
             self._learn(session)
-        let_last(s, second.counts)
+        update_lasting(s, second.counts)
         renews = second.counts and not self.frozen
         if renews and s.seconds % AIMS_EVERY_S == 0.0:
-            s.aim[:] = correction.accepted(s, self.prior, self.counted)
-        correction.follow(s)
-        correction.forget(s, passed - renews)
+            s.aim[:] = target_departures(s, self.prior, self.counted)
+        approach_target(s)
+        fade_belts(s, passed - renews)
         if self.mode == ON:
             self.act(session, passed)
 
@@ -176,7 +292,7 @@ class Learner:
         The next step comes `passed` seconds after the present one.
         """
         now = self.gate.second.number + passed - 1
-        correction.move(self.learned, self.acts, session.learned, now, belt_variances(session)[1])
+        apply_departures(self.learned, self.acts, session.learned, now, belt_variances(session)[1])
 
     def _learn(self, session: Session) -> None:
         s, second = self.learned, self.gate.second
@@ -184,7 +300,7 @@ class Learner:
         residual, drive, inertia, speed = second.residual / n, second.drive / n, second.inertia / n, second.speed / n
         sign = math.copysign(1.0, speed)
         looks = np.zeros(STATES)
-        looks[: at.LEARNABLE] = second.by / n
+        looks[: layout.LEARNABLE] = second.by / n
         looks[OFFSET], looks[GAIN], looks[SLOW], looks[STEP] = 1.0, drive, sign, sign
         looks[SLOPE] = second.weight / n * self._arm
         passed = 1.0 if s.second < 0 or second.number <= s.second else float(second.number - s.second)
@@ -194,11 +310,11 @@ class Learner:
         s.step_s += 1.0
         self._pass(passed, session)
         free = self._free(second.accel / n)
-        s.ground.feel(s.mean, s.covariance, second.felt / n, second.accel / n, free)
+        s.ground.take_force(s.mean, s.covariance, second.felt / n, second.accel / n, free)
         known_hill = float(s.mean[SLOPE] * looks[SLOPE])  # from an altitude or an IMU, before this torque has its say
         left = residual - expected(s.mean, looks)
-        moved = float((s.applied * looks[: at.LEARNABLE]).sum())
-        self._hear(residual - moved, passed)
+        moved = float((s.applied * looks[: layout.LEARNABLE]).sum())
+        self._update_noise(residual - moved, passed)
         variance = s.second_variance + (INERTIA_SHARE * inertia) ** 2
         _, known = spread(s.covariance, looks)
         total = known + variance
@@ -215,7 +331,7 @@ class Learner:
         s = self.learned
         if seconds > PAUSE_S:
             self.wear(seconds)
-            s.doubt()
+            s.require_evidence()
             s.block = ResidualBlock()
         keep, gained = np.ones(STATES), np.zeros(STATES)
         slow, step = math.exp(-seconds / SLOW_S), math.exp(-seconds / STEP_S)
@@ -224,19 +340,19 @@ class Learner:
         prior = np.diag(self.prior.covariance)
         for state in VEHICLES_OWN:
             gained[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
-        keep[at.OF_BELT] = correction.belt_keeps(seconds)
+        keep[layout.OF_BELT] = belt_share_left(seconds)
         by_air, known = belt_variances(session)
         if len(session.belts):
-            gained[at.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
-            gained[at.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
+            gained[layout.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
+            gained[layout.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
         aged(s.mean, s.covariance, keep, gained)
-        over = s.covariance[at.OF_BELT, at.OF_BELT]
+        over = s.covariance[layout.OF_BELT, layout.OF_BELT]
         if over > known:  # measurements of a belt are in the estimate already
             share = math.sqrt(known / over)
-            s.covariance[at.OF_BELT, :] *= share
-            s.covariance[:, at.OF_BELT] *= share
+            s.covariance[layout.OF_BELT, :] *= share
+            s.covariance[:, layout.OF_BELT] *= share
 
-    def _hear(self, left: float, passed: float) -> None:
+    def _update_noise(self, left: float, passed: float) -> None:
         """Noise of a second's mean, from the scatter between seconds."""
         s = self.learned
         if passed <= 2.0 and math.isfinite(s.last_left):
@@ -269,25 +385,25 @@ class Learner:
         if self.frozen:
             free[list(VEHICLES_OWN)] = False
         if abs(accel) < ACCELERATES_MPS2:  # a small one is mostly noise, which biases a mass low
-            free[at.OF_MASS] = False
+            free[layout.OF_MASS] = False
         return free
 
     @property
     def counted(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
-        return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
+        return np.asarray(self.buckets.covered() & well_known(self.learned, self.prior))
 
     @property
     def held(self) -> Mask:
         """Accepted departures that only their bounds hold, so that their error is unknown; (LEARNABLE,)."""
-        mean, near = self.learned.mean[: at.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: at.LEARNABLE])
-        within = (mean > self.prior.low[: at.LEARNABLE] + near) & (mean < self.prior.high[: at.LEARNABLE] - near)
+        mean, near = self.learned.mean[: layout.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: layout.LEARNABLE])
+        within = (mean > self.prior.low[: layout.LEARNABLE] + near) & (mean < self.prior.high[: layout.LEARNABLE] - near)
         return np.asarray(self.counted & ~within)
 
     def stds(self, covariance: Array, own: Sequence[int]) -> Array:
-        """Reported standard deviations of the filter's first states by their covariance, see `correction.stds_of`."""
+        """Reported standard deviations of the filter's first states by their covariance, see `reported_stds`."""
         seconds, noise = self.buckets.seconds.sum(axis=(1, 2)), max(self.learned.second_variance, 1e-12)
-        return correction.stds_of(covariance, self.prior, own, self._rise * np.sqrt(seconds / noise))
+        return reported_stds(covariance, self.prior, own, self._rise * np.sqrt(seconds / noise))
 
     @property
     def acts(self) -> bool:

@@ -1,7 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Defines the learned parameters: names, priors from the vehicle file, and nuisance parameters."""
+"""Defines the learned parameters: names, priors from the vehicle file, nuisance parameters; and the filter that learns them.
+
+The filter is an extended Kalman filter with one measurement, in Joseph's form. It only uses sums and products of elements, in a
+fixed order, so results are equal to the bit.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trackres_ros.arrays import Array
-from trackres_ros.estimator import columns as at
+from trackres_ros.arrays import Array, Mask
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.dataclass_reader import Limits
@@ -20,15 +24,96 @@ from trackres_ros.vehicle.description import BELT, CHASSIS, RUBBER
 from trackres_ros.vehicle.road import ROAD_LOAD, SECTION
 from trackres_ros.vehicle.writing.vehicle_file import rubber_share
 
+# Filter
+
+
+def aged(mean: Array, covariance: Array, keep: Array, gained: Array) -> None:
+    """Predict states with decay and process noise; changes both.
+
+    `keep` is the remaining share of each state, `gained` its process noise, shape (states,).
+    """
+    mean *= keep
+    covariance *= keep[:, None]
+    covariance *= keep[None, :]
+    covariance[np.diag_indices_from(covariance)] += gained
+
+
+def widened(covariance: Array, stds: Array) -> None:
+    """Raise standard deviations to those given, shape (states,); the correlations stay. Changes the covariance."""
+    now = np.sqrt(np.diag(covariance))
+    share = np.divide(np.maximum(stds, now), now, out=np.ones(len(now)), where=now > 0.0)
+    covariance *= share[:, None]
+    covariance *= share[None, :]
+
+
+def expected(mean: Array, looks: Array) -> float:
+    """Expected measurement: the sum of states times their sensitivities, shape (states,)."""
+    return float((mean * looks).sum())
+
+
+def spread(covariance: Array, looks: Array) -> tuple[Array, float]:
+    """Covariance of the states with the expected measurement, shape (states,), and its variance."""
+    tied = (covariance * looks[None, :]).sum(axis=1)
+    return tied, float((tied * looks).sum())
+
+
+def corrected(mean: Array, covariance: Array, looks: Array, departure: float, variance: float, free: Mask) -> None:
+    """Update by a measurement; changes mean and covariance.
+
+    Parameters
+    ----------
+    looks
+        Sensitivity of the measurement to each state, shape (states,).
+    departure
+        Measured less expected.
+    variance
+        Of the measurement's noise.
+    free
+        States to update, shape (states,); the others are considered with their uncertainty (Schmidt's filter).
+
+    Notes
+    -----
+    With gain K, P' = (I - K h) P (I - K h)^T + K r K^T, which is symmetric, and right for any gain.
+    """
+    tied, total = spread(covariance, looks)
+    total += variance
+    gain = np.where(free, tied / total, 0.0)
+    mean += gain * departure
+    cross = gain[:, None] * tied[None, :]
+    covariance -= cross
+    covariance -= cross.T
+    covariance += total * (gain[:, None] * gain[None, :])
+
+
+def conditional_mean(mean: Array, covariance: Array, learned: Mask) -> Array:
+    """Departures of accepted parameters, given the file's values for all others; zero elsewhere, shape (states,).
+
+    The estimates are correlated. If some are not accepted, their estimated contributions are conditionally assigned to the
+    accepted ones.
+    """
+    found = np.zeros_like(mean)
+    left = ~learned
+    if not learned.any():
+        return found
+    found[learned] = mean[learned]
+    left &= np.diag(covariance) > 0.0
+    if left.any():
+        ties = np.linalg.solve(covariance[np.ix_(left, left)], mean[left])
+        found[learned] -= (covariance[np.ix_(learned, left)] * ties[None, :]).sum(axis=1)
+    return found
+
+
+# Parameters
+
 # The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
 # [Nm] and gain of the torque sensor, a drifting torque against travel within minutes, and one that came at once [Nm]; the
 # slope of the ground that the step does not know [1], how far it has risen [m], and what an IMU is tilted by [1], see `ground`.
-OFFSET, GAIN, SLOW, STEP, SLOPE, HEIGHT, TILT = range(at.LEARNABLE, at.LEARNABLE + 7)
-STATES = at.LEARNABLE + 7
+OFFSET, GAIN, SLOW, STEP, SLOPE, HEIGHT, TILT = range(layout.LEARNABLE, layout.LEARNABLE + 7)
+STATES = layout.LEARNABLE + 7
 DELAY = STATES  # of the measured torque behind the speed [s]; no state of the filter, see `delay`
-BELT_ROWS = {at.OF_LOSS: (0, 3), at.OF_COOLING: (1,), at.OF_CAPACITY: (2,)}  # rows of the factor of their uncertainty
+BELT_ROWS = {layout.OF_LOSS: (0, 3), layout.OF_COOLING: (1,), layout.OF_CAPACITY: (2,)}  # rows of the factor of their uncertainty
 RADIUS_ROW = 3
-VEHICLES_OWN = (at.OF_LOSS, at.OF_COOLING, at.OF_CAPACITY, at.OF_BEARING, at.OF_DRAG, at.OF_MASS)
+VEHICLES_OWN = (layout.OF_LOSS, layout.OF_COOLING, layout.OF_CAPACITY, layout.OF_BEARING, layout.OF_DRAG, layout.OF_MASS)
 
 LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file stays exact
 REACH_STD = 2.0  # the ranges of a vehicle file are +-2 standard deviations
@@ -89,14 +174,19 @@ def _of_tracks(vehicle: Vehicle) -> tuple[Learnable, ...]:
     heat = ("rubber.heat_capacity",), 1.0 / rubber_share(vehicle)  # of all belts': cords hold the rest
     drag, mass = ("chassis.drag_coefficient",), ("chassis.rotating_mass_factor",)
     return (
-        Learnable("loss_modulus_scale", "1", "scale of the belts' loss", at.OF_LOSS, scale, ("rubber.loss_modulus_scale",)),
+        Learnable("loss_modulus_scale", "1", "scale of the belts' loss", layout.OF_LOSS, scale, ("rubber.loss_modulus_scale",)),
         Learnable(
-            "bearing_friction", "1", "bearing friction", at.OF_BEARING, chassis.bearing_friction, ("chassis.bearing_friction",)
+            "bearing_friction",
+            "1",
+            "bearing friction",
+            layout.OF_BEARING,
+            chassis.bearing_friction,
+            ("chassis.bearing_friction",),
         ),
-        Learnable("drag_coefficient", "1", "drag coefficient", at.OF_DRAG, chassis.drag_coefficient, drag),
-        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, chassis.rotating_mass_factor, mass),
-        Learnable("film_scale", "1", "scale of the belts' cooling", at.OF_COOLING, 1.0, films),
-        Learnable("capacity_scale", "1", "scale of the belts' heat capacity", at.OF_CAPACITY, 1.0, *heat),
+        Learnable("drag_coefficient", "1", "drag coefficient", layout.OF_DRAG, chassis.drag_coefficient, drag),
+        Learnable("rotating_mass_factor", "1", "rotating-mass factor", layout.OF_MASS, chassis.rotating_mass_factor, mass),
+        Learnable("film_scale", "1", "scale of the belts' cooling", layout.OF_COOLING, 1.0, films),
+        Learnable("capacity_scale", "1", "scale of the belts' heat capacity", layout.OF_CAPACITY, 1.0, *heat),
     )
 
 
@@ -104,9 +194,11 @@ def _of_wheels(vehicle: RoadVehicle) -> tuple[Learnable, ...]:
     v, rolling = vehicle.values, (f"{SECTION}.rolling_coefficient", f"{SECTION}.rolling_rise")
     drag, mass = (f"{SECTION}.drag_area",), (f"{SECTION}.rotating_mass_factor",)
     return (
-        Learnable("rolling_coefficient", "1", "rolling resistance over weight", at.OF_BEARING, v["rolling_coefficient"], rolling),
-        Learnable("drag_area", "m^2", "drag area", at.OF_DRAG, v["drag_area"], drag),
-        Learnable("rotating_mass_factor", "1", "rotating-mass factor", at.OF_MASS, v["rotating_mass_factor"], mass),
+        Learnable(
+            "rolling_coefficient", "1", "rolling resistance over weight", layout.OF_BEARING, v["rolling_coefficient"], rolling
+        ),
+        Learnable("drag_area", "m^2", "drag area", layout.OF_DRAG, v["drag_area"], drag),
+        Learnable("rotating_mass_factor", "1", "rotating-mass factor", layout.OF_MASS, v["rotating_mass_factor"], mass),
     )
 
 
@@ -139,14 +231,14 @@ def make_prior(estimator: Estimator) -> Prior:
     """
     k = estimator.constants
     own = {one.state: one for one in learnables(estimator.vehicle) if one.paths}
-    load = k.assembly[:, at.Assembly.nominal_load]
-    factor = (load / load.sum()) @ k.assembly[:, at.CONSIDER_FACTOR : at.CAUSES_OF]
+    load = k.assembly[:, layout.Assembly.nominal_load]
+    factor = (load / load.sum()) @ k.assembly[:, layout.CONSIDER_FACTOR : layout.CAUSES_OF]
     covariance = _tied(estimator, own, factor.reshape(4, 4))
     for state in own:
         covariance[state, state] += max(LEAST_STD**2 - covariance[state, state], 0.0)
-    rolling = ROLLING_SHARE * float(load @ k.assembly[:, at.Assembly.radius])
+    rolling = ROLLING_SHARE * float(load @ k.assembly[:, layout.Assembly.radius])
     if estimator.assemblies:
-        covariance[at.OF_BELT, at.OF_BELT] = k.number.initial_belt_std**2
+        covariance[layout.OF_BELT, layout.OF_BELT] = k.number.initial_belt_std**2
     covariance[OFFSET, OFFSET] = (OFFSET_SHARE * rolling) ** 2
     covariance[GAIN, GAIN] = GAIN_STD**2
     covariance[SLOW, SLOW] = (WANDERING_SHARE * rolling) ** 2
@@ -165,15 +257,15 @@ def _tied(estimator: Estimator, own: Iterable[int], factor: Array) -> Array:
         causes[state, :4] = factor[list(BELT_ROWS.get(state, (RADIUS_ROW,)))].sum(axis=0)
         if wheels:
             causes[state, 4:] = relative_std(vehicle, "road_load.mass"), relative_std(vehicle, "road_load.torque_scale")
-    causes[at.OF_DRAG, 4] = 0.0  # drag is independent of the mass
+    causes[layout.OF_DRAG, 4] = 0.0  # drag is independent of the mass
     mass = relative_std(vehicle, "road_load.rotating_mass_factor" if wheels else "chassis.rotating_mass_factor")
     covariance = causes @ causes.T
     for state, value, std in (
-        (at.OF_BEARING, number.bearing_friction, number.bearing_friction_std),
-        (at.OF_DRAG, number.drag_area, number.drag_area_std),
+        (layout.OF_BEARING, number.bearing_friction, number.bearing_friction_std),
+        (layout.OF_DRAG, number.drag_area, number.drag_area_std),
     ):
         covariance[state, state] += (std / value) ** 2 if value else 0.0  # a value of 0 cannot depart by a share of itself
-    covariance[at.OF_MASS, at.OF_MASS] += mass**2
+    covariance[layout.OF_MASS, layout.OF_MASS] += mass**2
     return covariance
 
 

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.model.contact import half_length_for_force
-from trackres_ros.model.loads import wheel_loads
+from trackres_ros.model.contact import half_length_for_force, wheel_loads
 from trackres_ros.model.loss_table import LossTable, log_speeds
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient

@@ -1,13 +1,17 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Computes heat per metre of travel from the strain history, equations (27) to (29): two methods behind one interface."""
+"""Computes heat per metre of travel from the strain history, equations (27) to (29): two methods behind one interface.
+
+One counts cycles after ASTM E1049-85, 5.4.4, and fills the strain rainflow matrix of equation (25).
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +19,89 @@ from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.model import belt as belt_model
-from trackres_ros.model import contact, rainflow
-from trackres_ros.model.interpolation import cubic_weights
-from trackres_ros.model.loads import beam_shares, wheel_loads
-from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.strain_history import Complex, Loop, along_belt, build_loop, indentation_amplitudes, phases
+from trackres_ros.model import contact
+from trackres_ros.model.belt import Complex, Loop, along_belt, build_loop, indentation_amplitudes, phases
+from trackres_ros.model.contact import beam_shares, wheel_loads
+from trackres_ros.model.rubber import RubberModel, cubic_weights
 from trackres_ros.vehicle import Track
+
+# Rainflow count
+
+
+class Cycle(NamedTuple):
+    """One row of the matrix: range (not amplitude), mean, number (1 or 1/2), and position in the series."""
+
+    range: float
+    mean: float
+    number: float
+    start: int
+    end: int
+
+
+def turning_points(series: Sequence[float]) -> list[int]:
+    """Indices of the reversals of a series, its ends included; of a flat stretch the first sample counts."""
+    points = [0] if len(series) else []
+    for i in range(1, len(series)):
+        step = series[i] - series[points[-1]]
+        if step == 0.0:
+            continue
+        if len(points) > 1 and step * (series[points[-1]] - series[points[-2]]) > 0.0:
+            points[-1] = i
+        else:
+            points.append(i)
+    return points
+
+
+def count_cycles(series: Sequence[float]) -> list[Cycle]:
+    """Count the cycles of a series of strains; the residue at the end gives half cycles.
+
+    Parameters
+    ----------
+    series
+        Strains [1] in order, at least the turning points.
+
+    References
+    ----------
+    ASTM E1049-85 (2017), Standard Practices for Cycle Counting in Fatigue Analysis, 5.4.4.
+    """
+    cycles: list[Cycle] = []
+
+    def add(start: int, end: int, count: float) -> None:
+        a, b = series[start], series[end]
+        cycles.append(Cycle(abs(b - a), (a + b) / 2.0, count, start, end))
+
+    stack: list[int] = []
+    for point in turning_points(series):
+        stack.append(point)
+        while len(stack) >= 3:
+            newest = abs(series[stack[-1]] - series[stack[-2]])
+            previous = abs(series[stack[-2]] - series[stack[-3]])
+            if newest < previous:
+                break
+            if len(stack) == 3:  # the range holds the start of the series: half a cycle
+                add(stack[0], stack[1], 0.5)
+                stack.pop(0)
+            else:
+                add(stack[-3], stack[-2], 1.0)
+                del stack[-3:-1]
+    for start, end in pairwise(stack):
+        add(start, end, 0.5)
+    return cycles
+
+
+def count_loop(series: Sequence[float]) -> list[Cycle]:
+    """Count the cycles of one loop of a periodic series: begun at its maximum, every cycle closes.
+
+    The cycles' indices refer to `series`; the first sample follows again after the last.
+    """
+    if len(series) < 2:
+        return []
+    top = max(range(len(series)), key=lambda i: series[i])
+    order = [(top + i) % len(series) for i in range(len(series))] + [top]
+    return [cycle._replace(start=order[cycle.start], end=order[cycle.end]) for cycle in count_cycles([series[i] for i in order])]
+
+
+# Methods
 
 HARMONICS = 4096  # doubling them moves the loss by less than 0.1 % (test_hysteresis.py)
 VALUES_AT_ONCE = 1 << 14  # points times harmonics of a vectorised evaluation, so that its arrays stay in the processor's cache
@@ -72,7 +153,7 @@ class Contact(NamedTuple):
 class PassageCycle(NamedTuple):
     """A counted cycle and the length of belt [m] strained by one passage of its cause."""
 
-    cycle: rainflow.Cycle
+    cycle: Cycle
     passage: float
 
 
@@ -266,9 +347,9 @@ class RainflowCount(LossMethod):
     def _cycles(self, position: Array, strain: Array) -> list[PassageCycle]:
         values = [float(x) for x in np.round(strain, 12)]
         positions = [float(x) for x in position]
-        return [PassageCycle(cycle, self._passage(positions, values, cycle)) for cycle in rainflow.count_loop(values)]
+        return [PassageCycle(cycle, self._passage(positions, values, cycle)) for cycle in count_loop(values)]
 
-    def _passage(self, position: list[float], value: list[float], cycle: rainflow.Cycle) -> float:
+    def _passage(self, position: list[float], value: list[float], cycle: Cycle) -> float:
         """Length [m] of the stretch round one of the cycle's extremes on which the strain is away from the other: the shorter
         of the two, so neither a steady strain nor the sense of travel matters.
         """

@@ -23,8 +23,7 @@ from trackres_ros.arrays import Array
 from trackres_ros.files.cache import cached_arrays
 from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
-from trackres_ros.model.interpolation import cubic_weights, thinned
-from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.rubber import RubberModel, cubic_weights, thinned
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
 from trackres_ros.vehicle import Vehicle
 

@@ -16,13 +16,12 @@ from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions,
 from trackres_ros.effects.stepping import LEAST_TIME_S, LIMITS, MOST_STATE, MOST_TORQUE
 from trackres_ros.model import resistance
 from trackres_ros.model.belt import axial_stiffness
+from trackres_ros.model.contact import wheel_loads
 from trackres_ros.model.coverage import beyond_data, check_speed
 from trackres_ros.model.hysteresis import RainflowCount
-from trackres_ros.model.loads import wheel_loads
 from trackres_ros.model.resistance import ON_WHEELS, RESISTANCE_PARTS
 from trackres_ros.model.thermal import film_coefficient, surface_temperature
-from trackres_ros.model.track import TrackModel, steady_tension, track_models
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import TrackModel, steady_tension, track_models, vehicle_constants
 from trackres_ros.vehicle import AnyVehicle, Chassis, RoadVehicle, Vehicle
 
 UNKNOWN = {"yaw_rate", "heading", "distance"}  # inputs of effects that an operating point lacks

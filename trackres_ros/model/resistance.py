@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +19,14 @@ from trackres_ros.arrays import Array
 from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
-RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
+TorqueTerm = Literal["hysteresis", "bearing", "wind", "grade", "inertia"]
+TORQUE_TERMS: tuple[TorqueTerm, ...] = get_args(TorqueTerm)
+"""Terms of the driving torque by equation, in their order everywhere."""
+TORQUE_COLUMNS = {term: f"{term}_nm" for term in (*TORQUE_TERMS, "effects")}
+"""The same and the effects, with their columns in the results."""
+RESISTANCE_PARTS = {term: column for term, column in TORQUE_COLUMNS.items() if term not in ("grade", "inertia")}
 """Parts of the resistance, and their columns in the results."""
-ON_WHEELS = {"rolling": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
+ON_WHEELS = {{"bearing": "rolling"}.get(part, part): column for part, column in RESISTANCE_PARTS.items() if part != "hysteresis"}
 """The same for a vehicle without belts: its rolling resistance is that of tyres and bearings together."""
 
 

@@ -20,10 +20,10 @@ from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Estimate
+from trackres_ros.estimator.settings import settings_for
 from trackres_ros.estimator.snapshot import LONGEST_OFF, content
-from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.node.inputs import Arrival, Inbox, InputReader, MessageHandler, NodeClock, SpeedSources
 from trackres_ros.node.measured_torque import Comparison, LiveLearning
 from trackres_ros.node.notices import Guard, Notice, level_of

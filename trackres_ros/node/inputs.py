@@ -21,12 +21,11 @@ import numpy as np
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LATEST_S
-from trackres_ros.estimator.plausible_speed import SHARE
+from trackres_ros.estimator.plausible import SHARE
 from trackres_ros.node.notices import Guard
 from trackres_ros.node.transport import InputTopic, KeepMessage, Transport, is_usable, nearest_usable, stamp_ns
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.companions import DIRECTION, Companions, Dropped
-from trackres_ros.recording.sums import Sum, readings_of
+from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.combining import DIRECTION, Companions, Dropped, Sum, readings_of
 from trackres_ros.units import NANOSECOND
 
 SET_NS = 50_000_000  # assumed: the machine's clock is slewed over less, with the steady clock; over more it is set

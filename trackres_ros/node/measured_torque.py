@@ -25,8 +25,7 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.settings import setting
 from trackres_ros.estimator.snapshot import LEARNED_AT
 from trackres_ros.learning.columns import LearningColumns, lines, shown
-from trackres_ros.learning.correction import use_file
-from trackres_ros.learning.learner import OFF, ON, Learner
+from trackres_ros.learning.learner import OFF, ON, Learner, use_file
 from trackres_ros.learning.store import go_on, since_learned, stored
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Status

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.between_steps import fed_now
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.feedforward import fade, followed, rate_towards, towards
+from trackres_ros.estimator.feedforward import approach, fade, feedforward_at, rate_towards
+from trackres_ros.estimator.plausible import towards
 from trackres_ros.node.inputs import NodeClock
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
@@ -103,10 +103,10 @@ class FeedforwardFilter:
         return min(self._share, max(share, self._share - (steady - self._last_move_ns) * NANOSECOND / fade_s))
 
     def course(self, steady: int) -> Course:
-        """Where it is going now; see `between_steps.fed_now`."""
+        """Where it is going now; see `feedforward_at`."""
         pace = self._clock.pace_ns(steady)
         session, arrival = self.session, self._clock.recorded_ns(steady, pace)
-        present_nm, target_nm, stop_reason = fed_now(session.estimator.constants, session.memory, session.motion, arrival)
+        present_nm, target_nm, stop_reason = feedforward_at(session.estimator.constants, session.memory, session.motion, arrival)
         return Course(steady, pace, float(present_nm), float(target_nm), stop_reason)
 
     def has_to_fall(self, steady: int) -> bool:
@@ -121,7 +121,7 @@ class FeedforwardFilter:
         present_nm, target_nm = (course.present_nm, course.target_nm) if self._zero_since_ns is None else (0.0, 0.0)
         number, last_nm = self.session.estimator.constants.number, self._full_nm
         if present_nm * target_nm > 0.0:
-            self._full_nm = followed(number, last_nm, present_nm, elapsed_s)
+            self._full_nm = approach(number, last_nm, present_nm, elapsed_s)
         else:  # while the session's goes to zero, so does this one
             end_nm = present_nm if min(0.0, last_nm) <= present_nm <= max(0.0, last_nm) else 0.0
             self._full_nm = towards(last_nm, end_nm, rate_towards(number, 0.0) * elapsed_s)

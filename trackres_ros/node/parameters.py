@@ -24,8 +24,7 @@ from typing import Any, NamedTuple
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.topic_settings import FIELDS, given_by, settings_for
+from trackres_ros.estimator.settings import FIELDS, Settings, settings_for, settings_of
 from trackres_ros.files.dataclass_reader import Limits, fields_of, limits_of, words_of
 from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
@@ -394,7 +393,7 @@ def changed_parameters(current: Parameters, values: Mapping[str, object], topics
     decides.
     """
     parameters = current.with_changes(values)
-    fixed = given_by(topics)
+    fixed = settings_of(topics)
     for name in values:
         if name in fixed and fixed[name] != parameters.values[name]:
             raise InputError(

@@ -24,8 +24,8 @@ import numpy as np
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.snapshot import is_other_kind, state_file
 from trackres_ros.files import own_files
 from trackres_ros.learning.columns import column_names
@@ -35,7 +35,7 @@ from trackres_ros.node.transport import LAST_NS, InputTopic, Reasons, input_name
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.mcap import BEGINNING
 from trackres_ros.output.preview import ResultPreview, picture_columns
-from trackres_ros.recording.unfinished import SUFFIX
+from trackres_ros.recording.mcap import SUFFIX
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:

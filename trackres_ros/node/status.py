@@ -15,7 +15,7 @@ from trackres_ros.arrays import IntArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.topic_settings import longest_age_s
+from trackres_ros.estimator.settings import longest_age_s
 from trackres_ros.node.inputs import InputReader
 from trackres_ros.node.measured_torque import Mismatch
 from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
@@ -29,7 +29,7 @@ CLOCK_OFFSET_NS = 1_000_000_000
 STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
 ENOUGH_HZ = 10  # of a speed: a controller's feed-forward is then never older than its speed by more than 0.1 s
 COMPANIONS = ("invalid", "without_direction")
-"""Why a sample was dropped before the guards, see `recording.companions`."""
+"""Why a sample was dropped before the guards, see `recording.combining`."""
 REFUSALS = tuple(count.name.lower() for count in at.REFUSALS)
 SLOW_ROLES = ("speed", "accel", "grade", "yaw_rate", "heading")  # they may come rarely, and are then used for longer
 DIGITS = {"stamp": 3, "age_s": 3, "feedforward_left": 3, "value": 4, "there": 3, "since": 3, "share": 4}

@@ -13,9 +13,8 @@ from typing import Protocol
 from trackres_ros.estimator.columns import CHANNELS, WHEELS
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.companions import DIRECTION
+from trackres_ros.recording.combining import DIRECTION, Reading, readings_of
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
-from trackres_ros.recording.sums import Reading, readings_of
 from trackres_ros.units import SECOND_NS
 from trackres_ros.vehicle import AnyVehicle
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Estimate, Steps
 from trackres_ros.learning.columns import lines
 from trackres_ros.learning.learner import Learner
 from trackres_ros.output.mcap import BagTopic, BagWriter

@@ -20,7 +20,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.output_files import BEFORE_1970
 from trackres_ros.files.own_files import put
 from trackres_ros.recording.cdr import Template
-from trackres_ros.recording.mcap_format import (
+from trackres_ros.recording.mcap import (
     CHANNEL,
     CHUNK,
     HEADER,

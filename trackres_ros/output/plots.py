@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.learning.buckets import BELT_DEGC, FILLED_S, LOAD_SHARES, SPEED_SHARES
+from trackres_ros.learning.gate import BELT_DEGC, FILLED_S, LOAD_SHARES, SPEED_SHARES
 from trackres_ros.output.preview import longest_step
 from trackres_ros.output.style import (
     BLACK,
@@ -90,7 +90,7 @@ def estimate_figure(
     title
         Heading of the picture.
     coverage
-        Seconds used for learning, as counted by `learning.buckets`; drawn as a map below the learned values, by speed and
+        Seconds used for learning, as counted by `learning.gate`; drawn as a map below the learned values, by speed and
         belt temperature, or load if there are no belts.
     path
         PNG file to write too.
@@ -233,7 +233,7 @@ def _draw_values(axes: Axes, x: TimeAxis, learned: Sequence[tuple[Array, Array, 
 def _draw_coverage(axes: Axes, seconds: Array, has_belts: bool) -> None:
     """Seconds that were learned from, by speed, and by belt temperature or load; those of all others are added.
 
-    `seconds`: shape (speeds, belt temperatures, loads), as `learning.buckets` counts them.
+    `seconds`: shape (speeds, belt temperatures, loads), as `learning.gate` counts them.
     """
     cells = np.asarray(seconds.sum(axis=2 if has_belts else 1))
     edges, label = (BELT_DEGC, "belt [°C]") if has_belts else (_percent(LOAD_SHARES), "load [% of nominal]")

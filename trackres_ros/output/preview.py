@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.arrays import Array
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.records import Steps
 from trackres_ros.units import NANOSECOND
 
 LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: data of a longer step are unknown

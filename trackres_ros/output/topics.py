@@ -16,16 +16,13 @@ import numpy as np
 
 from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
-from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.resistance import TORQUE_COLUMNS
 from trackres_ros.vehicle import AnyVehicle
 
-TOTALS = {
-    "total": "resistance_torque_nm", "hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm",
-    "grade": "grade_nm", "inertia": "inertia_nm", "effects": "effects_nm", "drive": "drive_torque_nm",
-}  # fmt: skip
+TOTALS = {"total": "resistance_torque_nm", **TORQUE_COLUMNS, "drive": "drive_torque_nm"}
 """Torques of the whole vehicle; total, grade and inertia add up to the drive torque."""
 OF_ASSEMBLY = ("resistance_torque_nm", "total"), ("hysteresis_nm", "hysteresis")
-RESISTING = frozenset(("resistance_torque_nm", "grade_nm", "inertia_nm", *RESISTANCE_PARTS.values()))
+RESISTING = frozenset(("resistance_torque_nm", *TORQUE_COLUMNS.values()))
 DEFAULT_NODE = "trackres"
 BASE_FRAME = "base_link"
 

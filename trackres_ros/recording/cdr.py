@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.binding import FieldStep, other_names, too_few
+from trackres_ros.recording.bindings import FieldStep, other_names, too_few
 from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, Definitions, check_field, stamp_path
 from trackres_ros.recording.samples import FloatArray, IntArray
 from trackres_ros.units import SECOND_NS

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import TIME
+from trackres_ros.recording.bindings import TIME, TopicBinding
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray
 
 CHUNK_ROWS = 8192

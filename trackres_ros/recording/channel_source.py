@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,17 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
-from trackres_ros.recording.choosing import Choice, choose, listed_names
-from trackres_ros.recording.companions import Companions, Signs
-from trackres_ros.recording.directions import may_say_reverse
-from trackres_ros.recording.position_units import PositionUnits
-from trackres_ros.recording.reading import reading
+from trackres_ros.recording.choosing import Choice, choose, listed_names, torque_columns, torque_note
+from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
+from trackres_ros.recording.reading import read_in_steps, reading
+from trackres_ros.recording.roles import may_say_reverse
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
-from trackres_ros.recording.sums import Sums, readings_of
-from trackres_ros.recording.torque_candidates import note_of, of_columns
 
 
 class ChannelSource:
@@ -51,11 +46,11 @@ class ChannelSource:
         kind: str,
     ) -> None:
         self.name = one_line(str(path))
-        self._path, self._kind = path, kind
+        self._path, self._readable = path, f"{kind} that is readable to its end"
         self.findings: tuple[Finding, ...] = ()
         given = topics
         topics = self.topics = given and given.used(of_topics=False)
-        with self._reading():
+        with reading(path, self._readable):
             files = read(path, self.name, topics)
         self._file, choice, others = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
@@ -69,8 +64,8 @@ class ChannelSource:
         self._bind_parts(of_role)
         used = {one.place for one in (*channels, *([self._time] if self._time else []))}
         ignored = [(place, one.name) for place, one in enumerate(self._file.channels) if place not in used]
-        like = of_columns(name for _, name in ignored)
-        with self._reading():
+        like = torque_columns(name for _, name in ignored)
+        with reading(path, self._readable):
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
         said = [self._note_of(of) for role, of in of_role.items() if role not in choice.guessed]
@@ -80,7 +75,7 @@ class ChannelSource:
         self._may_say_reverse = [] if "direction" in self.roles else may_say_reverse(name for _, name in ignored)
         if ignored:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")
-        notes += note_of(self.torque_candidates, self.roles)
+        notes += torque_note(self.torque_candidates, self.roles)
         self._notes = tuple(map(one_line, notes))
         self._position = PositionUnits(self.bindings)
 
@@ -139,19 +134,15 @@ class ChannelSource:
         Raises InputError, with the place, for no row at all, a cell that is no number, a row without time or of another length,
         or a damaged file.
         """
-        with self._reading():
-            sums, companions, signs = self._sums(), self._companions(), Signs(self.roles)
-            blocks: Iterator[SampleBlock] = (sums.added(companions.kept(block)) for block in self._blocks(max_rows))
-            for place, role in enumerate(self.roles):
-                blocks = _derived(blocks, place) if self.bindings[role].derivative else blocks
-            for block in blocks:
-                found = signs.seen(companions.with_signs(block, self.roles))
-                yield self._position.in_radians(found, self.roles)
-            lines = (f"direction: {{channel: {name}, values: {{forward: [0], reverse: [1]}}}}" for name in self._may_say_reverse)
-            self.findings = (*self.findings, *sums.findings, *companions.findings, *signs.findings(self._may_say_reverse, lines))
-
-    def _reading(self) -> AbstractContextManager[None]:
-        return reading(self._path, f"{self._kind} that is readable to its end")
+        sums, companions, signs = self._sums(), self._companions(), Signs(self.roles)
+        blocks: Iterator[SampleBlock] = (sums.added(companions.kept(block)) for block in self._blocks(max_rows))
+        for place, role in enumerate(self.roles):
+            blocks = _derived(blocks, place) if self.bindings[role].derivative else blocks
+        for block in read_in_steps(self._path, self._readable, blocks):
+            found = signs.seen(companions.with_signs(block, self.roles))
+            yield self._position.in_radians(found, self.roles)
+        lines = (f"direction: {{channel: {name}, values: {{forward: [0], reverse: [1]}}}}" for name in self._may_say_reverse)
+        self.findings = (*self.findings, *sums.findings, *companions.findings, *signs.findings(self._may_say_reverse, lines))
 
     def _blocks(self, max_rows: int) -> Iterator[SampleBlock]:
         """Readings row by row, before parts with other times are added."""

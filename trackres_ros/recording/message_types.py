@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.recording.binding import FieldStep, field_steps
+from trackres_ros.recording.bindings import FieldStep, field_steps
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
@@ -24,10 +24,6 @@ NUMBERS = {
 BASIC = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
 """Numbers that the interface definition language calls otherwise than a .msg file."""
 WIDE = "wstring"
-LENGTH_BYTES = 4
-"""Of a string or sequence, before its content."""
-MAX_DEPTH = 50
-"""Depth of nested messages; the deepest common one has 6."""
 CONTROL_MSGS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
     "control_msgs/msg/DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
@@ -128,34 +124,6 @@ def _of_slot(name: str, kind: Any) -> Field:
     if isinstance(kind, AbstractString):
         return Field(name, "string", many, count)
     return Field(name, WIDE, many, count)
-
-
-def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
-    """Refuse a type with messages too large to read: a few letters define an array of any length.
-
-    `types`: the type and all nested types; `msgtype`: ``package/msg/Name``; `where`: for messages to the user; `most`: largest
-    message that is read [bytes]. Raises InputError for a fixed array or nesting that is too long, or a recursive type.
-    """
-    sizes: dict[str, int] = {}
-
-    def size_of(name: str, within: tuple[str, ...]) -> int:
-        if name in within or len(within) > MAX_DEPTH:
-            given = f"{name} nested in itself" if name in within else f"more than {MAX_DEPTH} nested messages"
-            raise InputError(where, given, f"a readable definition of {msgtype}")
-        if name not in sizes:
-            total = 0
-            for field in types[name]:
-                one = int(NUMBERS[field.type][1]) if field.type in NUMBERS else LENGTH_BYTES
-                if field.type in types:
-                    one = max(1, size_of(field.type, (*within, name)))
-                total += LENGTH_BYTES if field.many == "sequence" else one * field.count
-                if total > most:
-                    text = f"{name} with {field.type}[{field.count}] {field.name}"
-                    raise InputError(where, text, f"arrays that together take at most {most} bytes")
-            sizes[name] = total
-        return sizes[name]
-
-    size_of(msgtype, ())
 
 
 def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:

@@ -3,20 +3,77 @@
 
 """Opens a recording by the kind of its suffix."""
 
-import importlib
 import pkgutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording import readers
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.file_kind import GROUP, BagKind, FileKind
-from trackres_ros.recording.reading import check_there, reading
+from trackres_ros.recording.channel_file import ChannelFile
+from trackres_ros.recording.channel_source import ChannelSource
+from trackres_ros.recording.reading import check_file, check_there, in_one_line
 from trackres_ros.recording.samples import BoundSource
 from trackres_ros.text import some_of
+
+GROUP = "trackres_ros.readers"
+"""The entry points by which an installed package adds kinds of its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """A kind of recording that is read through its channels.
+
+    Attributes
+    ----------
+    name : str
+        For messages: the kind of file, as in ``an MDF file``.
+    suffixes : tuple of str
+        In lower case, with the dot.
+    read : callable
+        Opens a file: takes path, its name for messages, and the topics file, if given; returns the `ChannelFile`. Of
+        several, such as the sheets of a workbook, the first one with a time and a speed is read.
+    needs : tuple of (str, str)
+        Required modules, each with the extra that installs it.
+    checked : bool
+        Whether `trackres_ros.recording.reading.check_file` knows the first bytes of the files.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, str, Topics | None], Sequence[ChannelFile]]
+    needs: tuple[tuple[str, str], ...] = ()
+    checked: bool = False
+
+    def source(self, paths: Sequence[Path], topics: Topics | None) -> BoundSource:
+        """Open one file.
+
+        Raises InputError for several files, or one that cannot be read; MissingExtraError if a library is not installed.
+        """
+        if len(paths) > 1:
+            given = ", ".join(str(path) for path in paths)
+            raise InputError("recordings", given, "several bags, or one other file", "give them one at a time")
+        for module, extra in self.needs:
+            try:
+                import_module(module)  # here, as the limits of reading are for content
+            except ImportError:
+                raise MissingExtraError(f"reading {self.name}", module, extra) from None
+        if self.checked:
+            check_file(paths[0])
+        return ChannelSource(paths[0], topics, self.read, self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class BagKind:
+    """Bags, of which several are read one after another."""
+
+    suffixes: tuple[str, ...]
+    source: Callable[[Sequence[Path], Topics | None], BoundSource]
+
 
 MOST_NAMED = 3
 AMBIGUOUS = (".log", ".part")
@@ -26,7 +83,7 @@ AMBIGUOUS = (".log", ".part")
 @cache
 def shipped_kinds() -> tuple[FileKind | BagKind, ...]:
     """The kinds of this package: those that each module in `readers` registers by its name `KINDS`."""
-    modules = [importlib.import_module(f"{readers.__name__}.{found.name}") for found in pkgutil.iter_modules(readers.__path__)]
+    modules = [import_module(f"{readers.__name__}.{found.name}") for found in pkgutil.iter_modules(readers.__path__)]
     return tuple(kind for module in modules for kind in getattr(module, "KINDS", ()))
 
 
@@ -38,7 +95,7 @@ def further_kinds() -> tuple[FileKind, ...]:
     """
     kinds: list[FileKind] = []
     for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
-        with reading(
+        with in_one_line(
             Path(f"entry point {GROUP}: {point.name}"), "a tuple of FileKind that can be imported", "repair or remove its package"
         ):
             found = point.load()

@@ -1,20 +1,36 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Guards the reading of every recording: a regular file, content that fits its name, and one line for any error."""
+"""Guards the reading of every recording: a regular file, content that fits its name, limits of memory and time, and one line for
+any error.
+"""
 
+import codecs
 import errno
+import os
+import resource
+import signal
 import stat
+import threading
+import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.own_files import KINDS
 
+LEAST_BYTES, TIMES_FILE = 3 * 2**28, 32
+"""Most memory that a step of reading may add: this, and so many times the size of the file. A file that it unpacks may be as
+long. Packed tables shrink to a tenth; a few bytes of an archive may request all of the memory."""
+LEAST_S, S_PER_BYTE = 30.0, 60e-6
+"""Most processor time of reading a file: half a minute, and a minute for each megabyte. The slowest format, a packed log of a
+bus, takes some seconds for one."""
 OWN_FAULT = "a bug: please report it, with the file"
 HEAD_BYTES = 512
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"\x89MCAP", "an MCAP bag", (".mcap", ".part"), "name it .mcap"),
     (b"SQLite format 3\0", "an SQLite bag", (".db3",), "name it .db3"),
@@ -33,12 +49,21 @@ CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"PK\x03\x04", "a zip archive or an Excel workbook", (".xlsx",), "unpack it, or name it .xlsx"),
     (b"\xd0\xcf\x11\xe0", "an old Excel workbook", (), "save it as .xlsx, or the sheet as CSV"),
     (b"ARROW1", "an Arrow file", (), "write it as Parquet"),
-    (b"\xff\xfe", "UTF-16 text", (), "save it as UTF-8"),
-    (b"\xfe\xff", "UTF-16 text", (), "save it as UTF-8"),
 )
 """First bytes, their format, its suffixes, and the remedy for another suffix."""
 DATA_FAULTS = (OSError, EOFError, MemoryError, RecursionError, UnicodeError)
 """Exceptions of Python itself for bad data, in addition to those of libraries."""
+
+
+class OutOfTime(BaseException):
+    """Reading took too long. Libraries catch every `Exception`, and would go on."""
+
+
+BEYOND = (MemoryError, OutOfTime)
+SMALLER = "the file is damaged or hostile; a genuine one can be read in parts, or as Parquet"
+TICK_S = 1e-3
+
+Part = TypeVar("Part")
 
 
 def check_there(path: Path) -> None:
@@ -72,13 +97,13 @@ def check_file(path: Path) -> None:
     found = next(((what, suffixes, remedy) for magic, what, suffixes, remedy in CONTENTS if head.startswith(magic)), None)
     if found and not name.endswith(found[1]):
         raise InputError(str(path), found[0], f"{expected}, according to its suffix", found[2])
-    if not found and (expected != "text" or b"\0" in head):
+    if not found and (expected != "text" or (b"\0" in head and not head.startswith(UTF_16))):
         given = "binary data" if b"\0" in head else f"a file that begins with {head[:16]!r}"
         raise InputError(str(path), given, f"{expected}, according to its suffix")
 
 
 @contextmanager
-def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
+def in_one_line(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
     """Turn any exception while reading a file into one line with its name; the cause is chained.
 
     Libraries raise exceptions of their formats, archives and the system, without documentation. A fault of our own code is
@@ -88,23 +113,117 @@ def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
         yield
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, OutOfTime) as error:
         frame = traceback.extract_tb(error.__traceback__)[-1]
         if _is_own(error, frame):
             where = f"{Path(frame.filename).name}:{frame.lineno}"
             raise InputError(str(path), f"{_message_of(error)} at {where}", allowed, OWN_FAULT) from error
-        raise InputError(str(path), _message_of(error), allowed, remedy) from error
+        raise InputError(str(path), _message_of(error), allowed, SMALLER if isinstance(error, BEYOND) else remedy) from error
 
 
-def _is_own(error: Exception, frame: traceback.FrameSummary) -> bool:
+@contextmanager
+def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
+    """Read a file within the limits of memory and time; any exception is one line, see `in_one_line`."""
+    with in_one_line(path, allowed, remedy), Limits(path).step():
+        yield
+
+
+def read_in_steps(path: Path, allowed: str, parts: Iterator[Part], remedy: str = "") -> Iterator[Part]:
+    """The parts of a file, each read within the limits; what the caller does with a part has none."""
+    limits, ended = Limits(path), object()
+    while True:
+        with in_one_line(path, allowed, remedy), limits.step():
+            part = next(parts, ended)
+        if part is ended:
+            return
+        yield part  # type: ignore[misc]
+
+
+class Limits:
+    """The limits of reading one file, by its size.
+
+    The system holds the memory of the process, beyond its present use, and the size of files that it writes. A timer ends a step
+    in the main thread. In another one, the time is checked after each step. Of several files read at once the first one has
+    limits.
+    """
+
+    _in_use = threading.Lock()
+
+    def __init__(self, path: Path) -> None:
+        size = _size_of(path)
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        self._bytes = min(LEAST_BYTES + TIMES_FILE * size, max(LEAST_BYTES, memory // 2))
+        self._left_s = LEAST_S + S_PER_BYTE * size
+
+    @contextmanager
+    def step(self) -> Iterator[None]:
+        """One step of reading. Raises MemoryError, OutOfTime beyond a limit, or what libraries make of it."""
+        if not self._in_use.acquire(blocking=False):
+            yield
+            return
+        begun_s, before = time.process_time(), {}
+        try:
+            for kind, present in ((resource.RLIMIT_DATA, _present_bytes()), (resource.RLIMIT_FSIZE, 0)):
+                before[kind] = soft, hard = resource.getrlimit(kind)
+                most = present + self._bytes
+                resource.setrlimit(kind, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+            with _ends_after(self._left_s):
+                yield
+        finally:
+            for kind, limits in before.items():
+                resource.setrlimit(kind, limits)
+            self._in_use.release()
+            self._left_s -= time.process_time() - begun_s
+        if self._left_s <= 0.0:
+            raise OutOfTime
+
+
+@contextmanager
+def _ends_after(most_s: float) -> Iterator[None]:
+    """Raise OutOfTime after some processor time, and again each second, as a library may swallow it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    going_on = True
+
+    def end(*_: object) -> None:
+        if going_on:
+            raise OutOfTime
+
+    handler = signal.signal(signal.SIGVTALRM, end)
+    try:
+        signal.setitimer(signal.ITIMER_VIRTUAL, max(most_s, TICK_S), 1.0)
+        yield
+    finally:
+        going_on = False
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, handler or signal.SIG_DFL)
+
+
+def _present_bytes() -> int:
+    """Memory that the process has for its data."""
+    return int(Path("/proc/self/statm").read_bytes().split()[5]) * resource.getpagesize()
+
+
+def _size_of(path: Path) -> int:
+    """Size of a file, or of those in a folder; 0 of what is not there."""
+    try:
+        return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _is_own(error: BaseException, frame: traceback.FrameSummary) -> bool:
     """Whether our code stumbled: the innermost frame is ours, and the exception is one of Python's for faults of a program."""
     ours = Path(frame.filename).is_relative_to(Path(__file__).parents[1])
     return ours and type(error).__module__ == "builtins" and not isinstance(error, DATA_FAULTS)
 
 
-def _message_of(error: Exception) -> str:
+def _message_of(error: BaseException) -> str:
+    if isinstance(error, OutOfTime):
+        return f"content that takes more than {LEAST_S:g} s, and {S_PER_BYTE * 1e6:g} s for each megabyte, to read"
     if isinstance(error, MemoryError):
-        return "more than the memory holds"
+        return f"content that takes more than {LEAST_BYTES >> 20} MB of memory, and {TIMES_FILE} times the size of the file"
     if isinstance(error, RecursionError):
         return "nested too deeply"
     if isinstance(error, OSError) and error.strerror:

@@ -1,18 +1,165 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one table of roles: meaning, internal unit and known column names of each kind of input."""
+"""The one table of roles: meaning, unit and known column names of each kind of input; conversions of units; ways of travel."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.text import words
+from trackres_ros.units import DEGREE, GRAVITY, KMH_PER_MPS, ZERO_DEGC_K
+
+# NIST SP 811, appendix B
+POUND_FORCE_N, FOOT_M, MILE_M, SEA_MILE_M, PSI_PA = 4.4482216152605, 0.3048, 1609.344, 1852.0, 6894.757293168361
+
+
+class Conversion(NamedTuple):
+    """A value in the unit of the role is ``scale * value + offset``."""
+
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+_NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {
+    "m/s": {
+        "m/s": (1.0,), "km/h": (1.0 / KMH_PER_MPS,), "mph": (MILE_M / 3600.0,), "knots": (SEA_MILE_M / 3600.0,),
+        "ft/s": (FOOT_M,), "cm/s": (1e-2,), "mm/s": (1e-3,),
+    },
+    "N": {"N": (1.0,), "kN": (1e3,), "kg": (GRAVITY,), "t": (1e3 * GRAVITY,), "lbf": (POUND_FORCE_N,), "daN": (10.0,)},
+    "Nm": {"Nm": (1.0,), "kNm": (1e3,), "lbf ft": (POUND_FORCE_N * FOOT_M,), "daNm": (10.0,)},
+    "degC": {"degC": (1.0,), "K": (1.0, -ZERO_DEGC_K), "degF": (5.0 / 9.0, -160.0 / 9.0)},
+    "m/s2": {"m/s2": (1.0,), "g": (GRAVITY,)},
+    "1": {"1": (1.0,), "%": (0.01,), "‰": (1e-3,)},
+    "rad/s": {"rad/s": (1.0,), "deg/s": (DEGREE,)},
+    "rad": {"rad": (1.0,), "deg": (DEGREE,)},
+    "m": {"m": (1.0,), "km": (1e3,), "cm": (1e-2,), "mm": (1e-3,), "ft": (FOOT_M,), "mi": (MILE_M,)},
+    "s": {"s": (1.0,), "ms": (1e-3,), "us": (1e-6,), "ns": (1e-9,), "min": (60.0,), "h": (3600.0,)},
+    "Pa": {"Pa": (1.0,), "kPa": (1e3,), "MPa": (1e6,), "bar": (1e5,), "mbar": (1e2,), "psi": (PSI_PA,)},
+}  # fmt: skip
+UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
+    {inside: {name: Conversion(*numbers) for name, numbers in units.items()} for inside, units in _NUMBERS.items()}
+)
+"""By the unit inside the program: the units that are read, as a topics file writes them."""
+SPELLINGS = {
+    "kph": "km/h", "kmh": "km/h", "kmph": "km/h", "mps": "m/s", "c": "degC", "celsius": "degC", "f": "degF", "kelvin": "K",
+    "m/s/s": "m/s2", "bool": "1", "ftlb": "lbfft", "lbft": "lbfft", "ftlbf": "lbfft", "degree": "deg",
+    "degrees": "deg", "kgf": "kg", "ton": "t", "lb": "lbf", "lbs": "lbf", "percent": "%", "hpa": "mbar", "knot": "knots",
+    "kt": "knots", "kts": "knots", "kn": "knots", "mile": "mi", "miles": "mi",
+}  # fmt: skip
+"""Other spellings, as `_plain` simplifies them, in lower case."""
+
+
+def _plain(text: str) -> str:
+    """A unit without marks that differ from tool to tool: ``N·m``, ``N*m`` and ``N m`` alike."""
+    for mark, plain in (("°", "deg"), ("º", "deg"), ("²", "2"), ("µ", "u")):
+        text = text.replace(mark, plain)
+    plain = "".join(c for c in text if c.isalnum() or c in "/%‰")
+    return plain or "1"
+
+
+def conversion(text: str, inside: str) -> Conversion | None:
+    """Conversion of a unit to that of the role; None if it does not fit.
+
+    `text`: as written in a file; `inside`: the internal unit.
+    """
+    given = _plain(text)
+    names = {_plain(name): one for name, one in UNITS[inside].items()}
+    for spelt in (given, _plain(SPELLINGS.get(given.lower(), given))):  # kn is kN of a load, and knots of a speed
+        folded = [one for name, one in names.items() if name.lower() == spelt.lower()]
+        found = names.get(spelt) or (folded[0] if len(folded) == 1 else None)
+        if found:
+            return found
+    return None
+
+
+def is_quantity(text: str) -> bool:
+    """Whether a text is the unit of a quantity: not of a share or a count."""
+    return any(conversion(text, inside) for inside in UNITS if inside != "1")
+
+
+FORWARD, REVERSE, NEUTRAL = 1.0, -1.0, 0.0
+WAYS = ("forward", "reverse", "neutral")
+
+
+@dataclass(frozen=True, slots=True)
+class Ways:
+    """Values that mean each way; without any a gear, whose sign is the way: above 0 forward, below 0 reverse, 0 neutral."""
+
+    forward: tuple[float, ...] = ()
+    reverse: tuple[float, ...] = ()
+    neutral: tuple[float, ...] = ()
+
+    def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """`FORWARD`, `REVERSE` or `NEUTRAL` for each number; nan for one without a meaning, such as that of an error."""
+        if not self.forward and not self.reverse:
+            return np.sign(numbers)
+        each = (self.forward, self.reverse, self.neutral)
+        return np.select([np.isin(numbers, some) for some in each], [FORWARD, REVERSE, NEUTRAL], np.nan)
+
+
+STANDARDS: Mapping[str, Ways] = MappingProxyType(
+    {
+        "iso_11783": Ways(forward=(1.0,), reverse=(0.0,)),  # ISO 11783-7: direction of a machine; 2 is an error, 3 no value
+        "j1939": Ways(forward=(0.0,), reverse=(1.0,)),  # SAE J1939-71: direction indicator (SPN 1619), reverse switch (SPN 767)
+        "gear": Ways(),  # SAE J1939-71: transmission current and selected gear (SPN 523, 524), with their offset of -125
+    }
+)
+"""By the word for `values` in a topics file. The first two are opposite: a bus is known by the names of its signals."""
+KNOWN = {
+    "iso_11783": re.compile(r"\bmachine (selected )?(speed )?direction\b"),
+    "j1939": re.compile(r"\bdirection indicator\b|^(veh(icle)? )?(is )?(reverse|reversing)( (flag|switch|active|engaged))?$|"
+        r"\breverse direction switch\b"),
+    "gear": re.compile(r"\btrans(mission)? (current|selected) gear\b|^travel direction$"),
+}  # fmt: skip
+"""Words in the name of a signal or column that is of a standard."""
+SAYS_REVERSE = re.compile(
+    r"\brevers(e|ing)\b|\bdirection (indicator|of travel)\b|\b(machine|driving|travel) direction\b|\bgear\b"
+)
+"""Words in the name of a column that may say when a vehicle drives backwards."""
+NAMED = {"forward": r"\b(forwards?|drive)\b", "reverse": r"\b(reverse|backwards?)\b", "neutral": r"\b(neutral|park)\b"}
+"""Words of the names that files give values."""
+
+
+def standard_of(name: str) -> str:
+    """The standard of a signal or column by its name; empty if it is none's."""
+    spoken = words(name)
+    return next((standard for standard, pattern in KNOWN.items() if pattern.search(spoken)), "")
+
+
+def named_ways(named: Iterable[tuple[float, str]]) -> Ways | None:
+    """The meaning of values by the names that a file gives them; None unless one is forward and one reverse."""
+    found: dict[str, list[float]] = {way: [] for way in WAYS}
+    for value, name in named:
+        for way in WAYS:
+            if re.search(NAMED[way], words(name)):
+                found[way].append(value)
+                break
+    ways = Ways(*(tuple(found[way]) for way in WAYS))
+    return ways if ways.forward and ways.reverse else None
+
+
+def as_said(ways: Ways) -> str | dict[str, list[float]]:
+    """`values` of a topics file for some ways."""
+    standard = next((name for name, one in STANDARDS.items() if one == ways), "")
+    return standard or {way: [float(value) for value in getattr(ways, way)] for way in WAYS if getattr(ways, way)}
+
+
+def may_say_reverse(names: Iterable[str]) -> list[str]:
+    """Those of some columns that may say when a vehicle drives backwards."""
+    return [name for name in names if SAYS_REVERSE.search(words(name)) or standard_of(name)]
 
 
 @dataclass(frozen=True, slots=True)
 class Role:
     """Definition of a kind of input."""
 
-    unit: str  # internal unit of its values, a key of `trackres_ros.recording.role_units.UNITS`
+    unit: str  # internal unit of its values, a key of `trackres_ros.recording.roles.UNITS`
     text: str
     parts: bool = False  # whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``)
     lively: bool = False  # whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor

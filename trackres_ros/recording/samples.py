@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -47,7 +46,7 @@ def standing_time(given: FloatArray, name: str) -> float:
 class Finding:
     """A fault or an oddity of the samples of one role."""
 
-    # role ("" for the whole recording), and kind: see `trackres_ros.recording.quality.findings_of`
+    # role ("" for the whole recording), and kind: see `trackres_ros.recording.recording.findings_of`
     role: str
     kind: str
     count: int  # number of samples

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 
-from trackres_ros.kernels.arithmetic import length
-from trackres_ros.kernels.marks import kernel
+from trackres_ros.kernels.marks import kernel, length
 from trackres_ros.route.lookup import Array, IntArray, learned_at
 
 COURSE_M = 15.0  # between two positions for a course: their scatter is a part of it

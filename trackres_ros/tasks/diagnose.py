@@ -421,10 +421,11 @@ class DiagnosisResult:
     def _picture(self) -> str:
         """Measured against simulated torque, if it can be drawn."""
         try:
-            from trackres_ros.diagnosis.report.pictures import draw_before_after
+            from trackres_ros.diagnosis.report.pictures import lap
+            from trackres_ros.diagnosis.report.static import draw
 
             with tempfile.TemporaryDirectory() as folder:
-                picture = draw_before_after(self.diagnosis, Path(folder) / "before_after.png")
+                picture = draw(lap(self.diagnosis), Path(folder) / "before_after.png")
                 data = base64.b64encode(picture.path.read_bytes()).decode()
         except MissingExtraError:
             return ""

@@ -14,11 +14,11 @@ import click
 from trackres_ros import checks
 from trackres_ros.errors import InputError
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
+from trackres_ros.recording.mcap import Recovered, UnfinishedBag, is_unfinished
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.reading import check_file
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.topics_files import guessed_topics, shipped, shipped_text
-from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
 from trackres_ros.tasks import options
 from trackres_ros.tasks.arguments import StrPath, TopicsGiven, as_paths, as_topics
 from trackres_ros.tasks.terminal import Command, Commands, emit, watch

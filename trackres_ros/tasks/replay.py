@@ -22,17 +22,16 @@ from trackres_ros import checks
 from trackres_ros.errors import InputError, encodable, one_line
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.energy import taken_text
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.records import Steps
+from trackres_ros.estimator.settings import settings_for
 from trackres_ros.estimator.snapshot import save, state_file
-from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
 from trackres_ros.learning.columns import column_names, shown
 from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.learner import MODES, OFF, Learner
-from trackres_ros.learning.store import go_on_from, stored
-from trackres_ros.learning.vehicle_file import LearnedFile, write_learned
+from trackres_ros.learning.store import LearnedFile, go_on_from, stored, write_learned
 from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.node.parameters import make_parameters, read_parameters

@@ -25,14 +25,13 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import STEADY_MPS, STEADY_MPS2, DisturbanceWatch
 from trackres_ros.estimator.drives import by_column
 from trackres_ros.estimator.energy import DriveTotals, StepTimes
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.snapshot import read_learning, rested, resume
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.store import since_saved
-from trackres_ros.learning.vehicle_file import LearnedFile
+from trackres_ros.learning.store import LearnedFile, since_saved
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter

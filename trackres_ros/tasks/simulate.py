@@ -18,8 +18,8 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, ramp_and_hold, run_drive, series_of, through_points
 from trackres_ros.estimator.energy import taken, taken_text
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
 from trackres_ros.model.coverage import beyond, check_speed
 from trackres_ros.model.resistance import resistance_parts

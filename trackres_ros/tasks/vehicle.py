@@ -18,16 +18,15 @@ import numpy as np
 
 from trackres_ros.effects import catalogue
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.estimator.constants import check_own_effects
+from trackres_ros.estimator.constants import check_own_effects, spread
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_vehicles
 from trackres_ros.model import belt as belt_model
+from trackres_ros.model.contact import hinge_position, wheel_loads
 from trackres_ros.model.coverage import check_heat, coverage
-from trackres_ros.model.loads import hinge_position, wheel_loads
 from trackres_ros.model.loss_table import LossTable, drive_share, interpolation_error, loss_table, reverse_share
 from trackres_ros.model.track import TrackModel, load_range, steady_tension, track_model
 from trackres_ros.tasks import options

@@ -65,7 +65,7 @@ def test_the_reference_compound_comes_out_as_it_went_in(good, repository, tmp_pa
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("none.csv",), "none.csv: given 'No such file or directory'"),
+        (("none.csv",), "none.csv: given 'no such file or folder'"),
         (("sweep.csv", "--vehicle", "xgd24"), "or one of agri3t, xgd24d"),
         (("sweep.csv", "--frequency-hz", "-1"), "'--frequency-hz': -1.0 is not in the range"),
         (
@@ -100,7 +100,7 @@ def test_a_damaged_sweep_is_read_or_refused_in_one_line(tmp_path):
         one, text = refusal(read_sweep, path)
         (refused if one is None else readable).append(text if one is None else one)
     assert all(map(a_line, refused))
-    assert min(len(readable), len(refused)) > DAMAGED // 10
+    assert min(len(readable), len(refused)) > DAMAGED // 20
     vehicle = load("xgd24d")
     for number, one in enumerate(random.Random(1).sample(readable, FITTED)):
         assert a_line(refusal(fitted, one, vehicle, tmp_path / str(number))[1])

@@ -17,16 +17,15 @@ from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.drives import by_column
 from trackres_ros.estimator.energy import RESISTANCE, DriveTotals, StepTimes, energy_j, steps_of, summed, taken
-from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.model import resistance
 from trackres_ros.model.operating_point import explain, vehicle_state
 from trackres_ros.model.resistance import RESISTANCE_PARTS
-from trackres_ros.model.track import with_methods
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants, with_methods
 from trackres_ros.tools import engine as executor
 from trackres_ros.tools.design import sensitivity as sensing
 from trackres_ros.tools.design.compare import wheels_compared, wheels_text

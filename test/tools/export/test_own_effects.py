@@ -17,7 +17,7 @@ from built import STRICT, have, write
 from trackres_ros.effects import Active, Terms, calls, catalogue
 from trackres_ros.effects.effect import ALL_KNOWN, conditions
 from trackres_ros.estimator import constants
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 
 HEAD = """
 import math
@@ -101,7 +101,7 @@ def test_each_way_of_an_own_effect_gives_the_same_numbers(tmp_path, xgd24d, monk
     library = ctypes.CDLL(str(tmp_path / "all.so"))
     facts = vehicle_constants(xgd24d)
     for number, effect in enumerate(own, 1):
-        machine, python = (calls.CALL(calls.number_of(effect, "terms", way)) for way in (True, False))
+        machine, python = (calls.C_FUNCTION(calls.number_of(effect, "terms", way)) for way in (True, False))
         for x, y, z in itertools.product(VALUES, repeat=3):
             at = conditions(facts, **{**ALL_KNOWN, "speed": x, "accel": y, "heading": z})
             by = answers(effect, at)

@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from trackres_ros.errors import InputError
-from trackres_ros.kernels.calls import ALLOWED
 from trackres_ros.kernels.extension import used_helpers
 from trackres_ros.kernels.flow import translate_body
 from trackres_ros.kernels.functions import Translator
 from trackres_ros.kernels.kinds import INT, REAL, SAME_IN_C, ArrayOf
 from trackres_ros.kernels.rows import Real, Reals, Row
+from trackres_ros.kernels.statements import ALLOWED
 
 STEPS = (2.0, -1.0, 0.25)
 TABLE = np.arange(12.0).reshape(4, 3)

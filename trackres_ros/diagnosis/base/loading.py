@@ -16,8 +16,7 @@ from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.prepare.session import GateSettings
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.estimator.settings import Settings, settings_for
 from trackres_ros.model.track import with_methods
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.learned import RouteMap

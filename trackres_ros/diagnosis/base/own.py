@@ -21,15 +21,15 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, GateSett
 from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.stepping import (
     DISTANCE,
-    TERM_DRIVE_GAIN,
-    TERM_TORQUE,
+    TERM,
     UNUSABLE,
+    EffectScratch,
     EffectTable,
     cooled,
-    look,
+    new_effect_scratch,
     new_memory,
-    new_work,
     rest_effects,
+    set_conditions,
     step_effects,
 )
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
@@ -116,12 +116,12 @@ class OwnBase(Base):
         return self.model.effects
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        work, memory = new_work(self.facts), new_memory(len(acting.stepped))
+        scratch, memory = new_effect_scratch(self.facts), new_memory(len(acting.stepped))
         found = []
         for i, (session, unseen) in enumerate(with_unseen(sessions)):
             far = float(memory[DISTANCE])
             if i > 0 and np.isfinite(session.gap):
-                rest_own(*acting.table, memory, work, float(session.ambient[0]), session.gap)
+                rest_own(*acting.table, memory, scratch, float(session.ambient[0]), session.gap)
             else:
                 memory = cooled(memory)
                 if session.first_drive:
@@ -130,7 +130,7 @@ class OwnBase(Base):
             own = self._own(true, values) + acting.torque_by_place(session, i) * np.sign(true.speed)
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
             series = (session.time, true.speed, true.accel, session.weight, session.ambient, session.yaw_rate, session.heading)
-            step_own(acting.table, work, memory, own, *series, torque, outcome)
+            step_own(acting.table, scratch, memory, own, *series, torque, outcome)
             acting.check(outcome == UNUSABLE, session, self.facts)
             if unseen:
                 memory[DISTANCE] = far
@@ -204,7 +204,7 @@ def _parameter(name: str, value: float, low: float, high: float, unit: str) -> B
 @kernel
 def own_along(
     effects: EffectTable,
-    work: Array,
+    scratch: EffectScratch,
     memory: Array,
     own: Array,
     times: Array,
@@ -222,10 +222,10 @@ def own_along(
     for i in range(times.shape[0]):
         drive = last_torque + own[i] - last_own
         turning = yaw_rates[i], headings[i], math.nan
-        look(work, speeds[i], accelerations[i], weights[i], ambients[i], *turning, drive, math.nan)
+        set_conditions(scratch.conditions, speeds[i], accelerations[i], weights[i], ambients[i], *turning, drive, math.nan)
         dt = times[i] - times[i - 1] if i > 0 else 0.0
-        outcome[i] = step_effects(effects.rows, effects.values, memory, work, dt)
-        torque[i] = (own[i] + work[TERM_TORQUE]) * work[TERM_DRIVE_GAIN]
+        outcome[i] = step_effects(effects.rows, effects.values, memory, scratch, dt)
+        torque[i] = (own[i] + scratch.terms[TERM.torque]) * scratch.terms[TERM.drive_gain]
         last_torque, last_own = torque[i], own[i]
 
 

@@ -16,10 +16,9 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, with_uns
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import Constants, work_space
-from trackres_ros.estimator.entry_points import COMPILED
-from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
-from trackres_ros.estimator.records import DriveSeries, State
+from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.kernel import COMPILED, PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
+from trackres_ros.estimator.records import DriveSeries, State, new_scratch
 from trackres_ros.files.file_sets import trial_folder
 from trackres_ros.vehicle import AnyVehicle, load_any
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -68,7 +67,7 @@ def simulated(
     (kinds,), of which `belts` kinds have a belt.
     """
     table = acting.table
-    k = k._replace(effects=table.rows, effect_values=table.values, work=work_space(facts, 0))
+    k = k._replace(effects=table.rows, effect_values=table.values)
     state = State(
         np.empty((belts, 2, at.BELT_COLUMNS)),
         np.empty(at.Motion.columns),
@@ -76,6 +75,7 @@ def simulated(
         np.zeros(at.Learned.columns),
     )
     constants, carried = COMPILED.bound(k).given, COMPILED.bound(state).given
+    scratch = COMPILED.bound(new_scratch(facts, 0, 0)).given
     found: list[Array] = []
     for i, (session, unseen) in enumerate(with_unseen(sessions)):
         ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
@@ -84,7 +84,7 @@ def simulated(
             if session.first_drive:
                 state.effects[DISTANCE] = far = 0.0
         else:
-            COMPILED.rest_vehicle(constants, carried, ambient, 0.0, session.gap)
+            COMPILED.rest_vehicle(constants, carried, scratch, ambient, 0.0, session.gap)
         rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
         series = DriveSeries(
             session.time,
@@ -101,7 +101,7 @@ def simulated(
             unknown,
             unknown,
         )
-        COMPILED.predict_series(constants, carried, count, series, rows)
+        COMPILED.predict_series(constants, carried, scratch, count, series, rows)
         acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
         if unseen:
             state.effects[DISTANCE] = far

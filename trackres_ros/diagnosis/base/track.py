@@ -22,7 +22,7 @@ from trackres_ros.estimator.constants import Constants, make_constants
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import parting_resistance, thermal_network
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.description import BELT, CHASSIS, FITTED, RUBBER

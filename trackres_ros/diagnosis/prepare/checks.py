@@ -30,13 +30,12 @@ from trackres_ros.diagnosis.prepare.session import (
 from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.estimator.constants import PLAUSIBLE
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.corrected_lines import line_to_write
+from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.choosing import torque_remedy
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.role_units import UNITS, Conversion
-from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.roles import ROLES, UNITS, Conversion, base_role
 from trackres_ros.recording.samples import Series
-from trackres_ros.recording.torque_candidates import remedy_of
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.text import some_of
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
 
@@ -258,7 +257,7 @@ def check_compared(recording: Recording, shortest_s: float) -> None:
             name,
             f"no torque; roles: {', '.join(series) or 'none'}",
             "a measured torque: without it there is nothing to compare",
-            remedy_of(recording.torque_candidates, of_topics=recording.zero_is_unset),
+            torque_remedy(recording.torque_candidates, of_topics=recording.zero_is_unset),
         )
     if "speed" not in series or not np.isfinite(series["speed"].value).any():
         raise InputError(name, "no finite speed", "a speed")

@@ -64,7 +64,7 @@ from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
-from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.records import Steps
 from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.samples import Series, standing_time
 from trackres_ros.route.learned import SLOPE, RouteMap

@@ -44,7 +44,7 @@ from trackres_ros.diagnosis.prepare.session import (
 from trackres_ros.diagnosis.prepare.speed_smoothing import noise_of_means, smooth_speed
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.dataclass_reader import limits_of
-from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.recording.samples import Series

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.roles import PASSENGER_KG
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text import told_apart

@@ -29,11 +29,10 @@ from trackres_ros.diagnosis.prepare.session import (
     WarningNote,
 )
 from trackres_ros.errors import InputError
-from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.role_units import Conversion
-from trackres_ros.recording.roles import base_role
+from trackres_ros.recording.roles import Conversion, base_role
 from trackres_ros.recording.samples import Series
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
 
 SURE = 0.5  # correlation for a certain wrong sign or unit

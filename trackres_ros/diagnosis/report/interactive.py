@@ -12,60 +12,37 @@ import base64
 import gzip
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Array, shown_names
-from trackres_ros.diagnosis.report.series import (
-    AVERAGED_S,
-    MARK,
-    Panel,
-    axis_label,
-    bars,
-    begins,
-    bins_of_steps,
-    clock,
-    held_out_times,
-    lasting,
-    marked_times,
-    minutes,
-    most_off,
-    names,
-    panels,
-    shown_lap,
-    stages,
-)
-from trackres_ros.diagnosis.selection.locate import SMOOTHED_S, rms_over_time, smoothed
+from trackres_ros.diagnosis.report.charts import DARK, RIM, Area, Bars, Chart, Line, Panel, Rule, Span, Values, unit
+from trackres_ros.diagnosis.report.pictures import first_charts
+from trackres_ros.diagnosis.report.series import bins_of_steps
 from trackres_ros.errors import MissingExtraError
-from trackres_ros.output.style import GREY, ORANGE, shortened
-from trackres_ros.text import figures, from_to, rising
+from trackres_ros.output.style import BLACK, ORANGE
 
 DOCUMENT = "diagnosis"
-SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`
-LONGEST_LAP_S = 1200.0
-TITLE_LETTERS = 60
-DARK = "#333333"
-BELIEVED_HEIGHT, RESIDUAL_HEIGHT, LAP_HEIGHT, BARS_HEIGHT = 220, 150, 170, 190  # pixels
-INTERACTIVE_LETTERS = 90  # of a small font over the width of a page
+EDGE = 0.2  # beyond the first and last tick of bars
+HIGHLIGHTED = f"{ORANGE}73", "highlighted", True
 
 
 @dataclass(frozen=True, slots=True)
 class Interactive:
     """Plots of a page: their places, and the browser's data, packed (gzip, base64)."""
 
-    plots: Mapping[str, Sequence[tuple[str, str]]]  # of each part of the page: their elements and titles
+    plots: Mapping[str, Sequence[tuple[str, str]]]  # of each picture: their elements and titles
+    legends: Mapping[str, Sequence[tuple[str, str, bool]]]  # of each picture: colours and texts, and whether solid
     library: str  # source of Bokeh
     version: str  # of Bokeh
     data: str  # Bokeh's documents, and the bin of each step
-    over_all: Sequence[tuple[str, str, bool]]  # colours and texts of the lines over all drives, and whether solid
 
 
 def interactive(d: Diagnosis) -> Interactive:
@@ -79,22 +56,19 @@ def interactive(d: Diagnosis) -> Interactive:
     found = find_spec("bokeh")
     if found is None or found.origin is None:
         raise MissingExtraError("zoom and hover on the page", "bokeh", "interactive")
-    over_all = panels(d)
-    parts = {"believed": _believed(d, over_all), "time": _over_time(d), "lap": _lap(d), "bars": _bars(d)}
-    drawn, names = [plot.model for of in parts.values() for plot in of], dict[Model, str]()
-    document = {"version": version("bokeh"), "title": DOCUMENT, "roots": [encoded(model, names) for model in drawn]}
-    roots = [names[model] for model in drawn]
+    plots, legends, roots, names = {}, {}, list[Any](), dict[Model, str]()
+    for part, chart in first_charts(d).items():
+        roots += (drawn := [encoded(plot, names) for plot in plots_of(chart)])
+        plots[part] = [(f"plot-{root['id']}", panel.title) for root, panel in zip(drawn, chart.panels, strict=True)]
+        legends[part] = [*chart.legend(), *([HIGHLIGHTED] if any(panel.lit for panel in chart.panels) else [])]
+    ids = [root["id"] for root in roots]
     steps = [{"begin": float(s.time[0]), "step": s.step, **of} for s, of in zip(d.sessions, bins_of_steps(d), strict=True)]
     data = {
-        "documents": {DOCUMENT: document},
-        "items": [{"docid": DOCUMENT, "roots": {root: f"plot-{root}" for root in roots}, "root_ids": roots}],
+        "documents": {DOCUMENT: {"version": version("bokeh"), "title": DOCUMENT, "roots": roots}},
+        "items": [{"docid": DOCUMENT, "roots": {root: f"plot-{root}" for root in ids}, "root_ids": ids}],
         "steps": dict(enumerate(steps)),
     }
-    plots = {part: [(f"plot-{names[plot.model]}", plot.title) for plot in of] for part, of in parts.items()}
-    legend = [(line.colour, line.text, line.solid) for panel in over_all for line in panel.lines]
-    where = marked_times(d)[0]
-    legend += [("#D9D9D9", "hold-out laps", True), *([(MARK, where, True)] if where else [])]
-    return Interactive(plots, _library(Path(found.origin).parent), version("bokeh"), packed(json.dumps(data)), legend)
+    return Interactive(plots, legends, _library(Path(found.origin).parent), version("bokeh"), packed(json.dumps(data)))
 
 
 @cache
@@ -115,11 +89,10 @@ class Model:
         self.name, self.attributes = name, attributes
 
 
-class Spec(NamedTuple):
-    """A `field`, thus a column of the data, or the same `value` for all rows."""
+class Column(str):
+    """The name of a column of the data."""
 
-    kind: Literal["field", "value"]
-    of: Any
+    __slots__ = ()
 
 
 def encoded(value: Any, names: dict[Model, str]) -> Any:
@@ -133,8 +106,8 @@ def encoded(value: Any, names: dict[Model, str]) -> Any:
         names[value] = f"p{len(names) + 1}"
         attributes = {key: encoded(x, names) for key, x in value.attributes.items()}
         return {"type": "object", "name": value.name, "id": names[value], "attributes": attributes}
-    if isinstance(value, Spec):
-        return {"type": value.kind, value.kind: value.of}
+    if isinstance(value, Column):
+        return {"type": "field", "field": value}
     if isinstance(value, dict):
         return {"type": "map", "entries": [[key, encoded(x, names)] for key, x in value.items()]}
     if isinstance(value, list):
@@ -142,231 +115,135 @@ def encoded(value: Any, names: dict[Model, str]) -> Any:
     return {"type": "number", "value": "nan"} if isinstance(value, float) and math.isnan(value) else value
 
 
-class _Plot:
-    """A plot, to which lines, areas and annotations are added."""
+def plots_of(chart: Chart) -> list[Model]:
+    """A plot for each panel of a chart; panels with a common label share its axis."""
+    x_range = None
+    if chart.x_label:
+        begins, ends = zip(*(panel.x_range for panel in chart.panels), strict=True)
+        x_range = Model("Range1d", start=min(begins), end=max(ends), bounds="auto")
+    y_range = _range(chart.panels) if chart.y_label else None
+    return [_plot(chart, panel, x_range, y_range or _range([panel])) for panel in chart.panels]
 
-    def __init__(
-        self, title: str, height: int, zoom: bool = True, x_range: Model | None = None, y_range: Model | None = None
-    ) -> None:
-        look = {"axis_label_text_font_style": "normal", "axis_label_text_color": DARK, "major_label_text_color": DARK}
-        self.title, self.x_range = title, x_range or Model("DataRange1d")
-        self.x_axis, self.y_axis = (Model("LinearAxis", **look) for _ in range(2))
-        self.renderers: list[Model] = []
-        self.layout = [
-            Model("Grid", axis=axis, dimension=i, grid_line_color="#E3E3E3") for i, axis in enumerate((self.x_axis, self.y_axis))
-        ]
+
+def _range(panels: Sequence[Panel]) -> Model:
+    """The range of all lines, bars and rules across."""
+    values: list[Values] = [np.zeros(0)]
+    for element in (element for panel in panels for element in panel.elements):
+        match element:
+            case Rule(place, upright=False):
+                values.append(np.array([place]))
+            case Line():
+                values += [y for _, y in element.pieces]
+            case Bars():
+                half = np.nan_to_num(element.half)
+                values += [element.height - half, element.height + half]
+    every = np.concatenate(values)
+    every = every[np.isfinite(every)] if np.isfinite(every).any() else np.zeros(1)
+    low, high = float(every.min()), float(every.max())
+    rim = RIM * (high - low) + 1e-9
+    return Model("Range1d", start=low - rim, end=high + rim)
+
+
+def _plot(chart: Chart, panel: Panel, x_range: Model | None, y_range: Model) -> Model:
+    look = {"axis_label_text_font_style": "normal", "axis_label_text_color": DARK, "major_label_text_color": DARK}
+    x_axis = Model("LinearAxis", axis_label=chart.x_label if panel is chart.panels[-1] else "", **look)
+    y_axis = Model("LinearAxis", axis_label=panel.y_label or chart.y_label, **look)
+    y_axis.attributes["ticker"] = Model("BasicTicker", desired_num_ticks=4)
+    if panel.ticks:
+        places, labels = panel.ticks
+        x_axis.attributes["ticker"] = Model("FixedTicker", ticks=list(places))
+        x_axis.attributes["major_label_overrides"] = dict(zip(places, labels, strict=True))
+        x_range = Model("Range1d", start=places[0] - EDGE, end=places[-1] + EDGE)
+    renderers = [] if panel.lit is None else [_strips(*panel.lit)]
+    center = [Model("Grid", axis=axis, dimension=i, grid_line_color="#E3E3E3") for i, axis in enumerate((x_axis, y_axis))]
+    start, stop, tools, bars = y_range.attributes["start"], y_range.attributes["end"], list[Model](), list[Model]()
+    for element in panel.elements:
+        match element:
+            case Span(_, begin, end, colour, top):
+                box = {"left": begin, "right": end, "bottom": start, "top": start + top * (stop - start)}
+                center.append(Model("BoxAnnotation", **box, fill_color=colour, fill_alpha=1.0, line_color=None))
+            case Rule(place, upright, _, label, colour):
+                way = {"dimension": "height", "line_dash": [6]} if upright else {"dimension": "width"}
+                center.append(Model("Span", location=place, line_color=colour, **way))
+                text = {"text": label, "text_font_size": "10px", "text_color": DARK, "text_baseline": "top"}
+                center += [Model("Label", x=place, y=stop, x_offset=3, **text)] if label else []
+            case Area(_, colour, x, low, high):
+                columns = {"x": _rounded(x, 3), "y1": _rounded(low, 3), "y2": _rounded(high, 3)}
+                renderers.append(_renderer(columns, "VArea", fill_color=colour))
+            case Bars():
+                bars.append(_bars(element))
+                head, source = Model("TeeHead", size=5), bars[-1].attributes["data_source"]
+                ends = {"base": Column("x"), "lower": Column("low"), "upper": Column("high"), "line_color": DARK}
+                center.append(Model("Whisker", source=source, lower_head=head, upper_head=head, **ends))
+                stars: dict[str, list[Any]] = {"x": _rounded(element.x, 3), "text": ["*" * star for star in element.starred]}
+                stars["text_baseline"] = ["top" if height > 0 else "bottom" for height in element.height]
+                renderers.append(_renderer(stars, "Text", y=0.0, text_align="center", text_color=element.colour))
+    if bars:
+        tools = [Model("HoverTool", renderers=bars, tooltips="@details"), Model("TapTool", renderers=bars)]
+    elif panel.lines:
+        lines, tooltips = _lines(panel.lines, unit(chart.x_label), unit(panel.y_label or chart.y_label))
+        renderers += lines
         zooming = Model("WheelZoomTool", dimensions="width", modifiers={"ctrl": True})
-        self.tools = [Model("BoxZoomTool", dimensions="width"), Model("ResetTool"), zooming] if zoom else []
-        self.model = Model(
-            "Figure", title=Model("Title", text=title, text_font_size="12px"), height=height, sizing_mode="stretch_width",
-            x_range=self.x_range, y_range=y_range or Model("DataRange1d"), left=[self.y_axis], below=[self.x_axis],
-            center=self.layout, renderers=self.renderers, toolbar=Model("Toolbar", logo=None, tools=self.tools),
-            toolbar_location="right" if zoom else None, min_border_right=4, background_fill_color=None,
-        )  # fmt: skip
-
-    def add(self, source: Model, glyph: Model, **more: Any) -> Model:
-        """Draw the rows of a source."""
-        self.renderers.append(Model("GlyphRenderer", data_source=source, glyph=glyph, **more))
-        return self.renderers[-1]
-
-    def line(self, source: Model, x: str, y: str, colour: str, width: float = 1.0, **more: Any) -> Model:
-        """A line through two columns of a source."""
-        glyph = Model("Line", x=Spec("field", x), y=Spec("field", y), line_color=colour, line_width=width, **more)
-        return self.add(source, glyph)
-
-    def hover(self, renderers: Sequence[Model], texts: Sequence[tuple[str, str]], **more: Any) -> None:
-        """Show texts about what is under the pointer."""
-        self.tools.append(Model("HoverTool", renderers=list(renderers), tooltips=[list(text) for text in texts], **more))
-
-    def across(self, at: float, dimension: str = "width", **more: Any) -> None:
-        """A grey line over the whole plot."""
-        self.layout.append(Model("Span", location=at, dimension=dimension, line_color=GREY, **more))
-
-    def held_out_and_zero(self, times: Iterable[tuple[float, float]]) -> None:
-        """The hold-out laps behind the lines, and a line at zero."""
-        for begin, end in times:
-            self.layout.append(Model("BoxAnnotation", left=begin, right=end, fill_color=GREY, fill_alpha=0.15, line_color=None))
-        self.across(0.0)
-
-    def strips(self, session: int, unit: float, counted: bool) -> None:
-        """Strips for highlighting; the page's script writes their times, and sums up those that are counted."""
-        source = Model("ColumnDataSource", data={"x0": [], "x1": []}, name="lit", tags=[session, unit, counted])
-        area = {"fill_color": Spec("value", ORANGE), "fill_alpha": Spec("value", 0.45), "line_color": Spec("value", None)}
-        self.add(source, Model("VStrip", x0=Spec("field", "x0"), x1=Spec("field", "x1"), **area), level="underlay")
+        tools = [Model("BoxZoomTool", dimensions="width"), Model("ResetTool"), zooming]
+        tools.append(Model("HoverTool", renderers=lines[-1:], tooltips=tooltips, mode="vline"))
+    return Model(
+        "Figure", title=Model("Title", text=panel.title, text_font_size="12px"), height=panel.height, sizing_mode="stretch_width",
+        x_range=x_range or Model("DataRange1d"), y_range=y_range, left=[y_axis], below=[x_axis], center=center,
+        renderers=renderers + bars, toolbar=Model("Toolbar", logo=None, tools=tools), min_border_right=4,
+        toolbar_location="right" if panel.lines else None, background_fill_color=None,
+    )  # fmt: skip
 
 
-def _numbers(values: Array, places: int) -> list[float]:
-    return [float(v) for v in np.round(values, places)]
+def _renderer(columns: dict[str, list[Any]], glyph: str, **look: Any) -> Model:
+    """Draws the rows of a source, whose columns have the names of the glyph's attributes."""
+    shape = Model(glyph, **{name: Column(name) for name in columns}, **look)
+    return Model("GlyphRenderer", data_source=Model("ColumnDataSource", data=columns), glyph=shape)
 
 
-def _places(torques: Array) -> int:
-    """Decimals of a torque [Nm] that show three figures of the largest; none from 100 Nm on."""
-    largest = float(np.nanmax(np.abs(torques), initial=0.0))
-    return min(6, max(0, 2 - math.floor(math.log10(largest)))) if largest > 0.0 else 0
+def _strips(session: int, unit_s: float) -> Model:
+    """Strips for highlighting; the page's script writes their times."""
+    strips = _renderer({"x0": [], "x1": []}, "VStrip", fill_color=HIGHLIGHTED[0], line_color=None)
+    strips.attributes["data_source"].attributes |= {"name": "lit", "tags": [session, unit_s]}
+    return strips
 
 
-def _nm(column: str, places: int) -> str:
-    return f"@{column}{{0{'.' + '0' * places if places else ''}}} Nm"
+def _lines(lines: Sequence[Line], x_unit: str, y_unit: str) -> tuple[list[Model], list[list[str]]]:
+    """Lines over the same `x`, and their texts at the pointer. A nan after each piece breaks a line before the next."""
+    places = _places(np.concatenate([y for line in lines for _, y in line.pieces]))
+    data = {"x": [v for x, _ in lines[0].pieces for v in (*_rounded(x, 3), math.nan)]}
+    for i, line in enumerate(lines):
+        data[f"y{i}"] = [v for _, y in line.pieces for v in (*_rounded(y, places + 1), math.nan)]
+    source, drawn = Model("ColumnDataSource", data=data), []
+    for i, line in enumerate(lines):
+        look = {"line_color": line.colour, "line_width": 1.4 * line.width, "line_dash": [6] if line.dashed else []}
+        glyph = Model("Line", x=Column("x"), y=Column(f"y{i}"), **look)
+        drawn.append(Model("GlyphRenderer", data_source=source, glyph=glyph))
+    return drawn, [["time", f"@x{{0.0[0]}} {x_unit}"], *([t.text, _number(f"y{i}", places, y_unit)] for i, t in enumerate(lines))]
 
 
-def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[_Plot]:
-    """The residual over all drives in sequence, with each term over it, and the remaining residual."""
-    ends, found = begins(d), []
-    every = np.concatenate([values for panel in over_all for line in panel.lines for values in line.values])
-    every, places = every[np.isfinite(every)], _places(every)
-    low, high = (min(0.0, float(every.min())), max(0.0, float(every.max()))) if len(every) else (-1.0, 1.0)
-    rim = 0.1 * (high - low) + 1e-9
-    across = Model("Range1d", start=0.0, end=ends[-1], bounds="auto")
-    floor = low - rim
-    up = Model("Range1d", start=floor, end=high + 2.0 * rim)
-    for number, panel in enumerate(over_all):
-        plot = _Plot(panel.title, BELIEVED_HEIGHT, x_range=across, y_range=up)
-        plot.held_out_and_zero(held_out_times(d))
-        for begin in ends[1:-1]:
-            plot.across(begin, "height", line_dash=[2, 4])
-        if number == 0:
-            times = marked_times(d)[1]
-            of = {"x0": [x for x, _ in times], "x1": [x for _, x in times]}
-            ends_of = {"left": Spec("field", "x0"), "right": Spec("field", "x1")}
-            ends_of |= {"bottom": Spec("value", floor), "top": Spec("value", floor + 0.5 * rim)}
-            colour = Spec("value", MARK)
-            plot.add(Model("ColumnDataSource", data=of), Model("Quad", **ends_of, fill_color=colour, line_color=colour))
-            look = {"text_font_size": "10px", "text_color": "#555555", "x_offset": 3}
-            for begin, name in zip(ends, names(d, INTERACTIVE_LETTERS), strict=False):
-                plot.layout.append(Model("Label", x=begin, y=high + rim, text=name, **look))
-        columns: dict[str, list[float]] = {"t": []}
-        for i, session in enumerate(d.sessions):
-            rows = slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
-            # A nan after each session breaks the line before the next.
-            columns["t"] += [*_numbers(minutes(d, i)[rows], 3), float("nan")]
-            for k, line in enumerate(panel.lines):
-                columns.setdefault(f"y{k}", []).extend([*_numbers(line.values[i][rows], places + 1), float("nan")])
-        source = Model("ColumnDataSource", data=columns)
-        lines = [
-            plot.line(
-                source, "t", f"y{k}", line.colour, (3.4 if line.solid else 2.0) if line.wide else 1.1,
-                line_dash=[] if line.solid else [6],
-            )
-            for k, line in sorted(enumerate(panel.lines), key=lambda of: not of[1].wide)  # the measured lines on top
-        ]  # fmt: skip
-        texts = [("time", f"@t{{0.0}} {clock(d)[1]}"), *((line.text, _nm(f"y{k}", places)) for k, line in enumerate(panel.lines))]
-        plot.hover(lines[-1:], texts, mode="vline")
-        plot.y_axis.attributes["axis_label"] = "torque [Nm]"
-        if number == len(over_all) - 1:
-            label = f"time over consecutive drives [{clock(d)[1]}]; means over {lasting(d, AVERAGED_S)}"
-            plot.x_axis.attributes["axis_label"] = label
-        found.append(plot)
-    return found
-
-
-def _over_time(d: Diagnosis) -> list[_Plot]:
-    """The residual of each recording over its time; axes move together."""
-    unit, word = clock(d)
-    every = {of.key: [smoothed(s, s.torque - of.torques[i]) for i, s in enumerate(d.sessions)] for of in stages(d)}
-    values = np.concatenate([np.concatenate(of) for of in every.values()])
-    values, places = values[np.isfinite(values)], _places(values)
-    low, high = (float(q) for q in np.quantile(values, (0.001, 0.999))) if len(values) else (-1.0, 1.0)
-    rim = 0.1 * (max(high, 0.0) - min(low, 0.0)) + 1e-9
-    shown, called = most_off(rms_over_time(every["refitted"])[0]), shown_names(d.sessions)
-    across = Model("Range1d", start=0.0, end=max(d.sessions[i].time[-1] for i in shown) / unit, bounds="auto")
-    up = Model("Range1d", start=min(low, 0.0) - rim, end=max(high, 0.0) + rim)
-    found = []
-    for i in shown:
-        session = d.sessions[i]
-        rows = slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
-        columns = {key: _numbers(of[i][rows], places + 1) for key, of in every.items()}
-        source = Model("ColumnDataSource", data={"t": _numbers(session.time[rows] / unit, 3), **columns})
-        plot = _Plot(shortened(called[i], TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
-        held_out = session.stretches(np.isin(session.block, d.split.held_out))
-        plot.held_out_and_zero((begin / unit, end / unit) for begin, end in held_out)
-        plot.strips(i, unit, True)
-        lines = [plot.line(source, "t", of.key, of.colour, 1.0 if of.key == "nominal" else 1.6) for of in stages(d)]
-        for change in d.changes:
-            if change.recording == session.name:
-                plot.across(change.time / unit, "height", line_dash=[6])
-        texts = [("time", f"@t{{0.0}} {word}"), *((of.label, _nm(of.key, places)) for of in stages(d))]
-        plot.hover(lines[1:2], texts, mode="vline")
-        plot.y_axis.attributes |= {"ticker": Model("BasicTicker", desired_num_ticks=4), "axis_label": "residual [Nm]"}
-        if i == shown[-1]:
-            plot.x_axis.attributes["axis_label"] = f"time [{word}]; means over {lasting(d, SMOOTHED_S)}"
-        found.append(plot)
-    return found
-
-
-def _lap(d: Diagnosis) -> list[_Plot]:
-    """Measured and simulated torque on a hold-out lap, and the speed, over the same time."""
-    index, rows, drawn, *_ = shown_lap(d, LONGEST_LAP_S)
-    session, name = d.sessions[index], shown_names(d.sessions)[index]
-    columns = {"measured": np.where(session.used, session.torque, np.nan)[rows], "speed": session.speed[rows]}
-    columns |= {of.key: of.torques[index][rows] for of in stages(d)}
-    places = _places(columns["measured"])
-    shown = {k: _numbers(v, 2 if k == "speed" else places + 1) for k, v in columns.items()}
-    source = Model("ColumnDataSource", data={"t": _numbers(session.time[rows], 3), **shown})
-    torque = _Plot(f"{shortened(name, TITLE_LETTERS - 25)}, {drawn}", LAP_HEIGHT + 50)
-    speed = _Plot("speed", LAP_HEIGHT - 30, x_range=torque.x_range)
-    for plot in (torque, speed):
-        plot.strips(index, 1.0, False)
-    measured = torque.line(source, "t", "measured", "#555555", 3.0, line_alpha=0.6)
-    for of in stages(d)[1:]:
-        torque.line(source, "t", of.key, of.colour, 1.4)
-    line = speed.line(source, "t", "speed", "#555555")
-    time = ("time", "@t{0} s" if session.step >= 1.0 else "@t{0.00} s")
-    texts = [time, ("measured", _nm("measured", places)), *((of.label, _nm(of.key, places)) for of in stages(d))]
-    torque.hover([measured], texts, mode="vline")
-    speed.hover([line], [time, ("speed", "@speed{0.00} m/s")], mode="vline")
-    for axis, label in ((torque.y_axis, "torque [Nm]"), (speed.y_axis, "speed [m/s]"), (speed.x_axis, "time [s]")):
-        axis.attributes["axis_label"] = label
-    return [torque, speed]
-
-
-def _bars(d: Diagnosis) -> list[_Plot]:
-    """Mean residual by bins, with 95 % intervals; pressing a bar highlights its times."""
-    up, found, ends = Model("Range1d"), [], [0.0]
-    for name, edges, of_stages in bars(d):
-        unit, ticks = of_stages[0].bins[0].unit, (np.arange(len(edges)) - 0.5).tolist()
-        plot = _Plot(axis_label(name, of_stages[0].stage.label), BARS_HEIGHT, False, y_range=up)
-        drawn, places = [], 1 + _places(np.array([b.mean_residual for b in of_stages[0].bins]))
-        for stage, bins, x, half in of_stages:
-            mean = np.array([b.mean_residual for b in bins])
-            ends += [*(mean + np.nan_to_num(half)), *(mean - np.nan_to_num(half))]
-            ranges = [from_to(b.low, b.high) for b in bins]
-            source = Model(
-                "ColumnDataSource",
-                data={
-                    "x": x.tolist(), "mean": _numbers(mean, places),
-                    "low": _numbers(mean - half, places), "high": _numbers(mean + half, places),
-                    "range": ranges, "seconds": [figures(b.samples * d.sessions[0].step, 4) for b in bins],
-                    "p": [b.p for b in bins],
-                    "key": [f"{name}:{n}" for n in range(len(bins))], "of": [stage.label] * len(bins),
-                },
-            )  # fmt: skip
-            drawn.append(_add_bars(plot, source, 0.38 if d.modelled else 0.7, stage.colour))
-        mean_text = ("mean", "@mean Nm (@low to @high)")
-        plot.hover(drawn, [("", "@of"), (name, f"@range {unit}"), mean_text, ("of", "@seconds s"), ("p", "@p{0.000}")])
-        plot.tools.append(Model("TapTool", renderers=drawn))
-        labels = dict(zip(ticks, rising(edges), strict=True))
-        plot.x_axis.attributes |= {"ticker": Model("FixedTicker", ticks=ticks), "major_label_overrides": labels}
-        plot.y_axis.attributes["ticker"] = Model("BasicTicker", desired_num_ticks=4)
-        found.append(plot)
-    rim = 0.05 * (max(ends) - min(ends)) + 1e-9
-    up.attributes |= {"start": float(min(ends) - rim), "end": float(max(ends) + rim)}
-    return found
-
-
-def _add_bars(plot: _Plot, source: Model, width: float, colour: str) -> Model:
-    """Bars with their intervals; a press highlights the times of a bar."""
+def _bars(bars: Bars) -> Model:
+    """Bars; a press highlights the times of one."""
+    places = 1 + _places(bars.height)
+    ends = {"low": bars.height - bars.half, "top": bars.height, "high": bars.height + bars.half}
+    data = {"x": bars.x.tolist(), "details": bars.details, "key": bars.keys}
+    source = Model("ColumnDataSource", data=data | {name: _rounded(values, places) for name, values in ends.items()})
     code = "const i = source.selected.indices[0]; window.trackresLight(i === undefined ? null : source.data.key[i])"
     pressed = {"change:indices": [Model("CustomJS", args={"source": source}, code=code)]}
     source.attributes["selected"] = Model("Selection", js_property_callbacks=pressed)
-    bar = {"x": Spec("field", "x"), "width": Spec("value", width), "top": Spec("field", "mean")}
-    bar |= {"fill_color": Spec("value", colour), "line_color": Spec("value", colour)}
-    chosen = bar | {"line_color": Spec("value", "#000000"), "line_width": Spec("value", 2)}
-    plot.layout.append(
-        Model(
-            "Whisker", base=Spec("field", "x"), lower=Spec("field", "low"), upper=Spec("field", "high"), source=source,
-            line_color=Spec("value", "#333333"), upper_head=Model("TeeHead", size=Spec("value", 5)),
-            lower_head=Model("TeeHead", size=Spec("value", 5)),
-        )
-    )  # fmt: skip
-    glyph = Model("VBar", **bar)
-    return plot.add(source, glyph, selection_glyph=Model("VBar", **chosen), nonselection_glyph=glyph)
+    look = {"x": Column("x"), "top": Column("top"), "width": bars.width, "fill_color": bars.colour}
+    glyph, chosen = Model("VBar", line_color=bars.colour, **look), Model("VBar", line_color=BLACK, line_width=2, **look)
+    return Model("GlyphRenderer", data_source=source, glyph=glyph, selection_glyph=chosen, nonselection_glyph=glyph)
+
+
+def _rounded(values: Values, places: int) -> list[float]:
+    return [float(v) for v in np.round(values, places)]
+
+
+def _places(values: Values) -> int:
+    """Decimals that show three figures of the largest value; none from 100 on."""
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    return min(6, max(0, 2 - math.floor(math.log10(largest)))) if largest > 0.0 else 0
+
+
+def _number(column: str, places: int, unit_of_it: str) -> str:
+    return f"@{column}{{0{'.' + '0' * places if places else ''}}} {unit_of_it}"

@@ -36,8 +36,9 @@ async function start() {
     const effect = key !== null && key.startsWith("effect:");
     const [of, letter] = key === null ? [null, ""] : effect ? [key, "0"] : [key.slice(0, cut), key.slice(cut + 1)];
     let seconds = 0;
+    const counted = new Set();  // sessions
     for (const source of sources) {
-      const [session, unit, counted] = source.tags;
+      const [session, unit] = source.tags;
       const steps = data.steps[session];
       const letters = (of === null ? null : steps[of]) ?? "";
       const number = Number(letter);
@@ -50,8 +51,9 @@ async function start() {
         while (lit.has(letters[i + 1])) i++;
         x0.push((steps.begin + steps.step * first) / unit);
         x1.push((steps.begin + steps.step * (i + 1)) / unit);
-        if (counted) seconds += steps.step * (i + 1 - first);
+        if (!counted.has(session)) seconds += steps.step * (i + 1 - first);
       }
+      counted.add(session);
       source.data = { x0, x1 };
     }
     for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.light === key));

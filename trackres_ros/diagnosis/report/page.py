@@ -23,8 +23,8 @@ from trackres_ros.diagnosis.empirical.term import FOLLOWED, Term, by_improvement
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import either, form_words, is_small, largest_of, range_of, upper
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.report.charts import Picture
 from trackres_ros.diagnosis.report.interactive import Interactive
-from trackres_ros.diagnosis.report.series import MOST_RECORDINGS, Picture
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.files.file_sets import present
@@ -331,7 +331,6 @@ def write_page(
         verdict=VERDICTS[report["verdict"]["status"]],
         grades=GRADES,
         **first._asdict(),
-        most_recordings=MOST_RECORDINGS,
         plots=plots if isinstance(plots, Interactive) else None,
         no_plots=plots if isinstance(plots, str) else "",
         script=Path(__file__).with_name("page.js").read_text(encoding="utf-8"),

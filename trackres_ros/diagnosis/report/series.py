@@ -1,14 +1,12 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Series and pictures of the page over time, and the bin or effect of each step."""
+"""Series of the pictures, the chart of all terms over time, and the bin or effect of each step."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,28 +19,14 @@ from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_o
 from trackres_ros.diagnosis.inference.fitting import Fit, for_tests, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, shown_names
+from trackres_ros.diagnosis.report.charts import FOOT, MARK, ZERO, Chart, Element, Line, Panel, Rule, Span
 from trackres_ros.diagnosis.selection.as_used import NORMAL_95
 from trackres_ros.diagnosis.selection.locate import Bin, against_travel, regime_map, smoothed, within
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, picture_with_legend, thinned
+from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from trackres_ros.text import figures
 
-WIDTH = 7.2  # width of a printed A4 page, so that type keeps its size
-TITLE_LETTERS = 88  # characters of a title over the whole width
-MOST_POINTS = 1500  # of a line: the resolution of paper
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture and its description."""
-
-    path: Path
-    title: str
-    alternative: str
-
-
 NOWHERE, IN_TWO = ".", "a"
-MOST_RECORDINGS = 24  # that are drawn over their time: those with the largest error
 SEED = 1  # of the test of the last fit in the bins of the base
 
 
@@ -53,25 +37,16 @@ class Stage(NamedTuple):
     label: str
     colour: str
     torques: Sequence[Array]  # predicted for each session [Nm]
+    width: float = 1.2  # of its lines
 
 
-class Bars(NamedTuple):
+class StageBins(NamedTuple):
     """Mean residuals of a stage by bins of a variable."""
 
     stage: Stage
     bins: Sequence[Bin]
     x: Array  # middle of each bin, with the edges at -0.5, 0.5, ...
     half: Array  # half of the 95 % interval [Nm]
-
-
-class ShownLap(NamedTuple):
-    """A hold-out lap, or a part of it."""
-
-    session: int
-    rows: NDArray[np.intp]  # its steps
-    text: str
-    before: float  # mean error of the whole lap with the base re-fitted [Nm]
-    after: float  # with the effects [Nm]
 
 
 def axis_label(name: str, stage: str) -> str:
@@ -83,7 +58,7 @@ def axis_label(name: str, stage: str) -> str:
 def stages(d: Diagnosis) -> list[Stage]:
     """The completed stages."""
     found = [
-        Stage("nominal", "model as given", GREY, d.nominal),
+        Stage("nominal", "model as given", GREY, d.nominal, 0.7),
         Stage("refitted", "base re-fitted", BLUE, [p.torque for p in d.refitted.predicted]),
         Stage("with_effects", "with the effects", VERMILION, [p.torque for p in d.final.predicted]),
     ]
@@ -100,14 +75,10 @@ def lasting(d: Diagnosis, seconds: float) -> str:
     return f"{seconds * min(s.pace for s in d.sessions):g} s"
 
 
-def most_off(sizes: Sequence[float]) -> list[int]:
-    """The sessions that are drawn over their time, by their errors."""
-    return sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
-
-
-def shown_lap(d: Diagnosis, longest_s: float) -> ShownLap:
+def shown_lap(d: Diagnosis, longest_s: float) -> tuple[int, NDArray[np.intp], str, float, float]:
     """The hold-out lap with the largest gain of the model; of one longer than `longest_s` of a drive, the part with the largest
-    mismatch.
+    mismatch. Its session, its steps, its name, and the mean errors of the whole lap with the base re-fitted and with the effects
+    [Nm].
     """
     mae = d.held_out.by_lap["mae"]
     gained = mae["refitted"] - mae["with_effects"] if d.modelled else mae["refitted"]
@@ -119,11 +90,11 @@ def shown_lap(d: Diagnosis, longest_s: float) -> ShownLap:
     rows, longest = np.flatnonzero(session.block == laps[number]), int(longest_s * session.pace / session.step)
     errors = mae["refitted"][number], mae["with_effects"][number]
     if len(rows) <= longest:
-        return ShownLap(index, rows, "a hold-out lap", *errors)
+        return index, rows, "a hold-out lap", *errors
     off = np.where(session.used, np.abs(session.torque - d.refitted.predicted[index].torque), 0.0)[rows]
     sums = np.cumsum(np.append(0.0, off))
     first = int(np.argmax(sums[longest:] - sums[:-longest]))
-    return ShownLap(index, rows[first : first + longest], f"the worst {lasting(d, longest_s)} of a hold-out lap", *errors)
+    return index, rows[first : first + longest], f"the worst {lasting(d, longest_s)} of a hold-out lap", *errors
 
 
 def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
@@ -180,7 +151,7 @@ def uncertainty(d: Diagnosis, b: Bin, expected: Sequence[Array]) -> float:
     return half_interval(np.concatenate(off), np.concatenate(laps))
 
 
-def bars(d: Diagnosis) -> Iterator[tuple[str, list[float], list[Bars]]]:
+def bars(d: Diagnosis) -> Iterator[tuple[str, list[float], list[StageBins]]]:
     """Mean residuals by bins of each variable: its label, the edges of the bins, and the bars of each stage after the first.
 
     The last fit has the bins of the re-fitted base: with other belt temperatures, its own would hold other steps.
@@ -195,7 +166,7 @@ def bars(d: Diagnosis) -> Iterator[tuple[str, list[float], list[Bars]]]:
         for stage, bins, shift in zip(stages(d)[1:], (of_base, at_end.get(name, [])), (-0.2, 0.2), strict=False):
             x = np.interp([0.5 * (b.low + b.high) for b in bins], edges, np.arange(len(edges)) - 0.5)
             half = np.array([uncertainty(d, b, stage.torques) for b in bins])
-            found.append(Bars(stage, bins, x + shift if d.modelled else x, half))
+            found.append(StageBins(stage, bins, x + shift if d.modelled else x, half))
         yield name, edges, found
 
 
@@ -209,49 +180,47 @@ def half_interval(values: Array, pieces: NDArray[np.int64]) -> float:
 
 
 AVERAGED_S = 10.0
-MARK = "#777777"
-MOST_POINTS_OF_ALL = 3000  # of a line over all sessions
-LEGEND_LETTERS = 115
-LETTERS = 105  # of a small font over the whole width
+SHOWN_EACH_S = 4.0  # of means over a longer time
+LETTERS = 90  # of a small font over the whole width
 COLOURS = (ORANGE, BLACK, GREEN, PURPLE, SKY)  # of terms, with different lightness; blue and vermilion are residuals
 
 
-@dataclass(frozen=True, eq=False)
-class Line:
-    """A line over time."""
-
-    text: str
-    colour: str
-    solid: bool  # whether it is measured or confirmed; a suspected term is dashed
-    wide: bool  # whether it is a term
-    values: Sequence[Array]  # of each session, averaged over `AVERAGED_S` [Nm]; nan in gaps
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """Lines in one plot, and its title."""
-
-    title: str
-    lines: Sequence[Line]
-
-
-def panels(d: Diagnosis) -> list[Panel]:
-    """The residual of the re-fitted base with the terms over it, and the remaining residual; without a term the first alone."""
-    mae = {stage: figures(error) for stage, error in d.held_out.mae.items()}
-    re_fitted = _line(d, "measured minus re-fitted model", BLUE, [p.torque for p in d.refitted.predicted])
+def timeline(d: Diagnosis) -> Chart:
+    """The residual of the re-fitted base over all sessions with the terms over it, and the remaining residual below; without a
+    term the first alone. It has the names of the sessions, and the times of the verdict's sentence.
+    """
+    mae, ends, (text, marked) = {stage: figures(error) for stage, error in d.held_out.mae.items()}, begins(d), marked_times(d)
+    common: list[Element] = [ZERO, *(Span("hold-out laps", begin, end) for begin, end in held_out_times(d))]
+    first: list[Element] = [Span(text, begin, end, MARK, FOOT) for begin, end in marked]
+    first += [Rule(begin, True, label=name) for begin, name in zip(ends, names(d, LETTERS), strict=False)]
+    found, re_fitted = terms(d), _residual(d, "measured minus re-fitted model", BLUE, [p.torque for p in d.refitted.predicted])
+    as_it_is = _residual(d, f"measured minus model as given ({mae['nominal']} Nm)", GREY, d.nominal)
     title = f"Re-fitted: mean error {mae['refitted']} Nm on hold-out laps"  # short enough for a phone
-    found = terms(d)
-    if not found:
-        as_it_is = _line(d, f"measured minus model as given ({mae['nominal']} Nm)", GREY, d.nominal)
-        return [Panel(title, (as_it_is, re_fitted))]
-    left = _line(d, "residual", VERMILION, [p.torque for p in d.final.predicted])
-    after = f"Residual: mean error {mae['with_effects']} Nm on hold-out laps"
-    return [Panel(title, (re_fitted, *found)), Panel(after, (left,))]
+    panels = [Panel([*common, *first, *(found or [as_it_is]), re_fitted], title)]
+    if found:
+        left = _residual(d, "residual", VERMILION, [p.torque for p in d.final.predicted])
+        title = f"Residual: mean error {mae['with_effects']} Nm on hold-out laps"
+        panels.append(Panel([*common, *(Rule(begin, True) for begin in ends[1:-1]), left], title))
+    over = f" with {', '.join(line.text for line in found)} over it; below it the residual" if found else ""
+    errors, each = ". ".join(panel.title for panel in panels), lasting(d, AVERAGED_S)
+    alternative = f"Measured torque minus the re-fitted model{over}. {errors}. Means over {each}, all recordings in sequence."
+    label = f"time over consecutive recordings [{clock(d)[1]}]; means over {each}"
+    return Chart("What the model lacks, over time", alternative, panels, label, "torque [Nm]")
 
 
-def _line(d: Diagnosis, text: str, colour: str, expected: Sequence[Array]) -> Line:
-    values = [smoothed(s, s.torque - e, AVERAGED_S) for s, e in zip(d.sessions, expected, strict=True)]
-    return Line(text, colour, True, False, values)
+def _residual(d: Diagnosis, text: str, colour: str, expected: Sequence[Array]) -> Line:
+    return Line(text, colour, _in_sequence(d, [s.torque - e for s, e in zip(d.sessions, expected, strict=True)]), 0.8)
+
+
+def _in_sequence(d: Diagnosis, values: Sequence[Array]) -> list[tuple[Array, Array]]:
+    """Means of a series over consecutive sessions, and their times."""
+    means = (smoothed(s, v, AVERAGED_S) for s, v in zip(d.sessions, values, strict=True))
+    return [(minutes(d, i)[shown(s)], of[shown(s)]) for i, (s, of) in enumerate(zip(d.sessions, means, strict=True))]
+
+
+def shown(session: DriveSession) -> slice:
+    """The steps of a session that a picture shows of a mean."""
+    return slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
 
 
 def terms(d: Diagnosis) -> list[Line]:
@@ -260,16 +229,16 @@ def terms(d: Diagnosis) -> list[Line]:
     if not of:
         return []
     total = [after.torque - before.torque for after, before in zip(d.final.predicted, d.refitted.predicted, strict=True)]
-    shown = _beyond_a_refit(d.refitted, [t.adds for t in of]) if len(of) > 1 else [list(of[0].adds)]
+    beyond = _beyond_a_refit(d.refitted, [t.adds for t in of]) if len(of) > 1 else [list(of[0].adds)]
     sizes = np.array([np.mean(np.concatenate(list(t.adds)) ** 2) for t in of])
-    rest = [whole - sum(each) for whole, each in zip(total, zip(*shown, strict=True), strict=True)]
+    rest = [whole - sum(each) for whole, each in zip(total, zip(*beyond, strict=True), strict=True)]
     lines = []
     for i, t in enumerate(of):
         share = float(sizes[i] / max(sizes.sum(), 1e-300))
         sure = t.confirmed
         name = f"{short(t).replace('_', ' ')}{'' if sure else ' (suspected)'}"
-        averaged = [smoothed(s, x + share * r, AVERAGED_S) for s, x, r in zip(d.sessions, shown[i], rest, strict=True)]
-        lines.append(Line(name, COLOURS[i % len(COLOURS)], sure, True, averaged))
+        torques = [x + share * r for x, r in zip(beyond[i], rest, strict=True)]
+        lines.append(Line(name, COLOURS[i % len(COLOURS)], _in_sequence(d, torques), 2.4 if sure else 1.4, not sure))
     return lines
 
 
@@ -334,57 +303,3 @@ def names(d: Diagnosis, letters: int) -> list[str]:
     if all(len(name) < most for name, most in zip(full, room, strict=True)):
         return full
     return [str(i + 1) if most > len(str(i + 1)) else "" for i, most in enumerate(room)]
-
-
-def draw_timeline(d: Diagnosis, path: Path) -> Picture:
-    """Draw the residual of the re-fitted base over all sessions with each term over it, and the remaining residual below."""
-    drawn, ends = panels(d), begins(d)
-    text, marked = marked_times(d)
-    most = max(60, MOST_POINTS_OF_ALL // len(d.sessions))
-    entries = ["hold-out laps", *(line.text for line in drawn[0].lines), text]
-    columns = max(1, LEGEND_LETTERS // (6 + max(map(len, entries))))
-    with picture_with_legend(path, WIDTH, 1.9 * len(drawn) + 0.5, -(-len(entries) // columns)) as body:
-        axes = body.subplots(len(drawn), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
-        for axis, panel in zip(axes, drawn, strict=True):
-            for begin, end in held_out_times(d):
-                axis.axvspan(begin, end, color=GREY, alpha=0.18, linewidth=0, label="hold-out laps")
-            axis.axhline(0.0, color=GREY, linewidth=0.8)
-            for begin in ends[1:-1]:
-                axis.axvline(begin, color=GREY, linestyle=":", linewidth=1.0)
-            for line in panel.lines:
-                label = line.text if panel is drawn[0] else ""  # the title of the panel below names its line
-                for i, values in enumerate(line.values):
-                    axis.plot(
-                        *thinned(minutes(d, i), values, most),
-                        color=line.colour,
-                        label=label,
-                        linewidth=(2.4 if line.solid else 1.4) if line.wide else 0.8,
-                        zorder=2.0 if line.wide else 2.5,
-                        linestyle="-" if line.solid else (0, (3, 1.5)),
-                    )
-            axis.set_title(panel.title, fontsize=8.5)
-            axis.set_xlim(0.0, ends[-1])
-            axis.set_ylabel("torque [Nm]")
-        for begin, end in marked:
-            axes[0].axvspan(begin, end, ymax=0.04, color=MARK, linewidth=0, label=text)
-        for begin, name in zip(ends, names(d, LETTERS), strict=False):
-            axes[0].annotate(
-                name,
-                (begin, 1.0),
-                (2, -2),
-                xycoords=("data", "axes fraction"),
-                textcoords="offset points",
-                va="top",
-                fontsize=7,
-                color="#555555",
-            )
-        axes[-1].set_xlabel(f"time over consecutive recordings [{clock(d)[1]}]")
-    terms = [line.text for line in drawn[0].lines if line.wide]
-    over = f" with {', '.join(terms)} over it; below it the residual" if terms else ""
-    errors = ". ".join(panel.title for panel in drawn)
-    return Picture(
-        path,
-        "What the model lacks, over time",
-        f"Measured torque minus the re-fitted model{over}. {errors}. Means over {lasting(d, AVERAGED_S)}, all recordings "
-        "in sequence.",
-    )

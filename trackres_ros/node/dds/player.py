@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,14 +16,15 @@ from typing import Any, cast
 from trackres_ros.errors import InputError
 from trackres_ros.node.dds.wire import ALIGNMENT, Participant, Writer, typestore
 from trackres_ros.node.transport import Quality
-from trackres_ros.recording.bag_opening import READABLE, is_ros1, messages, open_bag, remedy
-from trackres_ros.recording.reading import reading
+from trackres_ros.recording.bag_files import READABLE, is_ros1, messages, open_bag, remedy
+from trackres_ros.recording.reading import read_in_steps
 from trackres_ros.units import SECOND_NS
 
 CLOCK_PERIOD_S = 0.01  # of this machine, not of the bag
 QUALITY = Quality(reliable=True, depth=100, deadline_s=0.0)
 CLOCK_QUALITY = Quality(reliable=True, depth=10, deadline_s=0.0)
 WAIT_S = 0.05
+AT_ONCE = 16  # messages that are read ahead: images may have megabytes
 
 
 class Player:
@@ -103,7 +105,10 @@ class Player:
         self._participant.close()
 
     def _messages(self) -> Iterator[tuple[Writer, int, bytes]]:
-        with reading(self._path, READABLE, remedy(self._path)), closing(open_bag(self._path)) as reader:
-            connections: list[Any] = [connection for connection in reader.connections if connection.topic in self._writers]
-            for connection, at_ns, raw in messages(reader, connections):
-                yield self._writers[connection.topic], at_ns, bytes(raw)
+        with closing(open_bag(self._path)) as reader:
+            connections: list[Any] = [item for item in reader.connections if item.topic in self._writers]
+            stream = messages(reader, connections)
+            batches = iter(lambda: list(itertools.islice(stream, AT_ONCE)), [])
+            for batch in read_in_steps(self._path, READABLE, batches, remedy(self._path)):
+                for connection, at_ns, raw in batch:
+                    yield self._writers[connection.topic], at_ns, bytes(raw)

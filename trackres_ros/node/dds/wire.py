@@ -35,7 +35,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.node.transport import UNUSABLE, InputTopic, Quality, Reasons, Status, stamp_ns
 from trackres_ros.output import bag
 from trackres_ros.output.topics import ESTIMATE_TOPIC, OutputTopic
-from trackres_ros.recording.binding import FIX, NO_FIX
+from trackres_ros.recording.bindings import FIX, NO_FIX
 from trackres_ros.recording.cdr import FieldReader, MalformedError, Template, layout_of
 from trackres_ros.recording.message_types import add_control_msgs, definitions, message_fields
 from trackres_ros.units import SECOND_NS

@@ -1,10 +1,461 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Registers bags: rosbag2 and ROS 1."""
+"""Reads bags in blocks: rosbag2 and ROS 1 recordings."""
 
-from trackres_ros.recording.file_kind import BagKind
-from trackres_ros.recording.rosbag import BagSource
-from trackres_ros.recording.unfinished import SUFFIX as UNFINISHED
+from __future__ import annotations
+
+import itertools
+import math
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError, nearest, one_line
+from trackres_ros.recording.bag_files import READABLE, RosTopic, counts_of, is_ros1, messages, open_bag, remedy
+from trackres_ros.recording.bindings import NO_FIX, TopicBinding, Topics
+from trackres_ros.recording.cdr import Encoding, FieldReader
+from trackres_ros.recording.choosing import guess, torque_note, torque_topics
+from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
+from trackres_ros.recording.mcap import SUFFIX as UNFINISHED
+from trackres_ros.recording.message_types import (
+    WIDE,
+    Definitions,
+    Field,
+    check_field,
+    definitions,
+    installed_fields,
+    message_fields,
+    stamp_path,
+    with_nested,
+)
+from trackres_ros.recording.opening import BagKind
+from trackres_ros.recording.reading import read_in_steps, reading
+from trackres_ros.recording.roles import may_say_reverse
+from trackres_ros.recording.samples import Finding, IntArray, SampleBlock, first_valid
+
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import Typesdict
+
+    from trackres_ros.recording.bag_files import Connection, Reader
+
+SEPARATOR = "=" * 80 + "\n"
+EMPTY = (Field("structure_needs_at_least_one_member", "uint8", "one", 1),)
+"""Content of a message without fields on the wire."""
+
+
+def types_of_text(msgtype: str, text: str) -> Definitions:
+    """Return the types in a bag's definition: its own, and after separators the nested ones.
+
+    `msgtype`: ``package/msg/Name``; `text`: the definition. One of the interface definition language gives nothing: such types
+    are the installed ones. Raises Exception from rosidl_adapter, for an invalid text.
+    """
+    from rosidl_adapter.parser import parse_message_string
+
+    found: dict[str, tuple[Field, ...]] = {}
+    if not text.strip() or text.startswith(f"{SEPARATOR}IDL: "):
+        return found
+    for place, part in enumerate(text.split(SEPARATOR)):
+        name, body = msgtype, part
+        if place:
+            head, _, body = part.partition("\n")
+            package, _, last = head.removeprefix("MSG: ").strip().partition("/")
+            name = f"{package}/msg/{last.rpartition('/')[2]}"
+        package, last = name.split("/")[0], name.rpartition("/")[2]
+        found[name] = tuple(map(_of_field, parse_message_string(package, last, body).fields))
+    return found
+
+
+def with_installed(own: Definitions, msgtype: str) -> Definitions:
+    """Return the fields of a message type and of all nested types, from installed packages where `own` lacks them.
+
+    Raises KeyError if no package has a type, or it has a text of wide characters.
+    """
+
+    def fields(name: str) -> tuple[Field, ...]:
+        found = own[name] if name in own else installed_fields(name)
+        if any(field.type == WIDE for field in found):
+            raise KeyError(WIDE)
+        return found or EMPTY
+
+    return with_nested(msgtype, fields)
+
+
+def _of_field(field: Any) -> Field:
+    kind = field.type.type
+    if not field.type.is_primitive_type():
+        kind = f"{field.type.pkg_name}/msg/{kind}"
+    many: Literal["one", "array", "sequence"] = "one"
+    if field.type.is_array:
+        many = "array" if field.type.array_size and not field.type.is_upper_bound else "sequence"
+    return Field(field.name, kind, many, (field.type.array_size or 1) if many == "array" else 1)
+
+
+@lru_cache
+def _common(encoding: Encoding) -> Typesdict:
+    """Return the definitions of the common types."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return message_fields(get_typestore(Stores.ROS1_NOETIC if encoding is Encoding.ROS1 else Stores.LATEST))
+
+
+@lru_cache
+def _own_definitions(text: str, msgtype: str) -> Typesdict:
+    """Return the definitions in a bag's text of a type."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    if not text.startswith(f"{SEPARATOR}IDL: "):
+        return get_types_from_msg(text, msgtype) if text else {}
+    own: Typesdict = {}
+    for part in text.split(SEPARATOR)[1:]:
+        own.update(get_types_from_idl(part.partition("\n")[2]))
+    return own
+
+
+def _finder(one: Connection | RosTopic, encoding: Encoding) -> Callable[[], Definitions]:
+    """Read the definition in the bag; return a function that adds missing ones, or raises KeyError."""
+    if isinstance(one, RosTopic):
+        of_ros = types_of_text(one.msgtype, one.msgdef)
+        return lambda: with_installed(of_ros, one.msgtype)
+    own = _own_definitions(one.msgdef if isinstance(one.msgdef, str) else one.msgdef.data, one.msgtype)
+
+    def complete() -> Definitions:
+        try:
+            return definitions(own, one.msgtype)
+        except KeyError:  # the common types take a while to load
+            return definitions({**_common(encoding), **own}, one.msgtype)
+
+    return complete
+
+
+def types_of(one: Connection | RosTopic, path: Path, encoding: Encoding) -> Definitions:
+    """Return the definition of a connection's type: the bag's if present, else the common one."""
+    where = f"{path}: {one.topic}"
+    try:
+        with reading(Path(where), f"a readable definition of {one.msgtype}"):
+            find = _finder(one, encoding)
+        types = find()
+    except KeyError as error:
+        raise InputError(
+            where,
+            f"{one.msgtype} with {error}",
+            "a message type with its definition",
+            "the bag does not define it: record as MCAP, which does",
+        ) from None
+    return types
+
+
+BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
+"""Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
+MAX_LOG_NS = 2**62
+"""Log times from 1970 to 2116 are accepted: differences of two of them fit in 64 bits [ns]."""
+TOPICS_SHOWN = 50
+
+
+@dataclass(frozen=True, slots=True)
+class _Topic:
+    """One topic to read: indices of the readings it feeds, their bindings, the source of each stamp, and the decoder."""
+
+    name: str
+    msgtype: str
+    roles: tuple[int, ...]
+    bindings: tuple[TopicBinding, ...]
+    header: tuple[bool, ...]
+    reader: FieldReader
+
+
+TEXTS = {
+    "malformed": "{count} messages cannot be decoded; each counts as a value that is not a number",
+    "absent": "{count} messages do not have {field}: {lack}; they give no sample",
+    "missing": "{count} messages fewer than the bag says it holds",
+    "unusable": "{count} messages left out: they hold no bytes, or no log time between 1970 and 2116",
+}
+"""Events of the messages of a role, by kind."""
+
+
+@dataclass(slots=True)
+class _Tally:
+    """Events of one reading: count and first log time [ns] by kind and role index; the time is nan without a place."""
+
+    begin_ns: int | None = None  # log time of the first valid speed, before it that of the first message
+    driven: bool = False  # whether a speed was valid
+    events: dict[str, dict[int, tuple[int, float]]] = field(default_factory=lambda: {kind: {} for kind in TEXTS})
+    unknown: int = 0
+    speeds: int = 0
+    remarks: list[str] = field(default_factory=list)
+
+    def add(self, kind: str, role: int, count: int, first_ns: float = math.nan) -> None:
+        """Count events of a role; the first one met keeps its place."""
+        if count > 0:
+            before, first_ns = self.events[kind].get(role, (0, first_ns))
+            self.events[kind][role] = (before + count, first_ns)
+
+
+class BagSource:
+    """Samples of one or several bags, one after another, each in log order.
+
+    Reads rosbag2 directories (MCAP and sqlite3, compressed, split), single ``.mcap`` and ``.db3`` files, and ROS 1 bags. A
+    message that cannot be decoded becomes a sample NaN at log time and a finding.
+
+    `paths`: the bags; `topics`: topic of each role; by default guessed from the message types. Raises InputError for a file that
+    is no bag, a missing topic or field, an unknown type, or no speed; MissingExtraError if rosbags is not installed.
+    """
+
+    zero_is_unset = True
+
+    def __init__(self, paths: Sequence[Path], topics: Topics | None = None) -> None:
+        self.name = one_line(", ".join(str(path) for path in paths))
+        self._paths = tuple(paths)
+        found: list[tuple[Path, list[Connection]]] = []
+        self._kept = {self._paths[0]: open_bag(self._paths[0])}
+        weakref.finalize(self, _close, self._kept)
+        for path in paths:
+            reader = self._kept.get(path) or open_bag(path)
+            found.append((path, list(reader.connections)))
+            if path not in self._kept:
+                reader.close()
+        self.torque_candidates = tuple(torque_topics({one.topic: one.msgtype for _, ones in found for one in ones}))
+        said = topics.unused_notes(of_topics=True) if topics else []
+        topics = self.topics = topics and topics.used(of_topics=True)
+        if not (topics and topics.bindings):
+            filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
+            topics, guesses = guess(filled)
+            said += guesses
+        bindings = self.bindings = topics.bindings
+        if "speed" not in bindings:
+            raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
+        self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
+        self._readings = readings_of(self.roles, bindings)
+        self._of_speed = np.array([one.role == "speed" and not one.is_valid for one in self._readings])
+        read = {one.binding.topic for one in self._readings}
+        kinds = {one.topic: one.msgtype for _, ones in found for one in ones}
+        self._may_say_reverse = {} if "direction" in bindings else {t: kinds[t] for t in may_say_reverse(kinds) if t not in read}
+        self._origin = topics.origin
+        self._topics = self._bound(found)
+        self._position = PositionUnits(bindings)
+        candidates = torque_note(self.torque_candidates, self.roles)
+        added = (*Sums(self._readings, bindings).notes, *Companions(self._readings, bindings).notes)
+        self._notes = tuple(map(one_line, (*said, *self._stamp_notes(), *added, *candidates)))
+        self.findings: tuple[Finding, ...] = ()
+
+    def _bound(self, found: Sequence[tuple[Path, list[Connection]]]) -> dict[tuple[Path, str], _Topic]:
+        """Return the readings, by path and topic; those of one topic are decoded together."""
+        there = {one.topic: one.msgtype for _, ones in found for one in ones}
+        by_topic: dict[str, list[int]] = {}
+        for index, reading_ in enumerate(self._readings):
+            named = reading_.binding.topic
+            name = named if named in there or named.startswith("/") else f"/{named}"
+            if name not in there:
+                listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:TOPICS_SHOWN])
+                where = f"{self._origin}: {reading_.name}: topic"
+                raise InputError(where, named, f"a topic of {self.name}: {listed}", nearest(named, there))
+            by_topic.setdefault(name, []).append(index)
+        bound: dict[tuple[Path, str], _Topic] = {}
+        readers: dict[tuple[str, str, str, Encoding], FieldReader] = {}
+        for path, connections in found:
+            for one in connections:
+                indices = by_topic.get(one.topic, [])
+                if not indices:
+                    continue
+                if (path, one.topic) in bound:
+                    if one.msgtype != bound[path, one.topic].msgtype:
+                        kinds = f"{one.topic} as {bound[path, one.topic].msgtype} and as {one.msgtype}"
+                        raise InputError(str(path), kinds, "one type on a topic that is read")
+                    continue
+                encoding = Encoding.ROS1 if is_ros1(path) else Encoding.CDR
+                key = (one.topic, one.msgtype, str(one.msgdef), encoding)
+                types = readers[key].types if key in readers else types_of(one, path, encoding)
+                chosen = tuple(self._readings[index].binding for index in indices)
+                for index, binding in zip(indices, chosen, strict=True):
+                    _check_binding(binding, one, types, f"{self._origin}: {self._readings[index].name}")
+                if key not in readers:
+                    fields = [*(binding.field for binding in chosen), *filter(None, [chosen[0].fix])]
+                    readers[key] = FieldReader(types, one.msgtype, fields, encoding)
+                stamped = bool(stamp_path(types, one.msgtype))
+                bound[path, one.topic] = _Topic(
+                    one.topic,
+                    one.msgtype,
+                    tuple(indices),
+                    chosen,
+                    tuple(stamped and binding.stamp != "log" for binding in chosen),
+                    readers[key],
+                )
+        return bound
+
+    def _stamp_notes(self) -> Iterator[str]:
+        noted = set()
+        for topic in self._topics.values():
+            for role, binding, header in zip(topic.roles, topic.bindings, topic.header, strict=True):
+                if role not in noted:
+                    noted.add(role)
+                    why = "as the topics file says" if binding.stamp else f"{topic.msgtype} has no stamp"
+                    stamps = "header stamps" if header else f"log time, {why}"
+                    yield f"{self._readings[role].name}: {topic.name} ({topic.msgtype}, {binding.field}), {stamps}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on guesses and unused lines, the stamps in use, and, after reading, the assumed unit of a position."""
+        return (*self._notes, *self._position.notes)
+
+    def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
+        """Read all bags; see `trackres_ros.recording.samples.Source.blocks`.
+
+        Raises InputError for a bag that breaks off or is damaged.
+        """
+        tally, sums = _Tally(), Sums(self._readings, self.bindings)
+        companions, signs = Companions(self._readings, self.bindings), Signs(self.roles)
+        held: list[SampleBlock] = []
+
+        def finished(blocks: Sequence[SampleBlock]) -> SampleBlock:
+            added = sums.added(companions.kept(_joined(blocks)))
+            return self._position.in_radians(signs.seen(companions.with_signs(added, self.roles)), self.roles)
+
+        for path in self._paths:
+            for block in read_in_steps(path, READABLE, self._batches(path, max_rows, tally), remedy(path)):
+                if sum(map(len, held)) + len(block) > max_rows:
+                    yield finished(held)
+                    held.clear()
+                held.append(block)
+        if held:
+            yield finished(held)
+        lines = (
+            f"direction: {{topic: {topic}, type: {kind}, field: data, values: {{forward: [0], reverse: [1]}}}}"
+            for topic, kind in self._may_say_reverse.items()
+        )
+        unsigned = signs.findings(list(self._may_say_reverse), lines)
+        self.findings = (*self._found(tally), *sums.findings, *companions.findings, *unsigned)
+        speed = len(self._readings) - 1
+        if not tally.speeds and speed in tally.events["absent"]:
+            where, given = f"{self._origin}: speed: field", f"{self._field(speed)}, {self._lack(speed)}"
+            raise InputError(where, given, f"an element that the messages of {self.name} have")
+
+    def _field(self, role: int) -> str:
+        return next(topic.bindings[topic.roles.index(role)].field for topic in self._topics.values() if role in topic.roles)
+
+    def _lack(self, role: int) -> str:
+        """Why messages have no element for a role."""
+        readers = [(topic.reader, topic.roles.index(role)) for topic in self._topics.values() if role in topic.roles]
+        return ", or ".join(dict.fromkeys(lack for reader, slot in readers for lack in reader.lacks.get(slot, ()) if lack))
+
+    def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[SampleBlock]:
+        """Read one bag in the small batches that are decoded together."""
+        with closing(self._kept.pop(path) if path in self._kept else open_bag(path)) as reader:
+            counts = counts_of(reader, path)
+            tally.unknown += counts.unknown
+            tally.remarks += counts.remarks
+            wanted = [one for one in reader.connections if (path, one.topic) in self._topics]
+            if not wanted:
+                return
+            topics = list({one.topic: self._topics[path, one.topic] for one in wanted}.values())
+            index = {topic.name: number for number, topic in enumerate(topics)}
+            lost = np.array([counts.by_topic[topic.name] for topic in topics], np.int64)
+            batches = messages(reader, wanted)
+            most = min(BATCH_ROWS, max(1, max_rows // max(len(topic.roles) for topic in topics)))
+            size = min(64, most)
+            while batch := list(itertools.islice(batches, size)):
+                # A damaged index leads to messages of a connection that was not requested: those stay missing.
+                which = np.array([index.get(one[0].topic, -1) for one in batch], np.intp)
+                if which.min() < 0:
+                    batch = list(itertools.compress(batch, (which >= 0).tolist()))
+                    which = which[which >= 0]
+                    if not batch:
+                        continue
+                stamps, raws = [one[1] for one in batch], [one[2] for one in batch]
+                lost -= np.bincount(which, minlength=len(topics))
+                times = _times(stamps)
+                if times is None or set(map(type, raws)) != {bytes}:
+                    good = np.array([_times([stamp]) is not None and type(raw) is bytes for _, stamp, raw in batch])
+                    for number in which[~good].tolist():
+                        tally.add("unusable", topics[number].roles[0], 1)
+                    which, raws = which[good], list(itertools.compress(raws, good.tolist()))
+                    times = np.array(list(itertools.compress(stamps, good.tolist())), np.int64)
+                if len(raws):
+                    yield self._block(topics, which, times, raws, tally)
+                size = min(most, 1 + BATCH_BYTES * len(raws) // max(1, sum(map(len, raws))))
+            for topic, count in zip(topics, lost.tolist(), strict=True):
+                tally.add("missing", topic.roles[0], count)
+
+    def _block(
+        self, topics: Sequence[_Topic], which: NDArray[np.intp], arrival_ns: IntArray, raws: Sequence[bytes], tally: _Tally
+    ) -> SampleBlock:
+        """Decode a batch of messages; those of topic `topics[which]`."""
+        if tally.begin_ns is None:
+            tally.begin_ns = int(arrival_ns[0])
+        rows_each = np.array([len(topic.roles) for topic in topics])[which]
+        start = np.cumsum(rows_each) - rows_each
+        rows = int(rows_each.sum())
+        block = SampleBlock(np.empty(rows, np.int16), np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows))
+        keep = np.ones(rows, np.bool_)
+        for number, topic in enumerate(topics):
+            mine = which == number
+            decoded = topic.reader.decode(list(itertools.compress(raws, mine.tolist())))
+            if topic.bindings[0].fix:
+                decoded.value[decoded.value[:, -1] == NO_FIX] = np.nan
+            arrived = arrival_ns[mine]
+            for slot, (role, binding, header) in enumerate(zip(topic.roles, topic.bindings, topic.header, strict=True)):
+                to = start[mine] + slot
+                block.role[to] = role
+                block.arrival_ns[to] = arrived
+                stamps = np.where(decoded.malformed, arrived, decoded.stamp_ns) if header else arrived
+                if binding.delay_ns:  # 0 stays, as it means never set, and no other stamp becomes it
+                    at_ns = stamps - binding.delay_ns
+                    stamps = np.where(stamps == 0, 0, np.where(at_ns == 0, 1, at_ns))
+                block.stamp_ns[to] = stamps
+                block.value[to] = binding.meant(binding.scale * decoded.value[:, slot] + binding.offset)
+                keep[to] = ~decoded.absent[:, slot]
+                for kind, rows_of in (("malformed", decoded.malformed), ("absent", decoded.absent[:, slot])):
+                    if rows_of.any():
+                        tally.add(kind, role, int(rows_of.sum()), int(arrived[rows_of][0]))
+        tally.speeds += int(np.count_nonzero(keep & (block.role == len(self._readings) - 1)))
+        if not tally.driven and (first := first_valid(block, self._of_speed[block.role], self.zero_is_unset)):
+            tally.begin_ns, tally.driven = first[1], True
+        if keep.all():
+            return block
+        return SampleBlock(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])
+
+    def _found(self, tally: _Tally) -> Iterator[Finding]:
+        for kind, text in TEXTS.items():
+            for role, (count, first) in tally.events[kind].items():
+                shown = text.format(count=count, field=self._field(role), lack=self._lack(role))
+                yield Finding(self._readings[role].role, kind, count, (first - (tally.begin_ns or 0)) / 1e9, shown)
+        if tally.unknown:
+            text = f"{tally.unknown} messages of topics that the bag does not describe are left out"
+            yield Finding("", "unknown_topic", tally.unknown, float("nan"), text)
+        for remark in dict.fromkeys(tally.remarks):
+            yield Finding("", "structure", 1, float("nan"), remark)
+
+
+def _times(stamps: Sequence[object]) -> IntArray | None:
+    """Log times if they are valid, which a database does not enforce; else None."""
+    times = np.array(stamps)
+    return times if times.dtype == np.int64 and times.min() >= 0 and times.max() < MAX_LOG_NS else None
+
+
+def _close(readers: Mapping[Path, Reader]) -> None:
+    for reader in readers.values():
+        reader.close()
+
+
+def _joined(blocks: Sequence[SampleBlock]) -> SampleBlock:
+    if len(blocks) == 1:
+        return blocks[0]
+    return SampleBlock(*(np.concatenate([getattr(block, one.name) for block in blocks]) for one in fields(SampleBlock)))
+
+
+def _check_binding(binding: TopicBinding, one: Connection, types: Definitions, where: str) -> None:
+    """Refuse a type, field or stamp that the topic in the bag does not have."""
+    if binding.type != one.msgtype:
+        raise InputError(f"{where}: type", binding.type, f"{one.msgtype}, as {one.topic} has in the bag")
+    check_field(types, one.msgtype, binding.field, f"{where}: field")
+    if binding.stamp == "header" and not stamp_path(types, one.msgtype):
+        raise InputError(f"{where}: stamp", "header", f"log: {one.msgtype} has no stamp")
+
 
 KINDS = (BagKind((".mcap", ".db3", ".bag", UNFINISHED), BagSource),)

@@ -13,13 +13,10 @@ from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.can_signals import CanSignals
+from trackres_ros.recording.can_signals import CanSignals, Frame
 from trackres_ros.recording.channel_file import MOST_TIME_S
-from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.j1939_transport import Frame
-from trackres_ros.recording.unpacking import set_can_ceilings
+from trackres_ros.recording.opening import FileKind
 
-MOST_OF_A_LINE = 2**16
 NO_FRAME = re.compile(r"(date|base|//|(no )?internal events|Begin|End|\d+\.\d+\s+Start of measurement)\b|//|$", re.IGNORECASE)
 """Lines of an ASC file other than frames."""
 RELATIVE = re.compile(r"base\s+\w+\s+timestamps\s+relative\b", re.IGNORECASE)
@@ -41,12 +38,11 @@ class CanLog(CanSignals):
         import can
 
         logging.getLogger("can").setLevel(logging.ERROR)  # what it skips is counted
-        set_can_ceilings()
         readers: dict[str, Any] = {".asc": can.ASCReader, ".log": can.CanutilsLogReader}
         suffix = self._path.suffix.lower()
         frames = 0
         with self._path.open("rb") as file:
-            lines = None if suffix == ".blf" else _Lines(file, self.name)
+            lines = None if suffix == ".blf" else _Lines(file)
             reader = can.BLFReader(file) if lines is None else readers[suffix](lines)
             first = 0 if suffix == ".log" else 1  # buses of Vector's tools count from 1, python-can from 0
             for message in reader if lines is None else _resuming(reader):
@@ -78,29 +74,25 @@ def _resuming(reader: Iterable[Any]) -> Iterator[Any]:
         try:
             yield from reader
             return
-        except InputError:
-            raise
         except (ValueError, IndexError):
             continue
 
 
 class _Lines:
-    """The lines of a log in text, none longer than the longest frame; `entries` are those that should be frames.
+    """The lines of a log in text; `entries` are those that should be frames.
 
     Times since the line before become times since the beginning. A last line without an end is left out.
     """
 
-    def __init__(self, file: io.BufferedReader, name: str) -> None:
-        self._file, self._name, self.entries, self.ended = file, name, 0, True
+    def __init__(self, file: io.BufferedReader) -> None:
+        self._file, self.entries, self.ended = file, 0, True
         self._relative, self._since_ns = False, 0
         self.close = file.close  # required by python-can
 
     def __iter__(self) -> Iterator[str]:
         if self.entries:
             yield "\n"  # ends the header for a reader that resumes
-        while line := self._file.readline(MOST_OF_A_LINE):
-            if len(line) >= MOST_OF_A_LINE:
-                raise InputError(self._name, f"a line of more than {MOST_OF_A_LINE} bytes", "a log with one line per frame")
+        for line in self._file:
             text, self.ended = line.decode("latin-1"), line.endswith(b"\n")
             if not self.ended:
                 return

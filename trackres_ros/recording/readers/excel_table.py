@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import warnings
-import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -19,33 +18,34 @@ import numpy as np
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
-from trackres_ros.recording.date_times import MOST_S, NO_ZONE, DateTimes, is_date_time
-from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.number_marks import COMMA, Mark, decide, is_number, marks_of, number_of
-from trackres_ros.recording.role_units import is_quantity
+from trackres_ros.recording.opening import FileKind
+from trackres_ros.recording.text_table import (
+    COMMA,
+    MOST_S,
+    NO_VALUE,
+    NO_ZONE,
+    DateTimes,
+    Mark,
+    decide,
+    header_of,
+    is_date_time,
+    is_number,
+    marks_of,
+    number_of,
+)
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
     from openpyxl.workbook import Workbook
 
-MOST_BYTES = 2**25
-"""Of the file, and of each unpacked sheet: a million cells of numbers. openpyxl keeps unknown content, and takes up to 1 GB
-for a malicious sheet."""
-MOST_HELD_BYTES = 2**24
-"""Of the other parts, such as texts and formats, which are held completely in memory."""
-MOST_RATIO, RATIO_FROM_BYTES = 200, 2**20
-"""Sheets shrink to a tenth or a thirtieth; a part that shrinks to less than this is malicious."""
-MOST_ROWS = 2**20
-"""Of a sheet, by the format."""
 HEADER_WITHIN = 100  # rows
-SHEETS = "xl/worksheets/"
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def excel_tables(path: Path, name: str, _: Topics | None = None) -> list[ExcelTable]:
     """The visible sheets of a workbook that have a row of names.
 
-    Raises InputError if no sheet has, or the file unpacks to more than the limit.
+    Raises InputError if no sheet has.
     """
     with _workbook(path) as book:
         sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -72,7 +72,7 @@ class ExcelTable(TableFile):
     def _below_header(self, book: Workbook) -> Iterator[Sequence[Any]]:
         sheet: Any = book[self._sheet]
         sheet.reset_dimensions()
-        rows: Iterator[Sequence[Any]] = sheet.iter_rows(min_row=self._header_row + 1, max_row=MOST_ROWS, values_only=True)
+        rows: Iterator[Sequence[Any]] = sheet.iter_rows(min_row=self._header_row + 1, values_only=True)
         return rows
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
@@ -157,7 +157,6 @@ def _workbook(path: Path) -> Iterator[Workbook]:
     """Open a workbook to read the values of its cells, not their formulas."""
     from openpyxl import load_workbook
 
-    _check_size(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of styles and extensions that are of no use here
         book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
@@ -167,51 +166,24 @@ def _workbook(path: Path) -> Iterator[Workbook]:
             book.close()
 
 
-def _check_size(path: Path) -> None:
-    """Refuse a workbook that unpacks to more than the limit; no part unpacks to more than it states.
-
-    Raises InputError with the part.
-    """
-    size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise InputError(str(path), f"{size} bytes", f"a workbook of at most {MOST_BYTES}", "save the sheet as CSV")
-    with zipfile.ZipFile(path) as packed:
-        parts = packed.infolist()
-    for part in parts:
-        most = MOST_BYTES if part.filename.startswith(SHEETS) else MOST_HELD_BYTES
-        if part.file_size > RATIO_FROM_BYTES:
-            most = min(most, MOST_RATIO * part.compress_size)
-        if part.file_size > most:
-            given = f"{part.file_size} bytes, compressed to {part.compress_size}"
-            raise InputError(f"{path}: {one_line(part.filename)}", given, f"at most {most}", "save the sheet as CSV")
-
-
 def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
-    """Number of the last row above the numbers, with the names of the first filled row, and the units below them."""
+    """Number of the last row above the numbers, with the names and the units below them."""
     sheet.reset_dimensions()
-    rows = itertools.islice(sheet.iter_rows(max_row=HEADER_WITHIN, values_only=True), HEADER_WITHIN)
-    for number, row in enumerate(rows, 1):
-        names = ["" if value is None else str(value).strip() for value in row]
-        if any(names):
-            below = [_filled(value) for value in next(rows, ())]
-            if not _are_units(below):
-                return number, [Channel(name) for name in names]
-            units = itertools.chain((value or "" for value in below), itertools.repeat(""))
-            return number + 1, [Channel(name, unit.strip()) for name, unit in zip(names, units, strict=False)]
-    return None
-
-
-def _are_units(cells: Sequence[Any]) -> bool:
-    """Whether the row below the names has a known unit, and no number or time."""
-    texts = [value for value in cells if value is not None]
-    if not all(isinstance(value, str) and not is_number(value) and not is_date_time(value) for value in texts):
-        return False
-    return any(map(is_quantity, texts))
+    filled = [list(map(_filled, row)) for row in itertools.islice(sheet.iter_rows(values_only=True), HEADER_WITHIN)]
+    width = max(map(len, filled), default=0)
+    texts = [["" if value is None else str(value).strip() for value in row] + [""] * (width - len(row)) for row in filled]
+    found = header_of([(row, False) for row in texts])
+    if found is None:
+        return None
+    names = list(itertools.zip_longest(found.names, found.units, fillvalue=""))
+    while not names[-1][0]:
+        del names[-1]
+    return (found.first if found.rows else found.place + 1 + bool(found.units)), [Channel(*both) for both in names]
 
 
 def _filled(value: Any) -> Any:
-    """The value of a cell, None of an empty one."""
-    return None if isinstance(value, str) and not value.strip() else value
+    """The value of a cell, None where there is none."""
+    return None if isinstance(value, str) and value.strip() in NO_VALUE else value
 
 
 KINDS = (FileKind("an Excel workbook", (".xlsx",), excel_tables, (("openpyxl", "excel"),), checked=True),)

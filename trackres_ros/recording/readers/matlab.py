@@ -3,8 +3,6 @@
 
 """Reads MATLAB files: vectors, alone and in structs, each with the vector of its times."""
 
-import struct
-import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,21 +15,15 @@ from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChannelRows, rows_at
 from trackres_ros.recording.choosing import COLUMNS, listed_names
-from trackres_ros.recording.file_kind import FileKind
+from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import FloatArray
 
 BLOCK_ROWS = 2**14
-MOST_BYTES = 2**27
-"""Of the unpacked content of a version 5 file, which is read at once: sixteen million numbers. And of a block of version 7.3."""
-MOST_ROWS = 2**31
-"""Of a vector: a year at 60 Hz."""
 TIMES = ("time_s", "time", "t", "timestamp", "timestamps", "tout")
 """Names of a vector of times, in any case, in the order of preference; so are the name of a channel with ``_time`` or ``_t``."""
 CONSTANT = ("load", "passengers", "ambient", "stood")
 """Roles of which one number holds for the whole recording; of others it may be the first value, or a setting."""
-COMPRESSED, HEADER_BYTES, ENDIAN_AT = 15, 128, 126
-"""Of version 5: the type of a packed element, the length of the header, and its position of the byte order."""
 
 
 class _Vector(NamedTuple):
@@ -147,7 +139,6 @@ def _of_version_5(path: Path) -> _Content:
     """Content of a file that is read at once."""
     from scipy.io import loadmat
 
-    _check_size(path)
     found = _Content()
 
     def visit(name: str, value: Any) -> None:
@@ -170,30 +161,6 @@ def _of_version_5(path: Path) -> _Content:
     return found
 
 
-def _check_size(path: Path) -> None:
-    """Refuse a file of version 5 that unpacks to more than the limit; it is unpacked piece by piece to find out."""
-    size = 0
-    with path.open("rb") as file:
-        order = "<" if file.read(HEADER_BYTES)[ENDIAN_AT:] == b"IM" else ">"
-        while len(tag := file.read(8)) == 8 and size <= MOST_BYTES:
-            kind, length = struct.unpack(f"{order}II", tag)
-            if kind == COMPRESSED:
-                one, left = zlib.decompressobj(), length
-                while left > 0 and size <= MOST_BYTES and (data := file.read(min(left, 2**16))):
-                    left -= len(data)
-                    while data and size <= MOST_BYTES:
-                        size += len(one.decompress(data, 2**20))
-                        data = one.unconsumed_tail
-            else:
-                size += length
-                file.seek(length, 1)
-    if size > MOST_BYTES:
-        remedy = "save it with -v7.3, which can be read in parts"
-        raise InputError(
-            str(path), f"more than {MOST_BYTES} bytes unpacked", f"a file of version 5 of at most {MOST_BYTES}", remedy
-        )
-
-
 def _of_version_7_3(path: Path) -> _Content:
     """Content of an HDF5 file."""
     try:
@@ -211,13 +178,11 @@ def _of_version_7_3(path: Path) -> _Content:
         across = item.ndim == 2 and item.shape[0] == 1  # MATLAB's arrays are transposed there
         is_vector = item.size not in (None, 0) and (item.ndim == 1 or across or (item.ndim == 2 and item.shape[1] == 1))
         numeric = item.dtype.kind in "biuf" and item.attrs.get("MATLAB_class", b"double") not in (b"char", b"cell")
-        if not is_vector or not numeric or item.size > MOST_ROWS:
+        if not is_vector or not numeric:
             if "#" not in place:  # MATLAB's own
                 found.others.append(name)
             return
         at_once = max(BLOCK_ROWS, *(item.chunks or (0,)))
-        if at_once * item.dtype.itemsize > MOST_BYTES:
-            raise InputError(f"{path}: {place}", f"blocks of {at_once} numbers", f"blocks of at most {MOST_BYTES} bytes")
 
         def part(start: int, end: int) -> FloatArray:
             with h5py.File(path, "r") as file:  # reopened, as the library keeps some kilobytes for each block until it is closed
@@ -231,4 +196,4 @@ def _of_version_7_3(path: Path) -> _Content:
     return found
 
 
-KINDS = (FileKind("a MATLAB file", (".mat",), _read, checked=True),)
+KINDS = (FileKind("a MATLAB file", (".mat",), _read, (("scipy.io", ""),), checked=True),)

@@ -14,33 +14,26 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.can_signals import CanSignals, is_unavailable
+from trackres_ros.recording.can_signals import CanSignals, Frame, is_unavailable
 from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFile, ChannelRows, rows_at
-from trackres_ros.recording.date_times import NO_ZONE
-from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.j1939_transport import Frame
-from trackres_ros.recording.role_units import is_quantity
+from trackres_ros.recording.opening import FileKind
+from trackres_ros.recording.roles import is_quantity
 from trackres_ros.recording.samples import Finding, FloatArray
-from trackres_ros.recording.unpacking import set_mdf_ceilings
+from trackres_ros.recording.text_table import NO_ZONE
 
 BLOCK_ROWS = 2**16
 """Records read at once: usually some megabytes, so that a packed block is unpacked a few times at most."""
 UNFINISHED = b"UnFinMF"
 IDENTIFICATION_BYTES = 64
-FIRST_LINK = 24
-"""Byte of a block at which its links begin, 8 bytes each; the first one of a block in a list is the next block."""
-OF_HEADER = ("DG", "FH", "CH", "AT", "EV")
-SECOND_LINK = {"DG": "CG", "CG": "CN", "CN": "CN", "CH": "CH"}
-"""Blocks whose second link begins a list, and the blocks in that list: ASAM MDF 4."""
 FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
 OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
@@ -58,15 +51,15 @@ EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 def _opened(path: Path, name: str) -> tuple[Any, ExitStack]:
     """The file, and its closing function; given as a stream, as asammdf reads a channel of a named file at once."""
     from asammdf import MDF
+    from asammdf.blocks.mdf_v4 import MDF4
 
-    set_mdf_ceilings()
+    setattr(MDF4, "__del__", _close_quietly)  # noqa: B010 - a method, which fails for a file that could not be opened
     with ExitStack() as opened, _silent():
         file: Any = opened.enter_context(path.open("rb"))
         identification = file.read(IDENTIFICATION_BYTES)
         version = identification[8:16].decode("latin-1").strip("\0 ")
         if version < "4":
             raise InputError(name, f"MDF {version}", "MDF 4", "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)")
-        _check_lists(file, name)
         file.seek(0)
         if identification.startswith(UNFINISHED):  # it is finished in a copy, as asammdf does with a named file
             whole, file = file, opened.enter_context(tempfile.TemporaryFile())
@@ -77,25 +70,9 @@ def _opened(path: Path, name: str) -> tuple[Any, ExitStack]:
         return mdf, opened.pop_all()
 
 
-def _check_lists(file: IO[bytes], name: str) -> None:
-    """Raise InputError if a list of blocks leads back to itself: asammdf would follow it for ever."""
-
-    def link(address: int, place: int) -> int:
-        file.seek(address + FIRST_LINK + 8 * place)
-        return int.from_bytes(file.read(8), "little")
-
-    size = file.seek(0, io.SEEK_END)
-    begins, followed = [(kind, link(IDENTIFICATION_BYTES, place)) for place, kind in enumerate(OF_HEADER)], set[int]()
-    while begins:
-        (kind, address), here = begins.pop(), set[int]()
-        while 0 < address < size and address not in followed:
-            here.add(address)
-            if kind in SECOND_LINK:
-                begins.append((SECOND_LINK[kind], link(address, 1)))
-            address = link(address, 0)
-            if address in here:
-                raise InputError(name, f"a list of blocks that returns to byte {address}", "an undamaged file")
-        followed |= here
+def _close_quietly(mdf: Any) -> None:
+    with suppress(Exception):
+        mdf.close()
 
 
 @contextmanager

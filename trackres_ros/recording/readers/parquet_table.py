@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError
 from trackres_ros.files.arrow_columns import as_numpy
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
-from trackres_ros.recording.date_times import NO_ZONE
-from trackres_ros.recording.file_kind import FileKind
+from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.samples import Finding
+from trackres_ros.recording.text_table import NO_ZONE
 from trackres_ros.units import NANOSECOND
 
 BUFFER_BYTES = 2**20

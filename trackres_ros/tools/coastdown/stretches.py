@@ -22,11 +22,11 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, GateSett
 from trackres_ros.diagnosis.prepare.speed_smoothing import coasting_errors, confirmed, slope_of_altitude, with_slope
 from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
 from trackres_ros.errors import InputError
-from trackres_ros.recording.corrected_lines import line_to_write
 from trackres_ros.recording.recording import Recording, stamped
-from trackres_ros.recording.role_units import Conversion
+from trackres_ros.recording.roles import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.slopes import runs_of
+from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.text import figures
 from trackres_ros.units import GRAVITY
 

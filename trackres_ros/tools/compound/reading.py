@@ -5,12 +5,11 @@
 
 from __future__ import annotations
 
-import codecs
-import csv
+import itertools
 import math
-import re
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.dataclass_reader import Limits
-from trackres_ros.files.documents import read_bytes
+from trackres_ros.recording.reading import check_there, reading
+from trackres_ros.recording.text_table import Column, Progress, TextTable, decide, marks_of, number_of
 from trackres_ros.text import figures
 from trackres_ros.tools.compound.columns import (
     FREQUENCY,
@@ -30,19 +30,11 @@ from trackres_ros.tools.compound.columns import (
     another_column,
     columns_of,
     is_unit,
-    role_of,
 )
 from trackres_ros.vehicle.loading import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA
 
 Array = NDArray[np.float64]
 
-MOST_BYTES = 4 << 20
-MOST_ROWS = 20_000
-SEPARATORS = "\t;,"
-SPACES = " "  # one or several; not for a line of prose
-COMMENTS = ("#", "%", "//", "!")
-EMPTY = ("", "-", "--", "---", "nan", "n/a", "na", "none")
-PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 FREQUENCIES = Limits("Hz", 1e-6, 1e6, "frequency of a row")
 FEWEST_ROWS, FEWEST_DEGC, NARROWEST_K = 8, 4, 10.0
 TANGENT_DIFFERS = 0.02  # of loss over storage modulus, in the median: both are there, and cannot be of one test
@@ -82,111 +74,54 @@ class Sweep:
 def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
     """Read a DMA sweep. Raises InputError with file, line and column, and the given and the allowed values.
 
-    The text has one line of column names, perhaps one of units below, rows of numbers, and lines about the test above it or
-    marked as comments. Separators are tab, semicolon or comma, decimals have a point or a comma. `frequency_hz` is that of the
-    whole sweep, if the file does not give it.
+    The text is a `TextTable`: lines about the test above the names, perhaps a line of units below them, rows of numbers.
+    `frequency_hz` is that of the whole sweep, if the file does not give it.
     """
-    content, name = read_bytes(path, WHAT, MOST_BYTES), one_line(str(path))
-    if b"\0" in content and not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise InputError(name, "a binary file, such as an Excel workbook", f"a {WHAT}", "save the sweep as text, such as CSV")
-    text, coding = _decoded(content)
-    lines = text.splitlines()
-    notes = [] if coding == "utf-8" else [f"the file is not UTF-8; read as {coding}"]
-    at, separator, cells = _header(lines, name)
-    below = next((i for i in range(at + 1, len(lines)) if not _is_comment(lines[i])), None)
-    units = None
-    if below is not None:
-        found = _cells(lines[below], separator)
-        if any(map(is_unit, found)) and not any(map(_looks_like_number, found)):
-            units = found
-    repeated = {lines[at].strip(), lines[below].strip() if units is not None and below is not None else lines[at].strip()}
-    wanted = _lines_of_numbers(lines, at + 1, separator, len(cells), repeated, name)
-    where = f"{name}: line {at + 1}"
-    columns = columns_of(cells, units, where)
-    if wanted:  # an instrument that did not compute tan delta may still name it
-        columns = [c for c in columns if any(cells[c.place].lower() not in EMPTY for _, cells in wanted)]
-    rows, left_out = _rows(wanted, columns, name)
-    columns, rows = _each_once(columns, rows, where)
-    _complete(columns, cells, where, frequency_hz)
+    name = one_line(str(path))
+    check_there(path)
+    with reading(path, f"a {WHAT}"):
+        return _read(path, name, frequency_hz)
+
+
+def _read(path: Path, name: str, frequency_hz: float | None) -> Sweep:
+    table = TextTable(path, name, is_unit)
+    where = f"{name}: line {table.line}"
+    columns = columns_of(table.names, table.units, where)
+    notes = table.notes
+    rows = _rows(table, columns)
+    if rows:  # an instrument that did not compute tan delta may still name it
+        kept = [any(map(math.isfinite, numbers)) for numbers in zip(*(numbers for _, numbers in rows), strict=True)]
+        columns = list(itertools.compress(columns, kept))
+        rows = [(line, list(itertools.compress(numbers, kept))) for line, numbers in rows]
+    whole = [(line, numbers) for line, numbers in rows if all(map(math.isfinite, numbers))]
+    columns, numbers_of = _each_once(columns, whole, where)
+    _complete(columns, table.names, where, frequency_hz)
     if any(c.shear for c in columns):
         notes.append("moduli in shear were multiplied by 3, as rubber keeps its volume")
-    if left_out:
-        notes.append(f"{left_out} rows with an empty cell were left out")
-    if not rows:
+    if len(whole) < len(rows):
+        notes.append(f"{len(rows) - len(whole)} rows with an empty cell were left out")
+    if not whole:
         raise InputError(name, "no row of numbers", f"at least {FEWEST_ROWS}")
-    return _assembled(path, _Table.of(name, columns, rows), frequency_hz, notes)
+    return _assembled(path, _Table.of(name, columns, numbers_of), frequency_hz, notes)
 
 
-def _decoded(content: bytes) -> tuple[str, str]:
-    for mark, coding in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig")):
-        if content.startswith(mark):
-            return content.decode(coding, errors="replace"), coding.removesuffix("-sig")
-    try:
-        return content.decode("utf-8"), "utf-8"
-    except UnicodeDecodeError:
-        return content.decode("latin-1"), "Latin-1"
-
-
-def _is_comment(line: str) -> bool:
-    return not line.strip() or line.lstrip().startswith(COMMENTS)
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    if separator == SPACES:
-        return line.split()
-    try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
-    except csv.Error:  # a null byte, an endless cell
-        return [cell.strip() for cell in line.split(separator)]
-
-
-def _looks_like_number(cell: str) -> bool:
-    return bool(re.fullmatch(r"[+-]?[\d.,]*\d[\d.,]*([eE][+-]?\d+)?", cell.strip()))
-
-
-def _header(lines: Sequence[str], name: str) -> tuple[int, str, list[str]]:
-    """Line of the column names, the separator, and the names: the first line that names a temperature and a storage modulus."""
-    nearly: tuple[int, list[str], int] = 0, [], 0
-    for i, line in enumerate(lines):
-        text = line.lstrip("#%! ") if _is_comment(line) else line
-        for separator in sorted(SEPARATORS, key=lambda one: -text.count(one)):
-            cells = _cells(text, separator)
-            roles = [role_of(cell) for cell in cells]
-            if len(cells) > 1 and not any(map(_looks_like_number, cells)):
-                if len(cells) > 2 and TEMPERATURE in roles and STORAGE in roles:
-                    return i, separator, cells
-                if len(set(roles) - {None}) > nearly[2]:
-                    nearly = i, cells, len(set(roles) - {None})
-    for i, line in enumerate(lines):
-        cells = line.lstrip("#%!").split()
-        if {TEMPERATURE, STORAGE} <= {role_of(cell) for cell in cells} and _stand_over_numbers(lines, i, len(cells)):
-            return i, SPACES, cells
-    if nearly[2]:
-        raise _incomplete(f"{name}: line {nearly[0] + 1}", nearly[1], {role_of(cell) for cell in nearly[1]})
-    needed = f"a line of column names with {', '.join(NEEDED.values())}, between tabs, semicolons, commas or spaces"
-    raise InputError(name, f"{len(lines)} lines without column names", needed)
-
-
-def _incomplete(where: str, cells: Sequence[str], roles: Set[str | None]) -> InputError:
-    """Error of columns that are insufficient for a sweep: it names each missing one."""
-    missing = [text for needed, text in NEEDED.items() if not roles & set(needed)]
-    return InputError(
-        where, f"columns {', '.join(cells)}", f"columns with {', '.join(NEEDED.values())}", f"missing: {', '.join(missing)}"
-    )
-
-
-def _stand_over_numbers(lines: Sequence[str], at: int, width: int) -> bool:
-    """Whether as many numbers between spaces follow, at once or after a line of units."""
-    following = [line.split() for line in lines[at + 1 :] if not _is_comment(line)][:2]
-    if following and any(map(is_unit, following[0])):
-        del following[0]
-    return bool(following) and len(following[0]) == width and all(map(_looks_like_number, following[0]))
+def _rows(table: TextTable, columns: Sequence[DmaColumn]) -> list[tuple[int, list[float]]]:
+    """Line and numbers of each row, nan in empty cells. Raises InputError with line and column for a cell that is no number."""
+    marks = marks_of((column.name, "") for column in columns)
+    table.look([(column.place, marks[column.name].see) for column in columns])
+    decided = decide(marks, table.name, table.separator == ",")
+    read = [Column(one.place, one.name, partial(number_of, mark=decided[one.name])) for one in columns]
+    progress = Progress()
+    numbers = table.numbers(table.rows(progress), read, progress)
+    return [(progress.line, [math.nan if number is None else number for number in row]) for row in numbers]
 
 
 def _complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
     roles, names = {c.role for c in columns}, ", ".join(cells)
-    if not all(roles & set(needed) for needed in NEEDED):
-        raise _incomplete(where, cells, roles)
+    missing = [text for needed, text in NEEDED.items() if not roles & set(needed)]
+    if missing:
+        allowed = f"columns with {', '.join(NEEDED.values())}, between tabs, semicolons, commas or spaces"
+        raise InputError(where, f"columns {names}", allowed, f"missing: {', '.join(missing)}")
     in_names = [c.frequency for c in columns if c.role == STORAGE and not c.again]
     if frequency_hz is not None and (FREQUENCY in roles or any(in_names)):
         raise InputError("frequency_hz", figures(frequency_hz, 6), f"nothing, as {where} says the frequency")
@@ -200,50 +135,6 @@ def _complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, fr
         raise InputError(where, f"columns {names}", "a column with the frequency", remedy)
 
 
-def _lines_of_numbers(
-    lines: Sequence[str], first: int, separator: str, width: int, repeated: set[str], name: str
-) -> list[tuple[int, list[str]]]:
-    """Line number and cells of each line other than comments, names and units.
-
-    Some programs write names between tabs and numbers between spaces.
-    """
-    at = [i for i in range(first, len(lines)) if not _is_comment(lines[i]) and lines[i].strip() not in repeated]
-    if len(at) > MOST_ROWS:
-        raise InputError(name, f"{len(at)} rows", f"at most {MOST_ROWS}", "average or thin the sweep")
-    if separator == "\t" and not any("\t" in lines[i].strip() for i in at):
-        separator = SPACES
-    remedies = {
-        ",": "decimal commas need semicolons or tabs between cells",
-        SPACES: "empty cells cannot be detected between spaces",
-    }
-    wanted = []
-    for i in at:
-        cells = _cells(lines[i], separator)
-        if len(cells) != width and (separator == SPACES or any(cells[width:])):
-            remedy = remedies.get(separator, "")
-            raise InputError(f"{name}: line {i + 1}", f"{len(cells)} cells", f"{width} cells, as in the line of names", remedy)
-        wanted.append((i, cells + [""] * (width - len(cells))))
-    return wanted
-
-
-def _rows(
-    wanted: Sequence[tuple[int, list[str]]], columns: Sequence[DmaColumn], name: str
-) -> tuple[list[tuple[int, list[float]]], int]:
-    """Numbers of the wanted columns with their line, and the number of rows left out because of an empty cell."""
-    texts = [cells[c.place] for _, cells in wanted for c in columns]
-    comma = any("," in text for text in texts) and not any("." in text for text in texts)
-    rows, left_out = [], 0
-    for i, cells in wanted:
-        where = f"{name}: line {i + 1}"
-        if not any(cells[c.place] for c in columns):
-            raise InputError(where, " ".join(cells).strip(), "a row of numbers, or a comment after #")
-        if any(cells[c.place].lower() in EMPTY for c in columns):
-            left_out += 1
-            continue
-        rows.append((i + 1, [_number(cells[c.place], comma, f"{where}, column {c.name}") for c in columns]))
-    return rows, left_out
-
-
 def _each_once(
     columns: Sequence[DmaColumn], rows: Sequence[tuple[int, list[float]]], where: str
 ) -> tuple[list[DmaColumn], list[tuple[int, list[float]]]]:
@@ -255,17 +146,6 @@ def _each_once(
                 raise another_column(column, columns[first], where)
     kept = [k for k, column in enumerate(columns) if not column.again]
     return [columns[k] for k in kept], [(line, [values[k] for k in kept]) for line, values in rows]
-
-
-def _number(text: str, comma: bool, where: str) -> float:
-    """A number in text; a mix of comma and point is ambiguous."""
-    plain = text.replace(",", ".") if comma else text
-    if not PLAIN.fullmatch(plain):
-        allowed = "a number with a decimal comma" if comma else "a number with a decimal point"
-        if not comma and "," in text:
-            raise InputError(where, text, "decimal points or decimal commas, not both in one file, and no mark between thousands")
-        raise InputError(where, text, allowed)
-    return float(plain)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,12 @@ import numpy as np
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, work_space
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, lap_drive, run_drive, through_points
 from trackres_ros.estimator.energy import taken
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
-from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.model.track import vehicle_constants
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.tasks.simulate import along
@@ -127,7 +127,7 @@ def left_out(columns: Mapping[str, Array]) -> list[str]:
 def with_factors(estimator: Estimator, errors: FileErrors, capacity: float = 1.0) -> Estimator:
     """The same vehicle with losses, cooling, heat capacity or radius off by a factor, or bearings or drag by a sum.
 
-    `capacity`: factor on the heat capacity of the belts of `off.track`.
+    `capacity`: factor on the heat capacity of the belts of `errors.track`.
     """
     variant, k = copy(estimator), estimator.constants
     assert isinstance(estimator.vehicle, Vehicle)
@@ -142,8 +142,7 @@ def with_factors(estimator: Estimator, errors: FileErrors, capacity: float = 1.0
     ):
         assembly[rows, column] *= factor
     variant.vehicle = vehicle = with_errors(estimator.vehicle, errors)
-    facts = vehicle_constants(vehicle)
+    variant.facts = facts = vehicle_constants(vehicle)
     number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
-    work = work_space(facts, len(assembly))
-    variant.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive, work=work)
+    variant.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
     return variant

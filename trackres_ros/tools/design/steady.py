@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 
 from trackres_ros.model import resistance
 from trackres_ros.model.coverage import beyond_data, check_speed
-from trackres_ros.model.interpolation import MonotoneCubic
 from trackres_ros.model.operating_point import DRIVE_PASSES, VehicleState, vehicle_state
+from trackres_ros.model.rubber import MonotoneCubic
 from trackres_ros.model.thermal import ThermalNetwork, film_coefficient
 from trackres_ros.model.track import track_models
 from trackres_ros.vehicle import Vehicle

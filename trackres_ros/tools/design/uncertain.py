@@ -3,7 +3,7 @@
 
 """Computes the uncertainty of a difference between two vehicle files from their ranges.
 
-To first order, as the live estimate propagates them (`estimator.uncertainty`). An error of a value that both files share
+To first order, as the live estimate propagates them (`estimator.constants`). An error of a value that both files share
 cancels. Errors of differing values are independent.
 """
 
@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackres_ros.estimator.constants import drag_area_stds
-from trackres_ros.estimator.uncertainty import fits, logarithms_at, slopes
+from trackres_ros.estimator.constants import drag_area_stds, fits, logarithms_at, slopes
 from trackres_ros.tools.design.steady import Array, FileErrors
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.description import FITTED

@@ -12,15 +12,14 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from trackres_ros.effects.dispatch import CALL
+from trackres_ros.effects.calls import CALL
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.records import LONGEST_STEP_S
 from trackres_ros.kernels.extension import filled, used_helpers
 from trackres_ros.kernels.functions import Instance
-from trackres_ros.kernels.kinds import INT, REAL, WIDE, Record, safe
-from trackres_ros.recording.role_units import UNITS
-from trackres_ros.recording.roles import ROLES
+from trackres_ros.kernels.kinds import INT, REAL, WIDE, ArrayOf, Record, safe
+from trackres_ros.recording.roles import ROLES, UNITS
 from trackres_ros.tools.export.parts import Parts, StateArray
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -88,7 +87,7 @@ class CSource:
 
     def _header(self) -> dict[str, str]:
         reasons = [
-            f"    TRACKRES_{reason.name} = {int(reason):#x}, /* {_ascii(text)} */" for reason, text in at.REASON_TEXT.items()
+            f"    TRACKRES_{reason.name} = {int(reason):#x}, /* {_ascii(text)} */" for reason, text in layout.REASON_TEXT.items()
         ]
         channels = [f"    TRACKRES_CHANNEL_{in_c(channel).upper()} = {i}," for i, channel in enumerate(self.estimator.channels)]
         return {
@@ -140,7 +139,7 @@ class CSource:
             "ROW": "\n".join(self._row()),
             "GIVEN": "\n".join(f"        inputs->{in_c(name)}," for name in self.inputs.values()),
             "CHANNEL_COUNT": str(len(self.inputs)),
-            "HARMLESS": f"{int(at.HARMLESS):#x}",
+            "HARMLESS": f"{int(layout.HARMLESS):#x}",
             "RECORDS_OF_ANSWER": self._records(entries["feedforward_now"], entries["reasons_now"], const=True),
             "RECORDS_OF_STEP": self._records(entries["step"]),
             "RECORDS_OF_MESSAGE": self._records(entries["take_message"]),
@@ -177,17 +176,21 @@ class CSource:
         needed = {name: kind for one in entries for name, kind in one.given if isinstance(kind, Record)}
         lines = []
         for name, kind in needed.items():
-            cast = "({}*)" if const else ""
-            parts = []
-            for field, part in kind.stored():
-                if isinstance(part, Record):
-                    tuned = [n for n, _ in part.stored()]
-                    parts.append(f"{{{', '.join(f'state->tuned[{self.parts.tuned.index(n)}]' for n in tuned)}}}")
-                    continue
-                place = f"state->{safe(field)}"
-                parts.append(f"{cast.format(self.translator.declared(part).removesuffix('*'))}{place}" if const else place)
-            lines.append(f"    const {self.translator.struct(kind)} {name} = {{{', '.join(parts)}}};")
+            lines.append(f"    const {self.translator.struct(kind)} {name} = {self._filled(kind, const)};")
         return "\n".join(lines)
+
+    def _filled(self, kind: Record, const: bool) -> str:
+        """The initializer of a record: arrays of the state, tuned numbers, records of these."""
+        parts = []
+        for field, part in kind.stored():
+            if isinstance(part, Record):
+                parts.append(self._filled(part, const))
+            elif not isinstance(part, ArrayOf):
+                parts.append(f"state->tuned[{self.parts.tuned.index(field)}]")
+            else:
+                cast = f"({self.translator.declared(part).removesuffix('*')}*)" if const else ""
+                parts.append(f"{cast}state->{safe(field)}")
+        return f"{{{', '.join(parts)}}}"
 
     def _call(self, one: Instance, **given: str) -> str:
         """The call of an entry: records by their names, arrays of the state, and other arguments as given."""

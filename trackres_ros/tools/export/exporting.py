@@ -16,7 +16,7 @@ from typing import Any
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
@@ -25,7 +25,7 @@ from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle
-from trackres_ros.kernels.machine import sources_digest
+from trackres_ros.kernels.marks import sources_digest
 from trackres_ros.learning.learner import ON, Learner
 from trackres_ros.learning.store import go_on_from
 from trackres_ros.node.parameters import make_parameters, read_parameters
@@ -93,7 +93,7 @@ def _learned(estimator: Estimator, path: Path) -> Any:
     session.begin(estimator.cold_start(estimator.inputs(0.0)))
     go_on_from(path, session, learner, saved, off_s=0.0)
     learner.act(session)
-    if not session.learned[at.Learned.on] > 0.0:
+    if not session.learned[layout.Learned.on] > 0.0:
         given, allowed = "a state without active learned parameters", "a state of a run with --learning on"
         raise InputError(f"state file {path}", given, allowed, "save it with --learning on, after enough driving")
     return session.learned

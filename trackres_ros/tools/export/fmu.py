@@ -20,11 +20,11 @@ from xml.etree import ElementTree as Xml
 
 import trackres_ros as tr
 from trackres_ros.effects import stepping
-from trackres_ros.effects.effect import FACTS, Active, Parameter, VehicleConstants
+from trackres_ros.effects.effect import Active, Parameter, VehicleConstants
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Motion
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.motion_step import LARGEST_QUANTUM
+from trackres_ros.estimator.motion import LARGEST_QUANTUM
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.files.output_files import output_file
@@ -128,7 +128,7 @@ def _variables(source: CSource) -> Iterator[Variable]:
     for i, (name, (unit, text)) in enumerate(TUNED.items()):
         start = float(getattr(source.estimator.constants.number, name))
         facts = VehicleConstants._fields
-        seen = _in_state("work", stepping.TERMS + facts.index(name)) if name in facts else "0"
+        seen = _in_state("conditions", facts.index(name)) if name in facts else "0"
         yield Variable(name, _in_state("tuned", i), "parameter", unit, text, start, also=seen, limits=limits[name])
     yield from _of_effects(source)
 
@@ -159,7 +159,7 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
     k = source.estimator.constants
     width = k.effect_values.shape[1] if k.effect_values.ndim > 1 else 0
     states = k.effects[:, stepping.STATE].tolist()
-    facts = VehicleConstants(*k.work[stepping.TERMS : stepping.TERMS + FACTS].tolist())
+    facts = source.estimator.facts
     vehicle = source.estimator.vehicle
     listed = built_in(vehicle.values) if isinstance(vehicle, RoadVehicle) else ()
     quantities = {effect: (arm, ROAD_LOAD[name]) for effect, _, name, arm in listed}

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.effects import stepping
-from trackres_ros.effects.calls import function_of
-from trackres_ros.effects.dispatch import EffectCalls
+from trackres_ros.effects.calls import EffectCalls, function_of
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.kernels.flow import translate_body
@@ -95,13 +94,13 @@ class Parts:
         return array.kind if array.start.size else Const(array.start)
 
     def records(self) -> dict[str, Record]:
-        """The records for the entries: constants, memory of the guards, and carried state."""
+        """The records for the entries: constants, memory of the guards, carried state, and scratch memory."""
         k, session = self.estimator.constants, self.estimator.session()
         changed = {"effects": self._rows, "number": _scaled(k.number)}
         numbers = [(name, REAL if name in self.tuned else Const(value)) for name, value in changed["number"]._asdict().items()]
         constants: list[tuple[str, Kind]] = []
         for name in k._fields:
-            if name in ("work", "effect_values"):
+            if name == "effect_values":
                 constants.append((name, self._array(name)))
                 continue
             if name == "number" and self.tuned:
@@ -114,25 +113,30 @@ class Parts:
         self._kept = changed
         memory = tuple((name, self._array(name)) for name in session.memory._fields)
         carried = tuple((name, self._array(f"carried_{name}")) for name in ("belts", "motion", "effects", "learned"))
+        arrays = self.estimator.scratch()
+        effects = tuple((name, self._array(name)) for name in arrays.effects._fields)
+        others = tuple((name, self._array(name)) for name in arrays._fields if name != "effects")
+        scratch = (("effects", Record("effect_scratch", effects)), *others)
         return {
             "k": Record("constants", tuple(constants)),
             "memory": Record("memory", memory),
             "carried": Record("carried", carried),
+            "scratch": Record("scratch", scratch),
         }
 
     def _translate_entries(self) -> dict[str, Instance]:
         records = self.records()
-        loads, belts, clock = (self._array(name) for name in ("loads", "belt_measured", "clock"))
         given = ArrayOf(REAL, (len(self.estimator.channels),))
         out = ArrayOf(REAL, (len(self.estimator.columns),))
-        feeds: list[Kind] = [records["k"], records["memory"], records["carried"], loads, belts, clock]
+        used: list[Kind] = [records["k"], records["memory"], records["carried"], records["scratch"]]
+        feeds = [*used, self._array("clock")]
         kinds: dict[Any, list[Kind]] = {
             step.step: [*feeds, given, REAL, out],
             step.take_message: [*feeds, INT, INT, INT, REAL, out],
             step.feedforward_now: [records["k"], records["memory"], self._array("carried_motion"), INT],
             step.reasons_now: [records["k"], records["memory"], INT],
             step.is_stale: [records["k"], records["memory"], INT],
-            step.rest_after: [*feeds[:3], REAL, REAL],
+            step.rest_after: [*used, REAL, REAL],
         }
         return {function.__name__: self.translator.instance(function, given) for function, given in kinds.items()}
 
@@ -147,7 +151,7 @@ def _state_arrays(session: Session, of_sums: Scalar) -> list[StateArray]:
 
     In a step belts and effects move by its share of a time constant: at 1 kHz and of an hour, a `float` does not resolve that.
     """
-    memory, k = session.memory, session.estimator.constants
+    memory, k, scratch = session.memory, session.estimator.constants, session.estimator.scratch()
     return [
         StateArray("clock", np.zeros(3, dtype=np.int64), "now, the latest time since the last speed [ns], and its rounding"),
         StateArray("times", memory.times, "channel x what the guards remember [ns]"),
@@ -162,15 +166,12 @@ def _state_arrays(session: Session, of_sums: Scalar) -> list[StateArray]:
         StateArray("carried_motion", session.motion, "motion and feed-forward"),
         StateArray("carried_learned", session.learned, "what was learned of the vehicle"),
         StateArray("effect_values", k.effect_values, "effect x parameter"),
-        StateArray("loads", session._loads, "[N]"),
-        StateArray("belt_measured", session._belt_measured, "[degC]"),
-        StateArray("work", _begun(k.work), "meanwhile of a step"),
+        StateArray("loads", np.zeros_like(scratch.loads), "[N]"),
+        StateArray("belt_measured", np.zeros_like(scratch.belt_measured), "[degC]"),
+        StateArray("terms", scratch.effects.terms, "what effects do together in a step"),
+        StateArray("conditions", scratch.effects.conditions, "what effects read in a step"),
+        StateArray("answer", scratch.effects.answer, "what an effect answers"),
+        StateArray("gap_belts", np.zeros_like(scratch.gap_belts), "before and after a gap x node x temperature and departures"),
+        StateArray("parts", np.zeros_like(scratch.parts), "all assemblies and each x contributions to a step"),
         StateArray("row", np.zeros(len(session.estimator.columns)), "results of the last step"),
     ]
-
-
-def _begun(work: Any) -> Any:
-    """A work space before its first step: unset values are 0."""
-    found = work.copy()
-    found[stepping.WORK :] = 0.0
-    return found

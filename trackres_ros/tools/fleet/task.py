@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.tools.fleet.recordings import FoundRecording
 from trackres_ros.tools.fleet.vehicles import FleetVehicle, digest
 from trackres_ros.version import __version__
@@ -27,7 +28,7 @@ AGAIN = "again"  # instead of a digest of a row's inputs: a failure may not repe
 NO_VEHICLE = NO_DAY = "none"
 FIRST_DAY_S = 365.0 * 86400.0  # a clock that shows less begins at 0: its day is unknown
 END_OF_DAYS_S = 253402300800.0  # the year 10000, which dates do not reach
-ENERGIES = ("resistance", "hysteresis", "bearing", "wind", "effects", "drive")
+ENERGIES = ("resistance", *RESISTANCE_PARTS, "drive")
 MEGA = 1e-6
 
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from trackres_ros.effects.effect import Active, VehicleConstants, conditions, together
 from trackres_ros.errors import one_line
-from trackres_ros.recording.binding import TopicBinding
-from trackres_ros.recording.corrected_lines import corrected, line_of
-from trackres_ros.recording.role_units import Conversion
+from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.roles import Conversion
+from trackres_ros.recording.topics_files import corrected, line_of
 
 NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error is independent of the drive
 

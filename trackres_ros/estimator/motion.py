@@ -47,7 +47,7 @@ def is_noise(speed: float, quantum: float, speed_variance: float, has_rolled: bo
 
 
 @kernel
-def rolls(motion: Motion, speed: float, speed_variance: float) -> float:
+def rolling_state(motion: Motion, speed: float, speed_variance: float) -> float:
     """1 while the speed [m/s] exceeds its sensor's noise at rest, else 0: |v| > n std + quantum/2 (ours)."""
     return 0.0 if is_noise(speed, motion.quantum, speed_variance, motion.rolls > 0.0) else 1.0
 

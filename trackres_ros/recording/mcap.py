@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads an MCAP file that was not finished, such as after a kill: up to its last complete chunk, with an ending made here."""
+"""Makes and reads the records of an MCAP file: its index, and a file that was not finished, such as after a kill."""
 
 import io
 import os
@@ -9,39 +9,219 @@ import shutil
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import BinaryIO
+from types import ModuleType
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.mcap_format import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    HEAD,
-    HEADER,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    SCHEMA,
-    Chunk,
-    ending,
-    ending_without_summary,
-    message_indices,
-    record,
-)
-from trackres_ros.recording.unpacking import MAX_CHUNK_BYTES, unpackers
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
+"""Head of a record: its kind, and the length of the rest."""
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x08
+ATTACHMENT, STATISTICS, METADATA, SUMMARY_OFFSET, DATA_END = 0x09, 0x0B, 0x0C, 0x0E, 0x0F
+
+
+Whole = NDArray[np.integer[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A chunk in its place, with the index of messages behind it; times in ns, the rest in bytes."""
+
+    first_ns: int
+    last_ns: int
+    at: int
+    length: int
+    offsets: bytes
+    index_length: int
+    compression: str
+    packed: int
+    unpacked: int
+
+    def record(self) -> bytes:
+        """The record by which a player finds it."""
+        where = struct.pack("<QQQQ", self.first_ns, self.last_ns, self.at, self.length) + sized(self.offsets)
+        sizes = struct.pack("<Q", self.index_length) + text(self.compression) + struct.pack("<QQ", self.packed, self.unpacked)
+        return record(CHUNK_INDEX, where + sizes)
+
+
+def record(kind: int, content: bytes) -> bytes:
+    """One record."""
+    return HEAD.pack(kind, len(content)) + content
+
+
+def sized(content: bytes) -> bytes:
+    """Bytes behind their length."""
+    return struct.pack("<I", len(content)) + content
+
+
+def text(content: str) -> bytes:
+    """A text behind its length."""
+    return sized(content.encode())
+
+
+def message_indices(channel: Whole, log_ns: Whole, offset: Whole, at: int) -> tuple[bytes, bytes]:
+    """The message indices of a chunk at an offset of the file, and the offset by channel."""
+    indices, offsets = b"", b""
+    for number in np.unique(channel):
+        rows = np.flatnonzero(channel == number)
+        pairs = np.stack((log_ns[rows], offset[rows]), axis=1).astype("<u8").tobytes()
+        offsets += struct.pack("<HQ", number, at + len(indices))
+        indices += record(MESSAGE_INDEX, struct.pack("<H", number) + sized(pairs))
+    return indices, offsets
+
+
+def ending(
+    at: int, schemas: Sequence[bytes], channels: Sequence[bytes], chunks: Sequence[Chunk], counts: Mapping[int, int]
+) -> bytes:
+    """The summary at an offset of the file: topics, chunks, counts of messages by channel."""
+    messages = sum(counts.values())
+    first = min((chunk.first_ns for chunk in chunks), default=0)
+    last = max((chunk.last_ns for chunk in chunks), default=0)
+    statistics = struct.pack("<QHIIIIQQ", messages, len(schemas), len(channels), 0, 0, len(chunks), first, last)
+    by_channel = sized(b"".join(struct.pack("<HQ", *count) for count in counts.items()))
+    groups = {
+        SCHEMA: b"".join(schemas),
+        CHANNEL: b"".join(channels),
+        CHUNK_INDEX: b"".join(chunk.record() for chunk in chunks),
+        STATISTICS: record(STATISTICS, statistics + by_channel),
+    }
+    found = record(DATA_END, struct.pack("<I", 0))
+    start, offsets = at + len(found), b""
+    for kind, records in groups.items():
+        if records:
+            offsets += record(SUMMARY_OFFSET, struct.pack("<BQQ", kind, at + len(found), len(records)))
+            found += records
+    return found + offsets + record(FOOTER, struct.pack("<QQI", start, at + len(found), 0)) + MAGIC
+
+
+def ending_without_summary() -> bytes:
+    """The end of a file without an index, whose messages are found by reading all of it."""
+    return record(DATA_END, struct.pack("<I", 0)) + record(FOOTER, struct.pack("<QQI", 0, 0, 0)) + MAGIC
+
+
+FOOTER_BYTES = HEAD.size + 20 + len(MAGIC)
+INDEX_ENTRY_BYTES = 16
+"""A log time and an offset, for each message of a channel in a chunk; before them a head, the channel and their length."""
+INDEX_HEAD_BYTES = HEAD.size + 6
+
+
+class McapError(Exception):
+    """It is no MCAP file, or its index is damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class IndexedChunk:
+    """A chunk as the index describes it: number of messages by channel."""
+
+    channel_count: dict[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Number of messages by channel, as the file states it."""
+
+    channel_message_counts: dict[int, int]
+
+
+class McapIndex:
+    """The index of a file; a file without one has no chunks here.
+
+    `path`: a file with its end. Raises McapError if it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.chunks: list[IndexedChunk] = []
+        self.topics: dict[int, str] = {}  # name of the topic of each channel
+        self.statistics: Statistics | None = None
+        with path.open("rb") as file:
+            size = file.seek(0, 2)
+            file.seek(max(0, size - FOOTER_BYTES))
+            end = file.read()
+            if len(end) != FOOTER_BYTES or not end.endswith(MAGIC) or HEAD.unpack_from(end) != (FOOTER, 20):
+                raise McapError("no valid end of an MCAP file")
+            (start,) = struct.unpack_from("<Q", end, HEAD.size)
+            if start and not len(MAGIC) <= start <= size - FOOTER_BYTES:
+                raise McapError("an index outside the file")
+            if start:
+                file.seek(start)
+                try:
+                    self._read(file.read(size - start - FOOTER_BYTES))
+                except (struct.error, UnicodeDecodeError) as error:
+                    raise McapError(f"a truncated index: {error}") from error
+
+    def _read(self, data: bytes) -> None:
+        at = 0
+        while at < len(data):
+            kind, length = HEAD.unpack_from(data, at)
+            content = data[at + HEAD.size : at + HEAD.size + length]
+            at += HEAD.size + length
+            if kind == CHANNEL:
+                number, _, size = struct.unpack_from("<HHI", content)
+                self.topics[number] = content[8 : 8 + size].decode()
+            elif kind == CHUNK_INDEX:
+                self.chunks.append(_chunk(content))
+            elif kind == STATISTICS:
+                (size,) = struct.unpack_from("<I", content, 42)
+                counts = struct.iter_unpack("<HQ", content[46 : 46 + size // 10 * 10])
+                self.statistics = Statistics(dict(counts))
+            elif kind == SUMMARY_OFFSET:
+                return
+
+
+def _chunk(content: bytes) -> IndexedChunk:
+    at, length, size = struct.unpack_from("<QQI", content, 16)
+    where = sorted((offset, channel) for channel, offset in struct.iter_unpack("<HQ", content[36 : 36 + size // 10 * 10]))
+    (index,) = struct.unpack_from("<Q", content, 36 + size)
+    ends = [*(offset for offset, _ in where[1:]), at + length + index]
+    spans = zip(where, ends, strict=False)
+    counts = {channel: (end - offset - INDEX_HEAD_BYTES) // INDEX_ENTRY_BYTES for (offset, channel), end in spans}
+    return IndexedChunk({channel: count for channel, count in counts.items() if count})
+
 
 SUFFIX = ".part"
 """Of a file that is still being written, or never was finished."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 LEAST = {HEADER: 8, SCHEMA: 2, CHANNEL: 4, MESSAGE: MESSAGE_HEAD.size, CHUNK: 40, MESSAGE_INDEX: 6, ATTACHMENT: 0, METADATA: 0}
 """Kinds of records before the end of the data, and the least length of each [bytes]."""
+
+
+@cache
+def zstd() -> ModuleType:
+    """A library for zstd: that of Python 3.14, its backport, or the older one. Raises MissingExtraError without any."""
+    for name in ("compression.zstd", "backports.zstd", "zstandard"):
+        with suppress(ImportError):
+            return import_module(name)
+    raise MissingExtraError("unpacking zstd", "zstandard", "bags")
+
+
+def unpack_zstd(packed: bytes) -> bytes:
+    """Unpack the frames of zstd in some bytes."""
+    with zstd().open(io.BytesIO(packed), "rb") as file:
+        unpacked: bytes = file.read()
+    return unpacked
+
+
+def _unpack_lz4(packed: bytes) -> bytes:
+    try:
+        from lz4.frame import decompress
+    except ImportError:
+        raise MissingExtraError("unpacking lz4", "lz4", "bags") from None
+    unpacked: bytes = decompress(packed)
+    return unpacked
+
+
+UNPACKERS: Mapping[str, Callable[[bytes], bytes]] = {"": bytes, "zstd": unpack_zstd, "lz4": _unpack_lz4}
+"""Of the chunks of an MCAP file, by the name of their compression."""
 
 
 @dataclass(slots=True)
@@ -218,7 +398,7 @@ def _scanned(file: BinaryIO, size: int) -> _Found:
         kind, length = HEAD.unpack(file.read(HEAD.size))
         end = at + HEAD.size + length
         found.ended = kind == DATA_END
-        if kind not in LEAST or not LEAST[kind] <= length <= min(MAX_CHUNK_BYTES, size - at - HEAD.size):
+        if kind not in LEAST or not LEAST[kind] <= length <= size - at - HEAD.size:
             break
         if kind == CHUNK:
             found.close_chunk()
@@ -246,7 +426,7 @@ def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
         (packed,) = struct.unpack_from("<Q", content, 32 + name)
         if packed != len(content) - 40 - name:
             return False
-        data = unpackers()[compression](content[40 + name :], size)
+        data = UNPACKERS[compression](content[40 + name :])
         if len(data) != size or (crc and crc != zlib.crc32(data)):
             return False
         records = list(_records(data))
