@@ -17,10 +17,10 @@ SMALL = {"repeats": 1, "points": 2, "vehicles": 1, "days": 2, "minutes": 3.0}
 TARGET = 0.56  # 1.8 times as fast
 ONE_PROCESS = """
 from contextlib import nullcontext
-from trackres_ros.tools.engine import executor
-executor.engine = lambda *_: nullcontext()
-executor.done = lambda _client, function, work: ((piece, function(piece)) for piece in work)
-executor.dashboard = lambda _client: ""
+from trackres_ros.tools import engine
+engine.engine = lambda *_: nullcontext()
+engine.run_pieces = lambda _client, function, work: ((piece, function(piece)) for piece in work)
+engine.dashboard = lambda _client: ""
 from trackres_ros.__main__ import main
 main()
 """

@@ -237,7 +237,7 @@ def estimate(messages: int = 2000, repeats: int = 5) -> dict[str, float]:
     ready, types = DdsEstimate("base_link"), store.types
 
     def groups() -> list[bytes]:
-        return [ready.filled(START_NS, [nm, -nm, 0.1 * nm, 1.0], reasons) for nm in torques]
+        return [ready.fill(START_NS, [nm, -nm, 0.1 * nm, 1.0], reasons) for nm in torques]
 
     def texts() -> list[bytes]:
         found = []

@@ -180,10 +180,10 @@ def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:
     over those of the vehicle file, and how many are below half of it; means over draws of the vehicles.
     """
     rows = [row for row in dataset.rows([*TEXTS, *NUMBERS]) if row["status"] == "good"]
-    whole = max(Vehicles.of(rows), key=len)
+    whole = max(Vehicles.by_type(rows), key=len)
     begins = np.concatenate(([0], np.flatnonzero(whole.vehicle[1:] != whole.vehicle[:-1]) + 1, [len(whole)]))
     some = np.concatenate([np.arange(a, min(a + RECORDINGS_OF_EACH, b)) for a, b in pairwise(begins)])
-    few, rng = whole.some(some), np.random.default_rng(1)
+    few, rng = whole.subset(some), np.random.default_rng(1)
     names = np.unique(few.vehicle)
     counts = [2**i for i in range(len(names).bit_length()) if 2**i < len(names)] + [len(names)]
     found = []
@@ -191,7 +191,7 @@ def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:
         stds = []
         for _ in range(DRAWS if count < len(names) else 1):
             chosen = rng.choice(names, count, replace=False)
-            stds.append(np.sqrt(np.diag(pool(few.some(np.isin(few.vehicle, chosen))).covariance)))
+            stds.append(np.sqrt(np.diag(pool(few.subset(np.isin(few.vehicle, chosen))).covariance)))
         mean = dict(zip(few.names, np.mean(stds, axis=0).tolist(), strict=True))
         settled = float((np.array(stds) < SETTLED_STD).sum(axis=1).mean())
         found.append({"vehicles": count, "settled": settled, "std": mean})

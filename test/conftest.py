@@ -206,11 +206,11 @@ def _trackres(*words, cwd=None):
 def in_this_process(monkeypatch):
     """Makes a module do the work of a fleet's engine here, on what a worker would get."""
 
-    def done(_client, function, work):
+    def run_pieces(_client, function, work):
         return ((one, function(pickle.loads(pickle.dumps(one)))) for one in work)
 
     def change(module):
-        for name, value in (("engine", lambda *_: nullcontext()), ("done", done), ("dashboard", lambda _: "")):
+        for name, value in (("engine", lambda *_: nullcontext()), ("run_pieces", run_pieces), ("dashboard", lambda _: "")):
             monkeypatch.setattr(module, name, value, raising=False)
 
     return change

@@ -37,12 +37,12 @@ def source(name: str, entries: Mapping[str, FunctionType]) -> str:
     translator = Translator(translate_body)
     translator.checked = False
     effects = EffectCalls(translator, others=True)
-    made = Extension(name, translator, entries, {"SOURCES": sources_digest()})
+    extension = Extension(name, translator, entries, {"SOURCES": sources_digest()})
     if not effects.called:
-        return made.text()
+        return extension.text()
     for function, number in shipped().items():
         effects.add(function, number)
-    return made.text(effects.text(), effects.prototype, list(effects.functions.values()))
+    return extension.text(effects.text(), effects.prototype, list(effects.functions.values()))
 
 
 def built(entries: Mapping[str, FunctionType], *options: str) -> ModuleType | None:

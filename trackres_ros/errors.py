@@ -76,44 +76,44 @@ class MissingExtraError(InputError):
         )
 
 
-def shown(given: object) -> str:
+def shown(value: object) -> str:
     """The given value as one short line: no more of it is read than is shown, so it may be huge or recursive."""
-    most = MOST_OF_TEXT if isinstance(given, str) else MOST_SHOWN
+    limit = MOST_OF_TEXT if isinstance(value, str) else MOST_SHOWN
     text = ""
-    for piece in _pieces(given):
+    for piece in _pieces(value):
         text += piece
-        if len(text) > most:
-            return f"{text[: most - 3]}..."
+        if len(text) > limit:
+            return f"{text[: limit - 3]}..."
     return text
 
 
-def _pieces(given: object) -> Iterator[str]:
+def _pieces(data: object) -> Iterator[str]:
     """`repr`, piece by piece."""
-    if isinstance(given, str | bytes):
-        yield repr(given[: MOST_OF_TEXT + 1])
-    elif isinstance(given, int) and given.bit_length() > SHORT_NUMBER_BITS:  # thousands of digits cannot be written at all
-        yield f"a whole number of {given.bit_length()} bits"
-    elif isinstance(given, Mapping):
-        yield from _joined("{", ((key, value) for key, value in given.items()), "}")
-    elif isinstance(given, list):
-        yield from _joined("[", ((value,) for value in given), "]")
-    elif isinstance(given, tuple):
-        yield from _joined("(", ((value,) for value in given), ",)" if len(given) == 1 else ")")
-    elif isinstance(given, set | frozenset):
-        yield from _joined("{", ((value,) for value in given), "}")
+    if isinstance(data, str | bytes):
+        yield repr(data[: MOST_OF_TEXT + 1])
+    elif isinstance(data, int) and data.bit_length() > SHORT_NUMBER_BITS:  # thousands of digits cannot be written at all
+        yield f"a whole number of {data.bit_length()} bits"
+    elif isinstance(data, Mapping):
+        yield from _collection("{", ((key, value) for key, value in data.items()), "}")
+    elif isinstance(data, list):
+        yield from _collection("[", ((value,) for value in data), "]")
+    elif isinstance(data, tuple):
+        yield from _collection("(", ((value,) for value in data), ",)" if len(data) == 1 else ")")
+    elif isinstance(data, set | frozenset):
+        yield from _collection("{", ((value,) for value in data), "}")
     else:
-        yield one_line(repr(given))
+        yield one_line(repr(data))
 
 
-def _joined(before: str, parts: Iterable[tuple[object, ...]], after: str) -> Iterator[str]:
+def _collection(opening: str, parts: Iterable[tuple[object, ...]], closing: str) -> Iterator[str]:
     """A collection; a part is a value, or a key and its value."""
-    yield before
+    yield opening
     for i, part in enumerate(parts):
         yield ", " if i else ""
         for j, value in enumerate(part):
             yield ": " if j else ""
             yield from _pieces(value)
-    yield after
+    yield closing
 
 
 def one_line(text: str) -> str:
@@ -127,9 +127,9 @@ def encodable(name: str) -> str:
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
-def nearest(given: str, names: Iterable[str]) -> str:
+def nearest(word: str, names: Iterable[str]) -> str:
     """Return ``did you mean X?`` for the nearest of some names, or nothing."""
     import difflib  # only for an error: it takes as long to import as all else here
 
-    close = difflib.get_close_matches(given, list(names), 1)
+    close = difflib.get_close_matches(word, list(names), 1)
     return f"did you mean {close[0]}?" if close else ""

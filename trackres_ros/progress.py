@@ -25,14 +25,14 @@ def listening(listener: Listener) -> Iterator[None]:
         _listeners.remove(listener)
 
 
-def tell(what: str, done: int = 0, total: int = 0) -> None:
+def tell(part: str, count: int = 0, total: int = 0) -> None:
     """That so much of something is done; without a total, that it began."""
     for listener in list(_listeners):
-        listener(what, done, total)
+        listener(part, count, total)
 
 
-def counted(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
+def counted(items: Iterable[Item], part: str, total: int) -> Iterator[Item]:
     """The items, one after the other; each counts as done when the next is requested."""
-    for done, item in enumerate(items):
-        tell(what, done, total)
+    for count, item in enumerate(items):
+        tell(part, count, total)
         yield item

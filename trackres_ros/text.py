@@ -87,15 +87,15 @@ def number_of(count: int, one: str, more: str = "") -> str:
     return f"{count} {one if count == 1 else more or one + 's'}"
 
 
-def some_of(names: Sequence[str], most: int = 8) -> str:
+def some_of(names: Sequence[str], limit: int = 8) -> str:
     """Names in a row, of many the first few and how many more."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    return ", ".join(names[:limit]) + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
 def rising(values: Sequence[float]) -> list[str]:
     """Rising numbers, such as the edges of bins: each with the figures that tell it from its neighbours, at most four."""
-    apart = [0.0, *(b - a for a, b in pairwise(values)), 0.0]
-    nearest = [min((distance for distance in pair if distance > 0.0), default=0.0) for pair in pairwise(apart)]
+    distances = [0.0, *(b - a for a, b in pairwise(values)), 0.0]
+    nearest = [min((distance for distance in pair if distance > 0.0), default=0.0) for pair in pairwise(distances)]
     return [figures(round(v, 1 - _exponent(distance)) if distance else v, 4) for v, distance in zip(values, nearest, strict=True)]
 
 
@@ -105,14 +105,14 @@ def _exponent(value: float) -> int:
 
 def told_apart(paths: Sequence[str]) -> list[str]:
     """Name of each file, with the folders before it that tell it from the others."""
-    every = [PurePath(path).parts for path in paths]
-    different = set(every)
+    all_parts = [PurePath(path).parts for path in paths]
+    distinct = set(all_parts)
 
     def shortest(parts: tuple[str, ...]) -> str:
-        lengths = (n for n in range(1, len(parts)) if sum(other[-n:] == parts[-n:] for other in different) == 1)
+        lengths = (n for n in range(1, len(parts)) if sum(path_parts[-n:] == parts[-n:] for path_parts in distinct) == 1)
         return str(PurePath(*parts[-next(lengths, len(parts)) :]))
 
-    return [shortest(parts) for parts in every]
+    return [shortest(parts) for parts in all_parts]
 
 
 def words(topic: str) -> str:
@@ -163,8 +163,8 @@ def html_table(head: Sequence[str], rows: Iterable[Sequence[str]], units: Sequen
     align = [CELL.format("right" if of_number else "left") for of_number in right]
 
     def line(cells: Sequence[str], kind: str) -> str:
-        shown = (f'<{kind} style="{style}">{escape(cell)}</{kind}>' for cell, style in zip(cells, align, strict=True))
-        return f"<tr>{''.join(shown)}</tr>"
+        cells_html = (f'<{kind} style="{style}">{escape(cell)}</{kind}>' for cell, style in zip(cells, align, strict=True))
+        return f"<tr>{''.join(cells_html)}</tr>"
 
     heads = line(head, "th") + (line(units, "td") if units else "")
     lines = "".join(line(row, "td") for row in body)

@@ -38,7 +38,7 @@ class Loop:
         self.node._inbox = Inbox([self._take], self._hand, lambda: (0, 0), lambda _: None, 1000)
 
     def run(self, until):
-        requests = SimpleNamespace(started=lambda: None, pending=self._turn, to_stop=False)
+        requests = SimpleNamespace(start=lambda: None, pending=self._turn, to_stop=False)
         clock = SimpleNamespace(monotonic_ns=lambda: self.now_ns, time_ns=time.time_ns, time=time.time)
         self._ends = lambda: setattr(requests, "to_stop", until(self))
         with pytest.MonkeyPatch.context() as patch:

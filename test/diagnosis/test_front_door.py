@@ -133,7 +133,7 @@ def test_a_notebook_shows_sentence_values_and_a_picture(found):
 def test_the_terminal_shows_the_warnings_alone(found):
     notes = ("an assumption", *(WarningNote(f"{n}.csv: not used") for n in range(12)))
     noted = replace(found.diagnosis, gated=replace(found.diagnosis.gated, notes=notes))
-    result = tr.DiagnosisResult(noted, found._loaded, found.recordings)
+    result = tr.DiagnosisResult(noted, found._base_file, found.recordings)
     assert result.warnings == notes[1:]
     assert json.loads(json.dumps(result.as_dict()))["warnings"] == list(notes[1:])
     assert repr(result).count("Warning: ") == 10

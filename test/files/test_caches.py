@@ -86,9 +86,9 @@ def test_what_is_not_a_file_in_its_place_stops_nothing(tmp_path, make):
 @pytest.fixture
 def said(caplog):
     """Messages on caches, from the beginning."""
-    cache._say.cache_clear()
+    cache._warn.cache_clear()
     yield lambda: [record.getMessage() for record in caplog.records]
-    cache._say.cache_clear()
+    cache._warn.cache_clear()
 
 
 def private(path):

@@ -103,7 +103,7 @@ def test_a_misspelt_key_or_word_gets_a_suggestion(changed, near):
 def test_keys_may_be_left_to_the_caller():
     reader = DataReader("cart.yaml")
     assert reader.part(Wheel, {"radius": 1.0}, "wheel", name="w") == Wheel("w", 1.0)
-    assert reader.part(Wheel, {"radius": 1.0, "tyre": "x"}, "wheel", others=("tyre",), name="w") == Wheel("w", 1.0)
+    assert reader.part(Wheel, {"radius": 1.0, "tyre": "x"}, "wheel", other_keys=("tyre",), name="w") == Wheel("w", 1.0)
     with pytest.raises(InputError, match=r"wheel\.spokes"):
         reader.part(Wheel, {"name": "w", "radius": 1.0, "spokes": 4}, "wheel", only=("name", "radius"))
 

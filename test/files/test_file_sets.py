@@ -333,7 +333,7 @@ def test_a_journal_of_a_stranger_touches_no_file_outside(tmp_path):
     token = "0123456789abcdef"
     anew(theirs, {})
     for kind in ("new", "old"):
-        Member(theirs / "precious.txt", None).beside(token, kind).write_bytes(b"evil")
+        Member(theirs / "precious.txt", None).neighbour(token, kind).write_bytes(b"evil")
     (theirs / "link").symlink_to(home)
     for journal in (FORWARD, BACK):
         for name in ("../home/precious.txt", "link/precious.txt"):

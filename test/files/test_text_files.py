@@ -8,11 +8,11 @@ import itertools
 import pytest
 from user_files import OTHERS, ROUTE, YAMLS
 
+from proofs.sealed.diagnosing import opened
 from trackres_ros.errors import InputError
 from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import config_dir
 from trackres_ros.route.table import read_route
-from trackres_ros.vehicle.writing.vehicle_file import opened
 
 ENDS = ("\n", "\r\n", "\r")
 

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import trackres_ros as tr
+from proofs.sealed.diagnosing import opened
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import HELD, lines, shown
@@ -35,7 +36,6 @@ from trackres_ros.learning.parameters import (
 from trackres_ros.learning.state import BLOCK_S, LASTING_SHARE, LATE, ResidualBlock, close_block
 from trackres_ros.learning.store import write_learned
 from trackres_ros.vehicle import RoadVehicle
-from trackres_ros.vehicle.writing.vehicle_file import opened
 
 
 @pytest.fixture(scope="module")

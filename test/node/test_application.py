@@ -222,7 +222,7 @@ def test_topics_are_shown_under_their_remapped_names(desk):
     logged = "; ".join(text for _, text in d.logged)
     assert "speed: 2 publishers on /car/odometry/speed" in logged
     assert "on /scale" in logged
-    d.app.messages.dropped(0)
+    d.app.messages.count_drop(0)
     d.app.close()
     assert f"{d.topic_name(d.app.inputs[0].name)} dropped 1" in d.logged[-1][1]
 
@@ -340,7 +340,7 @@ def test_stamps_of_another_clock_are_remarked(desk):
 def test_simulated_time_that_goes_back_starts_anew(desk):
     d = desk(use_sim_time=True)
     d.drive(120.0, dt=0.3)
-    d.app.messages.receive_values(d.index("ambient"), d.now_ns(), [35.0], sent=Sent(1))  # waits for a speed, and is of before
+    d.app.messages.receive_values(d.index("ambient"), d.now_ns(), [35.0], origin=Sent(1))  # waits for a speed, and is of before
     d.time_s = 0.0
     d.app.time_went_back(4 * SECOND_NS)
     d.drive(0.1)
@@ -445,10 +445,10 @@ def test_before_the_clock_the_newest_messages_of_an_input_wait(desk, monkeypatch
 def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):
     d = desk()
     d.drive(1.0, load=250e3)
-    d.app.messages.receive_values(d.index("load"), None, [300e3], sent=Sent(2000))
-    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 1, [8.0], sent=Sent(1000))
+    d.app.messages.receive_values(d.index("load"), None, [300e3], origin=Sent(2000))
+    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 1, [8.0], origin=Sent(1000))
     assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
-    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 2, [8.0], sent=Sent(3000))
+    d.app.messages.receive_values(d.index("speed"), d.now_ns() + 2, [8.0], origin=Sent(3000))
     assert d.app.overview().values["weight_n"] == pytest.approx(300e3)
 
 
@@ -456,7 +456,7 @@ def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
     d = desk()
     d.drive(1.0)
     before = sum(number for name, _, number in d.app.session.counts() if name == "load")
-    d.app.messages.receive_values(d.index("load"), None, [300e3], sent=Sent(d.now_ns()))
+    d.app.messages.receive_values(d.index("load"), None, [300e3], origin=Sent(d.now_ns()))
     d.app.close()
     assert sum(number for name, _, number in d.app.session.counts() if name == "load") == before + 1
 

@@ -80,7 +80,7 @@ class Drive:
     def output(self):
         before = self.torque
         if self.begun:
-            self.torque = self.filter.moved(self.filter.course(self.now))
+            self.torque = self.filter.move(self.filter.course(self.now))
         rate = max(number.feedforward_rate for number in self.number)
         to_zero = max(number.feedforward_limit / number.feedforward_fade for number in self.number)
         away = abs(self.torque) > abs(before) and self.torque * before >= 0.0

@@ -26,7 +26,7 @@ pytest.importorskip("rosbags")
 PACKAGE = Path(trackres_ros.__file__).parent
 STEP = {  # what makes an estimate and brings it out: without one of them there is none; and the values of checked parameters
     "Session.feed", "InputReader.read", "InputReader.samples",
-    "SpeedSources.takes", "FeedforwardFilter.take", "FeedforwardFilter.course", "FeedforwardFilter.moved",
+    "SpeedSources.takes", "FeedforwardFilter.take", "FeedforwardFilter.course", "FeedforwardFilter.move",
     "FeedforwardFilter.age_s", "FeedforwardFilter.max_age_s", "FeedforwardFilter.share",
     "OutputPublisher.take", "OutputPublisher.publish",
 }  # fmt: skip

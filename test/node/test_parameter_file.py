@@ -42,10 +42,10 @@ def watched(path, content, overruled=()):
 def looked(file, parameters):
     """The parameters after two looks, applied as the node does."""
     for _ in range(2):
-        changed, _ = file.look(parameters.changed)
+        changed, _ = file.look(parameters.with_changes)
         if changed:
-            parameters = parameters.changed(changed)
-            file.applied(changed)
+            parameters = parameters.with_changes(changed)
+            file.note_changes(changed)
     return parameters
 
 
@@ -59,7 +59,7 @@ def test_edits_give_the_parameters_of_a_start_with_the_last_file(tmp_path_factor
         write(path, content)
         parameters = looked(file, parameters)
     assert parameters == make_parameters(read_parameters(path) | overruled)
-    assert file.look(parameters.changed) == ({}, [])
+    assert file.look(parameters.with_changes) == ({}, [])
 
 
 def test_an_edit_during_the_start_is_applied(tmp_path):
@@ -74,15 +74,15 @@ def test_what_is_just_being_written_is_not_read(tmp_path):
     file, parameters = watched(tmp_path / "p.yaml", {"gap_s": 2.0})
     for half in ("", "gap", "gap_s: ", "gap_s: 3"):
         write(tmp_path / "p.yaml", half)
-        assert file.look(parameters.changed) == ({}, [])
-    assert file.look(parameters.changed) == ({"gap_s": 3.0}, [])
+        assert file.look(parameters.with_changes) == ({}, [])
+    assert file.look(parameters.with_changes) == ({"gap_s": 3.0}, [])
 
 
 @pytest.mark.parametrize("content", ["gap_s: [", "just text", "/other: {ros__parameters: {gap_s: 3.0}}"])
 def test_a_file_that_cannot_be_read_is_refused_once(tmp_path, content):
     file, parameters = watched(tmp_path / "p.yaml", {"gap_s": 2.0})
     write(tmp_path / "p.yaml", content)
-    looks = [file.look(parameters.changed) for _ in range(3)]
+    looks = [file.look(parameters.with_changes) for _ in range(3)]
     assert [changed for changed, _ in looks] == [{}, {}, {}]
     assert [len(refused) for _, refused in looks] == [0, 1, 0]
     write(tmp_path / "p.yaml", {"gap_s": 4.0})
@@ -97,11 +97,11 @@ def test_a_refused_line_stops_no_other_line(tmp_path_factory, content, bad, lear
     good = {"vehicle": "xgd24d"} | {name: value for name, value in content.items() if name not in bad}
     good |= {"learning": learning} if learning is not None and "learning" not in bad else {}
     write(path, good | {name: BAD[name] for name in bad})
-    file.look(parameters.changed)
-    changed, refused = file.look(parameters.changed)
-    assert parameters.changed(changed) == make_parameters(good)
+    file.look(parameters.with_changes)
+    changed, refused = file.look(parameters.with_changes)
+    assert parameters.with_changes(changed) == make_parameters(good)
     assert {error.where for error in refused} == {f"parameter {name}" if name in PARAMETERS else "parameter" for name in bad}
-    assert file.look(parameters.changed) == ({}, [])
+    assert file.look(parameters.with_changes) == ({}, [])
 
 
 def test_two_changes_that_need_each_other_are_made_in_any_order(tmp_path):
@@ -123,10 +123,10 @@ def test_what_was_refused_is_asked_again_with_the_next_file(tmp_path):
     file, parameters = watched(tmp_path / "p.yaml", {"vehicle": "xgd24d"})
     for share in (0.01, 0.02):
         write(tmp_path / "p.yaml", {"vehicle": "agri3t", "feedforward_share": share})
-        file.look(parameters.changed)
-        changed, (refused,) = file.look(parameters.changed)
+        file.look(parameters.with_changes)
+        changed, (refused,) = file.look(parameters.with_changes)
         assert changed == {"feedforward_share": share}
         assert "reads it once" in str(refused)
-        assert str(tmp_path / "p.yaml") in file.refused(refused)
+        assert str(tmp_path / "p.yaml") in file.refusal_text(refused)
     write(tmp_path / "p.yaml", {"vehicle": "xgd24d", "gap_s": 3.0})
     assert looked(file, parameters).number("gap_s") == 3.0

@@ -21,7 +21,7 @@ NUMBERS = [p for p in PARAMETERS.values() if p.is_number]
 
 def test_defaults_are_within_their_own_limits():
     for parameter in PARAMETERS.values():
-        assert parameter.checked(parameter.default) == parameter.default
+        assert parameter.check(parameter.default) == parameter.default
         assert parameter.meaning
 
 
@@ -37,7 +37,7 @@ def test_a_number_and_its_limits_are_of_one_type(parameter):
     for value in (parameter.low, parameter.high):
         assert type(value) is kind
         for given_ in {value, float(value), int(value) if float(value).is_integer() else value}:
-            assert type(parameter.checked(given_)) is kind
+            assert type(parameter.check(given_)) is kind
     assert kind is int or parameter.unit, "a count is a whole number"
     assert make_parameters({}).values[parameter.name] == parameter.default
 
@@ -67,10 +67,10 @@ def test_learning_takes_what_yaml_makes_of_on_and_off(tmp_path, text, mode):
 def test_a_number_passes_just_when_it_is_in_range(parameter, value):
     fits = isinstance(parameter.default, float) or float(value).is_integer()
     if math.isfinite(value) and parameter.low <= value <= parameter.high and fits:
-        assert parameter.checked(value) == value
+        assert parameter.check(value) == value
     else:
         with pytest.raises(InputError, match=f"{parameter.name}.*given.*allowed"):
-            parameter.checked(value)
+            parameter.check(value)
 
 
 @pytest.mark.parametrize("value", [True, "3", None, [1.0]])
@@ -82,7 +82,7 @@ def test_other_kinds_are_no_numbers(value):
 def test_a_change_is_all_or_nothing():
     parameters = make_parameters({"vehicle": "xgd24d"})
     with pytest.raises(InputError, match="gap_s"):
-        parameters.changed({"output_rate_hz": 10, "gap_s": -1})
+        parameters.with_changes({"output_rate_hz": 10, "gap_s": -1})
     assert parameters.number("output_rate_hz") == 50.0
 
 
@@ -95,9 +95,9 @@ def test_a_deadline_that_the_rate_cannot_keep_is_refused():
 
 def test_what_is_fixed_may_be_set_to_what_it_is():
     parameters = make_parameters({"vehicle": "xgd24d"})
-    assert isinstance(parameters.changed({"vehicle": "xgd24d"}), Parameters)
+    assert isinstance(parameters.with_changes({"vehicle": "xgd24d"}), Parameters)
     with pytest.raises(InputError, match="reconfigure the node"):
-        parameters.changed({"vehicle": "agri3t"})
+        parameters.with_changes({"vehicle": "agri3t"})
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def in_haste(wire, depth, chance, unknown=1 / 3):
         raw, kind, sent_ns = message
         app.messages.receive(index, STORE.deserialize_cdr(raw, kind), Sent(sent_ns * (chance.random() >= unknown)), arrived, raw)
 
-    inbox = Inbox([partial(take, queue) for queue in queues], hand, app.clock.arrival, app.messages.dropped, depth)
+    inbox = Inbox([partial(take, queue) for queue in queues], hand, app.clock.arrival, app.messages.count_drop, depth)
 
     def work():
         inbox.collect()
@@ -350,8 +350,8 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     earlier = d.app.clock.arrival()
     d.forward(2.0)
     wire.send("brake", NUMBER, 1.0)
-    d.app.messages.receive_values(wire.index["speed"], None, None, arrived=earlier, raw=b"no message!!")
-    d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], sent=Sent(1), raw=b"waits for a speed")
+    d.app.messages.receive_values(wire.index["speed"], None, None, arrival=earlier, raw=b"no message!!")
+    d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], origin=Sent(1), raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()
     found = [raw for *_, raw in messages_of(tmp_path / "live.mcap")]
@@ -407,7 +407,7 @@ def test_the_estimate_is_the_same_live_recorded_and_replayed(desk, tmp_path, goo
     wire.recorder.end()
     message, left = DdsEstimate("base_link"), [one for one in d.published if one[0] == "estimate"]
     published = [
-        (stamp, message.filled(stamp, values, tuple(reasons.items())))
+        (stamp, message.fill(stamp, values, tuple(reasons.items())))
         for (_, stamp, values), reasons in zip(left, d.reasons, strict=True)
     ]
     given = ("--vehicle", "xgd24d", "--topics", topics, "--params", tmp_path / "params.yaml")

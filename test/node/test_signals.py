@@ -18,8 +18,8 @@ def test_a_signal_during_start_is_kept_with_the_log_pipe_closed(monkeypatch):
     with os.fdopen(write, "w") as nobody:
         monkeypatch.setattr(sys, "__stderr__", nobody)
         requests = SignalRequests()
-        requests._take(SAVE, None)
-        requests._take(signal.SIGTERM, None)
+        requests._note(SAVE, None)
+        requests._note(signal.SIGTERM, None)
     assert requests._waiting == [SAVE]
     assert requests.to_stop
 
@@ -57,7 +57,7 @@ def test_signals_that_end_a_process_end_the_node_in_order(handlers, number):
     signal.signal(number, signal.SIG_DFL)
     requests = SignalRequests()
     requests.listen()
-    requests.started()
+    requests.start()
     os.kill(os.getpid(), number)
     assert requests.to_stop
 
@@ -66,6 +66,6 @@ def test_a_closed_terminal_ends_nothing_under_nohup(handlers):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     requests = SignalRequests()
     requests.listen()
-    requests.started()
+    requests.start()
     os.kill(os.getpid(), signal.SIGHUP)
     assert not requests.to_stop

@@ -151,8 +151,8 @@ def longitude_at(way):
 def test_ranges_hold_the_truth_after_a_release_and_with_noise(of_car, seed):
     table = car_drive(seed)
     found = of_car(table).coastdown
-    (session,), rolls = found.rolled.sessions, table[:, 2] == 0.0
-    for stretch, (release, again) in zip(found.rolled.stretches, np.flatnonzero(np.diff(rolls)).reshape(4, 2), strict=True):
+    (session,), rolls = found.runs.sessions, table[:, 2] == 0.0
+    for stretch, (release, again) in zip(found.runs.stretches, np.flatnonzero(np.diff(rolls)).reshape(4, 2), strict=True):
         assert 0.0 <= session.time[stretch.begin] - table[release, 0] < 3.0
         assert 0.0 <= table[again, 0] - session.time[stretch.end] < 7.0
     for one in found.parameters:
@@ -168,7 +168,7 @@ def test_there_and_back_on_a_slope_is_as_on_level_ground(of_car, slope, noise, e
     table = car_drive(slope=slope, times=8, noise=noise)[::every]
     table = table[(table[:, 2] != 0.0) | (np.abs(table[:, 1] - 16.0) >= gap)]
     found = of_car(table)
-    assert found.coastdown.rolled.count == 8
+    assert found.coastdown.runs.count == 8
     assert found.better
     values = {p.name: p.value for p in found.coastdown.parameters}
     for speed in (8.0, 15.0, 25.0):
@@ -219,7 +219,7 @@ def test_track_ranges_hold_the_truth_for_any_mass_of_the_file(tmp_path, xgd24d, 
     heavy = replace(xgd24d, axles=tuple(replace(a, load=factor * a.load) for a in xgd24d.axles))
     roll = written(tmp_path / "roll.csv", drive(heavy, times=6), "time_s,speed_mps,grade")
     for p in tr.coastdown(roll, "xgd24d").coastdown.parameters:
-        assert p.interval.low < p.before < p.interval.high
+        assert p.interval.low < p.file_value < p.interval.high
 
 
 @pytest.mark.parametrize(("rolling", "area"), [(0.0105, 1.0), (0.008, 0.3), (0.02, 4.0)])
@@ -259,7 +259,7 @@ def test_coast_downs_keep_the_order_driven(given, expected):
 @pytest.mark.parametrize("least", [0.00015, 0.0003, 0.001])
 def test_no_value_beyond_its_range_in_the_file_is_written(tmp_path, of_car, least):
     found = of_car(car_drive(), cart(tmp_path / "car.yaml", CAR_KG, rise=(least, 0.002)))
-    beyond = [p.name for p in found.coastdown.parameters if p.beyond]
+    beyond = [p.name for p in found.coastdown.parameters if p.is_outside]
     assert found.better == (not beyond)
     if beyond:
         assert all(name in found.why_not for name in beyond)
@@ -374,7 +374,7 @@ def test_what_resists_is_found_within_its_ranges(tmp_path, xgd24d, rolled, colum
     assert of.determined
     assert of.interval.low < true.chassis.bearing_friction < of.interval.high
     for name in ("loss_modulus_scale", "drag_coefficient"):
-        assert by_name[name].interval.low < by_name[name].before < by_name[name].interval.high
+        assert by_name[name].interval.low < by_name[name].file_value < by_name[name].interval.high
     assert "loss_modulus_scale" in of.with_others  # a force that hardly varies: only both together are told
     for speed_kmh in (10.0, 25.0, 40.0):
         assert resistance(xgd24d, speed_kmh, found) == pytest.approx(resistance(true, speed_kmh), rel=0.01)
@@ -386,7 +386,7 @@ def test_what_resists_is_found_within_its_ranges(tmp_path, xgd24d, rolled, colum
 def test_fewer_than_three_coast_downs_confirm_nothing(tmp_path, rolled, times):
     begins = np.flatnonzero((rolled[1:, 2] > 0.0) & (rolled[:-1, 2] <= 0.0)) + 1  # of the later drives
     found = tr.coastdown(written(tmp_path / "roll.csv", rolled[: begins[times - 1]], "time_s,speed_mps"), "xgd24d")
-    assert len(found.coastdown.rolled.stretches) == times
+    assert len(found.coastdown.runs.stretches) == times
     assert any(p.determined for p in found.coastdown.parameters)
     assert repr(found).count("not told") == sum(not p.determined for p in found.coastdown.parameters) > 0
     assert not found.better
@@ -444,7 +444,7 @@ def test_each_rolling_out_may_be_a_recording_of_its_own(tmp_path, xgd24d, rolled
         files.append(written(tmp_path / f"roll_{number}.csv", piece, "time_s,speed_mps"))
     assert len(files) == 4
     found = tr.coastdown(files, "xgd24d")
-    assert [s.session for s in found.coastdown.rolled.stretches] == [0, 1, 2, 3]
+    assert [s.session for s in found.coastdown.runs.stretches] == [0, 1, 2, 3]
     true = resistance(heavier_bearings(xgd24d), 25.0)
     assert resistance(xgd24d, 25.0, found) == pytest.approx(true, rel=0.05)  # how warm it was before is not known
 

@@ -17,8 +17,8 @@ def as_arrow(column: NDArray[Any]) -> Any:
 
     if column.dtype.kind not in "fiu":
         return pa.array(column, from_pandas=True)
-    given = ~np.isnan(column)
-    bits = None if given.all() else pa.py_buffer(np.packbits(given, bitorder="little"))
+    present = ~np.isnan(column)
+    bits = None if present.all() else pa.py_buffer(np.packbits(present, bitorder="little"))
     data = pa.py_buffer(np.ascontiguousarray(column))
     return pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), len(column), [bits, data])
 
@@ -30,7 +30,7 @@ def as_numpy(column: Any) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """
     import pyarrow as pa
 
-    kind, none = (np.int64, 0) if pa.types.is_integer(column.type) else (np.float64, np.nan)
+    kind, missing_value = (np.int64, 0) if pa.types.is_integer(column.type) else (np.float64, np.nan)
     if not len(column):
         return np.empty(0, kind), np.empty(0, np.bool_)
     bits, data = column.buffers()
@@ -38,5 +38,5 @@ def as_numpy(column: Any) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     values = np.frombuffer(data, kind)[rows]
     if bits is None:
         return values, np.ones(len(values), np.bool_)
-    given = np.unpackbits(np.frombuffer(bits, np.uint8), bitorder="little")[rows].astype(np.bool_)
-    return np.where(given, values, none), given
+    present = np.unpackbits(np.frombuffer(bits, np.uint8), bitorder="little")[rows].astype(np.bool_)
+    return np.where(present, values, missing_value), present

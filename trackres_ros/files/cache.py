@@ -45,13 +45,13 @@ def cached_arrays(
     """
     folder, name = usable(cache or cache_dir()), f"{key}{SUFFIX}"
     sizes = [math.prod(shape) for shape in shapes.values()]
-    stored = fetched(folder, name, sum(sizes) * STORED.itemsize + own_files.SEAL().digest_size)
-    if stored is not None and len(stored) == sum(sizes) * STORED.itemsize:
-        numbers = np.frombuffer(stored, dtype=STORED).astype(float)
+    data = fetched(folder, name, sum(sizes) * STORED.itemsize + own_files.SEAL().digest_size)
+    if data is not None and len(data) == sum(sizes) * STORED.itemsize:
+        numbers = np.frombuffer(data, dtype=STORED).astype(float)
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
     arrays = {name: np.asarray(value, dtype=float) for name, value in compute().items()}
-    keep(folder, name, b"".join(np.ascontiguousarray(arrays[each], dtype=STORED).tobytes() for each in shapes))
+    keep(folder, name, b"".join(np.ascontiguousarray(arrays[array_name], dtype=STORED).tobytes() for array_name in shapes))
     trim(folder, f"*{SUFFIX}", MOST_KEPT)
     return arrays
 
@@ -59,23 +59,23 @@ def cached_arrays(
 def usable(folder: Path | None) -> Path | None:
     """The folder, created if needed, if it is safe as a cache; None if not, which is logged once."""
     if folder is None:
-        _say("there is no home folder")
+        _warn("there is no home folder")
         return None
     folder = folder.absolute()
-    reason = _made(folder) or why_not(folder)
+    reason = _make(folder) or why_not(folder)
     if reason:
-        _say(reason)
+        _warn(reason)
         return None
     return folder
 
 
-def fetched(folder: Path | None, name: str, most: int) -> bytes | None:
+def fetched(folder: Path | None, name: str, limit: int) -> bytes | None:
     """Content kept under a name, if it is intact and our own; a damaged file is removed."""
     if folder is None:
         return None
     path = folder / name
     try:
-        payload = own_files.unsealed(name, own_files.read(path, most)) if path.stat().st_uid in _ours() else None
+        payload = own_files.unsealed(name, own_files.read(path, limit)) if path.stat().st_uid in _ours() else None
     except FileNotFoundError:
         return None
     except OSError:
@@ -92,7 +92,7 @@ def keep(folder: Path | None, name: str, payload: bytes) -> None:
     try:
         own_files.write(folder / name, own_files.sealed(name, payload), private=True)
     except OSError as error:
-        _say(f"{folder}: {error.strerror or error}")
+        _warn(f"{folder}: {error.strerror or error}")
 
 
 def drop(folder: Path, name: str) -> None:
@@ -103,22 +103,22 @@ def drop(folder: Path, name: str) -> None:
         return
 
 
-def trim(folder: Path | None, pattern: str, most: int) -> None:
-    """Remove the oldest of some files, if they have more than `most` bytes together. Who needs one again computes it.
+def trim(folder: Path | None, pattern: str, limit: int) -> None:
+    """Remove the oldest of some files, if they have more than `limit` bytes together. Who needs one again computes it.
 
     Other processes may use the folder at the same time: a file that has vanished is not there, an open one stays readable.
     """
-    found = []
+    entries = []
     for path in () if folder is None else folder.glob(pattern):
         with suppress(OSError):
-            known = path.lstat()
-            found.append((known.st_mtime_ns, known.st_size, path))
-    over = sum(size for _, size, _ in found) - most
-    for _, size, path in sorted(found):
-        if over <= 0:
+            status = path.lstat()
+            entries.append((status.st_mtime_ns, status.st_size, path))
+    excess = sum(size for _, size, _ in entries) - limit
+    for _, size, path in sorted(entries):
+        if excess <= 0:
             return
         drop(path.parent, path.name)
-        over -= size
+        excess -= size
 
 
 def why_not(folder: Path) -> str:
@@ -126,20 +126,20 @@ def why_not(folder: Path) -> str:
     real = folder.resolve()
     for place in (real, *real.parents):
         try:
-            found = place.stat()
+            status = place.stat()
         except OSError as error:
             return f"{place}: {error.strerror}"
-        if found.st_uid not in _ours():
+        if status.st_uid not in _ours():
             return f"{place} belongs to another user"
-        by_group = found.st_mode & stat.S_IWGRP and not _group_of_one(found.st_gid)
-        by_all = found.st_mode & stat.S_IWOTH
+        by_group = status.st_mode & stat.S_IWGRP and not _group_of_one(status.st_gid)
+        by_all = status.st_mode & stat.S_IWOTH
         # In a sticky folder such as /tmp others can add files, but not replace ours: good above the cache, not as the cache.
-        if (by_group or by_all) and not (found.st_mode & stat.S_ISVTX and place != real):
+        if (by_group or by_all) and not (status.st_mode & stat.S_ISVTX and place != real):
             return f"other users can write to {place}"
     return ""
 
 
-def _made(folder: Path) -> str:
+def _make(folder: Path) -> str:
     """Make the folder, for its owner alone; the reason if that fails."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -162,12 +162,12 @@ def _ours() -> tuple[int, int]:
 def _group_of_one(group: int) -> bool:
     """Whether a group is the user's private one, the default of many systems."""
     try:
-        user, found = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
+        user, entry = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
     except KeyError:
         return False
-    return found.gr_name == user and set(found.gr_mem) <= {user}
+    return entry.gr_name == user and set(entry.gr_mem) <= {user}
 
 
 @cache
-def _say(reason: str) -> None:
+def _warn(reason: str) -> None:
     _log.warning("trackres: compiled code and tables are not cached for the next start: %s; %s", reason, REMEDY)

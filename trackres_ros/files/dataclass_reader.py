@@ -43,12 +43,12 @@ class Field(NamedTuple):
 
 def _fields_of(part: Any) -> tuple[Field, ...]:
     """The keys from which a dataclass is read, in their order. Limits may be in the metadata of a field too."""
-    kinds, found = get_type_hints(part, include_extras=True), []
+    kinds, keys = get_type_hints(part, include_extras=True), []
     for item in fields(part):
         limits, kind = item.metadata.get("limits"), kinds[item.name]
         required = item.default is MISSING and item.default_factory is MISSING
-        found.append(Field(item.name, Annotated[kind, limits] if limits else kind, required))
-    return tuple(found)
+        keys.append(Field(item.name, Annotated[kind, limits] if limits else kind, required))
+    return tuple(keys)
 
 
 fields_of: Callable[[Any], tuple[Field, ...]] = cache(_fields_of)
@@ -94,99 +94,99 @@ class DataReader:
         """A key within that of a mapping."""
         return f"{key}{self.mark}{name}" if key else str(name)
 
-    def read(self, kind: Any, given: Any, key: str = "", filled: bool = False) -> Any:
+    def read(self, kind: Any, value: Any, key: str = "", filled: bool = False) -> Any:
         """Read a value of any kind. `filled`: whether a list or mapping must have an entry."""
         notes = notes_of(kind)
         if notes:
-            return self.noted(get_args(kind)[0], notes[0], given, key)
+            return self.noted(get_args(kind)[0], notes[0], value, key)
         form = get_origin(kind) or kind
         if is_dataclass(kind):
-            return self.part(kind, given, key)
+            return self.part(kind, value, key)
         if form is Literal:
-            return self._choice(get_args(kind), given, key)
+            return self._choice(get_args(kind), value, key)
         if form in (Union, UnionType):
-            return self._one_of_kinds(get_args(kind), given, key)
+            return self._one_of_kinds(get_args(kind), value, key)
         if form is tuple:
-            return self._list(get_args(kind)[0], given, key, filled)
+            return self._list(get_args(kind)[0], value, key, filled)
         if form is Mapping:
-            return self._mapping(get_args(kind)[1], given, key, filled)
+            return self._mapping(get_args(kind)[1], value, key, filled)
         if kind in CHECKS:
-            return CHECKS[kind](given, self.where(key))
-        return given  # of any kind
+            return CHECKS[kind](value, self.where(key))
+        return value  # of any kind
 
-    def noted(self, kind: Any, note: Any, given: Any, key: str) -> Any:
+    def noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
         """Read a value with a note: its limits, `FILLED`, or a function of the value and its place that checks it."""
         if note is FILLED:
-            return self.read(kind, given, key, filled=True)
+            return self.read(kind, value, key, filled=True)
         if not isinstance(note, Limits):
-            return note(given, self.where(key))
+            return note(value, self.where(key))
         unit = "" if note.unit == "1" else note.unit
         if kind is int:
-            return checks.whole(given, self.where(key), int(note.low), int(note.high), unit)
-        return checks.number(given, self.where(key), note.low, note.high, unit)
+            return checks.whole(value, self.where(key), int(note.low), int(note.high), unit)
+        return checks.number(value, self.where(key), note.low, note.high, unit)
 
     def part(
-        self, kind: Any, given: Any, key: str = "", only: Iterable[str] = (), others: Iterable[str] = (), **known: Any
+        self, kind: Any, mapping: Any, key: str = "", only: Iterable[str] = (), other_keys: Iterable[str] = (), **values: Any
     ) -> Any:
         """Read a dataclass.
 
-        `only`: its keys, if not all fields have one; `others`: keys that the caller reads; `known`: fields that are no keys.
+        `only`: its keys, if not all fields have one; `other_keys`: keys that the caller reads; `values`: fields that are no keys.
         """
-        wanted = [f for f in fields_of(kind) if f.name not in known and (not only or f.name in only)]
-        required = [f.name for f in wanted if f.required]
-        self.keys(given, key, required, [*(f.name for f in wanted if not f.required), *others])
-        for field in wanted:
-            if field.name in given:
-                known[field.name] = self.read(field.kind, given[field.name], self.below(key, field.name))
+        key_fields = [f for f in fields_of(kind) if f.name not in values and (not only or f.name in only)]
+        required = [f.name for f in key_fields if f.required]
+        self.keys(mapping, key, required, [*(f.name for f in key_fields if not f.required), *other_keys])
+        for field in key_fields:
+            if field.name in mapping:
+                values[field.name] = self.read(field.kind, mapping[field.name], self.below(key, field.name))
                 if field.name == "name" and key.endswith("]"):
-                    key = self.below(key.rpartition("[")[0], known["name"])
-        return kind(**known)
+                    key = self.below(key.rpartition("[")[0], values["name"])
+        return kind(**values)
 
-    def keys(self, given: Any, key: str, required: Iterable[str], optional: Iterable[str] = ()) -> None:
+    def keys(self, mapping: Any, key: str, required: Iterable[str], optional: Iterable[str] = ()) -> None:
         """Refuse anything but a mapping with all required keys and no unknown ones."""
         allowed = [*required, *optional]
-        if not isinstance(given, Mapping):
-            raise InputError(self.where(key), given, f"a mapping with the keys {', '.join(allowed)}")
-        for name in given:
+        if not isinstance(mapping, Mapping):
+            raise InputError(self.where(key), mapping, f"a mapping with the keys {', '.join(allowed)}")
+        for name in mapping:
             checks.one_of(name, self.where(self.below(key, name)), allowed)
         for name in required:
-            if name not in given:
+            if name not in mapping:
                 raise InputError(self.where(self.below(key, name)), "nothing", "this key is required")
 
-    def _choice(self, allowed: tuple[Any, ...], given: Any, key: str) -> Any:
+    def _choice(self, allowed: tuple[Any, ...], value: Any, key: str) -> Any:
         words = [word for word in allowed if isinstance(word, str) and word]
         if words:
-            return checks.one_of(given, self.where(key), words)
-        if given not in allowed:
-            raise InputError(self.where(key), given, ", ".join(map(str, allowed)))
-        return given
+            return checks.one_of(value, self.where(key), words)
+        if value not in allowed:
+            raise InputError(self.where(key), value, ", ".join(map(str, allowed)))
+        return value
 
-    def _list(self, kind: Any, given: Any, key: str, filled: bool) -> tuple[Any, ...]:
-        if not isinstance(given, list | tuple) or (filled and not given):
-            raise InputError(self.where(key), given, "a list with at least one entry" if filled else "a list")
-        return tuple(self.read(kind, entry, f"{key}[{i}]") for i, entry in enumerate(given))
+    def _list(self, kind: Any, value: Any, key: str, filled: bool) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple) or (filled and not value):
+            raise InputError(self.where(key), value, "a list with at least one entry" if filled else "a list")
+        return tuple(self.read(kind, entry, f"{key}[{i}]") for i, entry in enumerate(value))
 
-    def _mapping(self, kind: Any, given: Any, key: str, filled: bool) -> dict[str, Any]:
-        if not isinstance(given, Mapping) or (filled and not given):
-            raise InputError(self.where(key), given, "a mapping with at least one entry" if filled else "a mapping")
+    def _mapping(self, kind: Any, value: Any, key: str, filled: bool) -> dict[str, Any]:
+        if not isinstance(value, Mapping) or (filled and not value):
+            raise InputError(self.where(key), value, "a mapping with at least one entry" if filled else "a mapping")
         if is_dataclass(kind) and any(field.name == "name" for field in fields_of(kind)):
-            return {str(name): self.part(kind, entry, self.below(key, name), name=str(name)) for name, entry in given.items()}
-        return {str(name): self.read(kind, entry, self.below(key, name)) for name, entry in given.items()}
+            return {str(name): self.part(kind, entry, self.below(key, name), name=str(name)) for name, entry in value.items()}
+        return {str(name): self.read(kind, entry, self.below(key, name)) for name, entry in value.items()}
 
-    def _one_of_kinds(self, kinds: tuple[Any, ...], given: Any, key: str) -> Any:
+    def _one_of_kinds(self, kinds: tuple[Any, ...], value: Any, key: str) -> Any:
         """The first kind that a value has the form of; of several dataclasses the one that the key ``form`` names."""
         parts = {kind.form: kind for kind in kinds if is_dataclass(kind) and hasattr(kind, "form")}
         if parts:
-            form = given.get("form") if isinstance(given, Mapping) else None
+            form = value.get("form") if isinstance(value, Mapping) else None
             if form is None:
-                raise InputError(self.where(key), given, f"a mapping with a form, one of {', '.join(parts)}")
+                raise InputError(self.where(key), value, f"a mapping with a form, one of {', '.join(parts)}")
             form = checks.one_of(form, self.where(self.below(key, "form")), parts)
-            return self.part(parts[form], given, key, others=("form",))
-        kind = next((kind for kind in kinds if _has_form(kind, given)), None)
+            return self.part(parts[form], value, key, other_keys=("form",))
+        kind = next((kind for kind in kinds if _has_form(kind, value)), None)
         if kind is None:
             forms = [_form_of(kind)[1] for kind in kinds if kind is not NoneType]
-            raise InputError(self.where(key), given, " or ".join(forms))
-        return None if kind is NoneType else self.read(kind, given, key)
+            raise InputError(self.where(key), value, " or ".join(forms))
+        return None if kind is NoneType else self.read(kind, value, key)
 
 
 CHECKS = {str: checks.text, bool: checks.switch, float: checks.finite}
@@ -210,6 +210,6 @@ def _form_of(kind: Any) -> tuple[Any, str]:
     return FORMS[get_origin(base) or base]
 
 
-def _has_form(kind: Any, given: Any) -> bool:
+def _has_form(kind: Any, value: Any) -> bool:
     plain = _form_of(kind)[0]
-    return isinstance(given, plain) and (plain is bool or not isinstance(given, bool))
+    return isinstance(value, plain) and (plain is bool or not isinstance(value, bool))

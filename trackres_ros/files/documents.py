@@ -48,8 +48,8 @@ else:  # ten times slower
 class _Refused(yaml.MarkedYAMLError):
     """Valid YAML that is refused."""
 
-    def __init__(self, problem: str, at: Any) -> None:  # a node or an event
-        super().__init__(problem=problem, problem_mark=at.start_mark)
+    def __init__(self, problem: str, place: Any) -> None:  # a node or an event
+        super().__init__(problem=problem, problem_mark=place.start_mark)
 
 
 class _Loader(Composer, _Events, SafeConstructor, Resolver):
@@ -100,14 +100,14 @@ class _Loader(Composer, _Events, SafeConstructor, Resolver):
         self._sizes[id(node)] = size
 
     def _refuse_repeated_keys(self, node: MappingNode) -> None:
-        seen: set[Hashable] = set()
+        keys: set[Hashable] = set()
         for key_node, _ in node.value:
             if not isinstance(key_node, ScalarNode) or key_node.tag == MERGE:
                 continue  # lists and mappings cannot be keys: the library reports it
             key = self.construct_object(key_node, deep=True)
-            if key in seen:
+            if key in keys:
                 raise _Refused(f"given twice: {key_node.value} (one of the values would be lost)", key_node)
-            seen.add(key)
+            keys.add(key)
 
 
 _Loader.add_implicit_resolver(  # YAML 1.1 reads 1.2e11, without the sign in the exponent, as text
@@ -116,30 +116,30 @@ _Loader.add_implicit_resolver(  # YAML 1.1 reads 1.2e11, without the sign in the
 
 
 @lru_cache(maxsize=32)
-def _parsed(text: str) -> bytes:
+def _parse(text: str) -> bytes:
     """Pickled, as each caller gets data of its own: a command reads a vehicle file several times, in 1 % of the time."""
     return pickle.dumps(_Loader(text).get_single_data())
 
 
-def parse_yaml(text: str, where: str) -> object:
+def parse_yaml(text: str, place: str) -> object:
     """The one document of a YAML text as plain data.
 
-    `where`: the file or option, for messages. Raises InputError if it is no YAML, has a duplicate key, refers to itself, or
+    `place`: the file or option, for messages. Raises InputError if it is no YAML, has a duplicate key, refers to itself, or
     exceeds the limit of size.
     """
     if len(text) > MOST_BYTES:
-        raise InputError(where, f"{len(text)} characters", f"YAML of at most {MOST_BYTES}")
+        raise InputError(place, f"{len(text)} characters", f"YAML of at most {MOST_BYTES}")
     try:
-        return pickle.loads(_parsed(text))
+        return pickle.loads(_parse(text))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f", line {min(mark.line, text.count(NEW_LINE)) + 1}" if mark else ""  # not the one after the last
         raise InputError(
-            f"{where}{line}", " ".join((error.problem or error.context or "no YAML").split()), "a YAML file or value"
+            f"{place}{line}", " ".join((error.problem or error.context or "no YAML").split()), "a YAML file or value"
         ) from None
     except Exception as error:  # a date 2001-99-99, !!int abc, 5,000 digits: constructors raise whatever they meet
         raise InputError(
-            where, " ".join(f"{error}".split()) or type(error).__name__, "a YAML file or value of plain data"
+            place, " ".join(f"{error}".split()) or type(error).__name__, "a YAML file or value of plain data"
         ) from None
 
 
@@ -149,31 +149,31 @@ def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: st
     `allowed`, `remedy`: expected content and remedy, for messages. Raises InputError if there is no such file, it cannot be read
     at once, or an error of `parse_yaml`.
     """
-    found = parse_yaml(read_text(path, "YAML file", MOST_BYTES), str(path))
-    if not isinstance(found, dict):
-        raise InputError(str(path), "nothing" if found is None else found, allowed, remedy)
-    return found
+    content = parse_yaml(read_text(path, "YAML file", MOST_BYTES), str(path))
+    if not isinstance(content, dict):
+        raise InputError(str(path), "nothing" if content is None else content, allowed, remedy)
+    return content
 
 
-def read_text(path: Path, what: str, most_bytes: int) -> str:
+def read_text(path: Path, kind: str, most_bytes: int) -> str:
     """The text of a file in UTF-8, from any editor: without a byte order mark, each line ended by a line feed.
 
-    `what`: expected kind, such as "YAML file", for messages; `most_bytes`: a longer one is refused. Raises InputError if there is
+    `kind`: expected kind, such as "YAML file", for messages; `most_bytes`: a longer one is refused. Raises InputError if there is
     no such file, it is a folder, pipe or device, too long, or no UTF-8.
     """
     try:
-        text = read_bytes(path, what, most_bytes).decode("utf-8-sig")
+        text = read_bytes(path, kind, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is not UTF-8", f"a {what} in UTF-8") from None
+        raise InputError(str(path), f"byte {error.start} is not UTF-8", f"a {kind} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
+def read_bytes(path: Path, kind: str, most_bytes: int) -> bytes:
     """The bytes of a file; see `read_text`."""
     try:
         return own_files.read(path, most_bytes)
     except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), f"a readable {what}") from None
+        raise InputError(str(path), error.strerror or str(error), f"a readable {kind}") from None
 
 
 def is_there(path: Path) -> bool:
@@ -187,7 +187,7 @@ def is_there(path: Path) -> bool:
 def parse_json(data: bytes | str) -> Any:
     """Plain data of JSON in UTF-8. Raises ValueError if it is no JSON, has a number that is not finite, or nests too deep."""
     try:
-        return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+        return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_integer)
     except RecursionError:
         raise ValueError("lists and mappings in each other without end") from None
 
@@ -199,7 +199,7 @@ def _finite(text: str) -> float:
     return value
 
 
-def _whole(text: str) -> int:
+def _integer(text: str) -> int:
     if len(text) > MOST_DIGITS:
         raise ValueError(f"a number of {len(text)} digits")
     return int(text)

@@ -51,9 +51,9 @@ class Member:
     mode: int = 0o666
     exact: bool = False  # whether the umask does not narrow the mode
 
-    def beside(self, token: str, kind: Literal["new", "old"]) -> Path:
+    def neighbour(self, token: str, kind: Literal["new", "old"]) -> Path:
         """Name of its new or its old file until all are in place."""
-        return _beside(self.place, token, kind)
+        return _neighbour(self.place, token, kind)
 
 
 class FileSet:
@@ -83,7 +83,7 @@ class FileSet:
         if not members:
             return None
         folders = {m.place.parent for m in members}
-        missing = {one for folder in folders for one in (folder, *folder.parents) if not one.exists()}
+        new_folders = {place for folder in folders for place in (folder, *folder.parents) if not place.exists()}
         roots = _roots(folders)
         try:
             for folder in folders:
@@ -100,7 +100,7 @@ class FileSet:
                     return _Replacement(members, roots).run()
         except BaseException as error:
             self.drop()
-            for folder in sorted(missing, reverse=True):  # the deepest first
+            for folder in sorted(new_folders, reverse=True):  # the deepest first
                 with suppress(OSError):
                     folder.rmdir()
             if isinstance(error, OSError) and Path(error.filename or ".trackres").name.startswith("."):
@@ -172,9 +172,9 @@ def write_new(path: Path, data: bytes, mode: int = 0o666, exact: bool = False) -
     try:
         if exact:
             os.fchmod(fd, mode)
-        left = memoryview(data)
-        while left:
-            left = left[os.write(fd, left) :]
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(fd, rest) :]
         os.fsync(fd)
     except BaseException:
         with suppress(OSError):
@@ -211,22 +211,22 @@ class _Replacement:
 
     def run(self) -> None:
         """Replace all files. Raises OSError if that is impossible; all are then the old ones."""
-        plan, full = (self._home / f".trackres-set.{self._token}.{kind}" for kind in ("plan", "full"))
+        plan, draft = (self._home / f".trackres-set.{self._token}.{kind}" for kind in ("plan", "full"))
         names = [_name(m.place, self._home) for m in self._members]
         journal = _Journal(self._home / FORWARD, self._token, self._roots, [])
         journal.entries = [_Entry(m.place, None, None) for m in self._members]
         try:
             write_new(plan, json.dumps(names).encode())
             journal.entries = [self._prepared(m) for m in self._members]
-            write_new(full, journal.text())
+            write_new(draft, journal.text())
             folders = {m.place.parent for m in self._members}
             for root in self._roots[1:]:
-                beside = _beside(root / FORWARD, self._token, "new")
-                write_new(beside, journal.text(root))
-                beside.replace(root / FORWARD)
+                new_file = _neighbour(root / FORWARD, self._token, "new")
+                write_new(new_file, journal.text(root))
+                new_file.replace(root / FORWARD)
             for folder in {*folders, *self._roots}:
                 _sync(folder)
-            full.replace(journal.path)  # from here on the set is replaced
+            draft.replace(journal.path)  # from here on the set is replaced
         except BaseException:
             journal.clean()
             raise
@@ -240,23 +240,23 @@ class _Replacement:
 
     def _prepared(self, member: Member) -> _Entry:
         try:
-            return self._beside(member)
+            return self._write_beside(member)
         except OSError as error:  # a full disk names none, and nobody knows the file beside
             raise OSError(error.errno, error.strerror, str(member.place)) from error
 
-    def _beside(self, member: Member) -> _Entry:
+    def _write_beside(self, member: Member) -> _Entry:
         """Write the new file beside the old one, and give that one a second name."""
         new = None
-        beside, old = member.beside(self._token, "new"), member.beside(self._token, "old")
+        new_file, old = member.neighbour(self._token, "new"), member.neighbour(self._token, "old")
         if isinstance(member.content, bytes):
-            write_new(beside, member.content, member.mode, member.exact)
-            new = _seal(beside)
+            write_new(new_file, member.content, member.mode, member.exact)
+            new = _seal(new_file)
         elif member.content is not None:
             _sync(member.content)
-            member.content.replace(beside)
-            new = _seal(beside)
-        before = _seal(member.place)
-        if before is not None:
+            member.content.replace(new_file)
+            new = _seal(new_file)
+        old_seal = _seal(member.place)
+        if old_seal is not None:
             try:
                 os.link(member.place, old)
             except OSError as error:
@@ -264,7 +264,7 @@ class _Replacement:
                     raise
                 shutil.copy2(member.place, old)  # a file system without second names, such as that of a USB stick
                 _sync(old)
-        return _Entry(member.place, new, before)
+        return _Entry(member.place, new, old_seal)
 
 
 @dataclass(slots=True)
@@ -277,7 +277,7 @@ class _Entry:
 
     def go_forward(self, token: str) -> bool:
         """Put the new file in place, or remove the old one; return whether that was still to do."""
-        new, old = (_beside(self.place, token, kind) for kind in ("new", "old"))
+        new, old = (_neighbour(self.place, token, kind) for kind in ("new", "old"))
         if self.new is not None and os.path.lexists(new):
             new.replace(self.place)
             return True
@@ -288,7 +288,7 @@ class _Entry:
 
     def go_back(self, token: str) -> None:
         """Put the old file back, or remove the new one where there was none."""
-        old = _beside(self.place, token, "old")
+        old = _neighbour(self.place, token, "old")
         if self.old is not None and os.path.lexists(old):
             old.replace(self.place)
         elif self.old is None and self.new is not None and _seal(self.place) == self.new:
@@ -307,16 +307,16 @@ class _Journal:
     @classmethod
     def read(cls, path: Path) -> _Journal:
         """The journal in a file, or where that leads. Raises OSError if it is not one of ours, or leads nowhere any more."""
-        given = _content(path)
-        home, token = path.parent, str(given["token"])
-        if given["home"]:
-            home = _real(path.parent / str(given["home"]))
-            found = next((home / name for name in (FORWARD, BACK) if os.path.lexists(home / name)), None)
-            if found is None or _content(found)["token"] != token:  # not begun, or completed: nothing is left to do
+        content = _content(path)
+        home, token = path.parent, str(content["token"])
+        if content["home"]:
+            home = _real(path.parent / str(content["home"]))
+            journal = next((home / name for name in (FORWARD, BACK) if os.path.lexists(home / name)), None)
+            if journal is None or _content(journal)["token"] != token:  # not begun, or completed: nothing is left to do
                 return cls(path, token, [path.parent], [])
-            path, given = found, _content(found)
-        entries = [_Entry(_place(home / name), new, old) for name, new, old in given["files"]]
-        roots = [_real(home / name) for name in given["roots"]]
+            path, content = journal, _content(journal)
+        entries = [_Entry(_place(home / name), new, old) for name, new, old in content["files"]]
+        roots = [_real(home / name) for name in content["roots"]]
         return cls(path, token, [home, *(root for root in roots if root.is_dir())], entries)
 
     def text(self, seen_from: Path | None = None) -> bytes:
@@ -335,24 +335,24 @@ class _Journal:
         if self.path.name == BACK:
             for entry in self.entries:
                 entry.go_back(self.token)
-            what = "the earlier files are back"
+            outcome = "the earlier files are back"
         else:
-            what = "the rest is replaced now" if self.go_forward() else ""
+            outcome = "the rest is replaced now" if self.go_forward() else ""
         self.clean()
         if _journal_in(self.path.parent) is not None:
             raise OSError(errno.EROFS, "its journal cannot be removed", str(self.path))
-        if what:
+        if outcome:
             names = ", ".join(sorted(e.place.name for e in self.entries)[:8])
-            text = f"{self.path.parent}: a run ended while it replaced files that belong together ({names}); {what}"
+            text = f"{self.path.parent}: a run ended while it replaced files that belong together ({names}); {outcome}"
             warnings.warn(text, RepairWarning, stacklevel=3)
 
     def go_forward(self) -> bool:
         """Put all new files in place; return whether any was still to do."""
-        moved = [entry.go_forward(self.token) for entry in self.entries]
+        moves = [entry.go_forward(self.token) for entry in self.entries]
         for folder in {entry.place.parent for entry in self.entries}:
             if folder.is_dir():  # nobody has removed it since
                 _sync(folder)
-        return any(moved)
+        return any(moves)
 
     def go_back(self) -> None:
         """Take everything back. Where that is impossible too, the journal stays for the next run."""
@@ -370,12 +370,12 @@ class _Journal:
         with suppress(OSError):
             for entry in self.entries:
                 for kind in ("new", "old"):
-                    _beside(entry.place, self.token, kind).unlink(missing_ok=True)
+                    _neighbour(entry.place, self.token, kind).unlink(missing_ok=True)
             for root in self.roots[1:]:
-                _beside(root / FORWARD, self.token, "new").unlink(missing_ok=True)
-                _unlink_of(root / FORWARD, self.token)
+                _neighbour(root / FORWARD, self.token, "new").unlink(missing_ok=True)
+                _unlink_leftovers(root / FORWARD, self.token)
             (home / f".trackres-set.{self.token}.full").unlink(missing_ok=True)
-            _unlink_of(self.path, self.token)
+            _unlink_leftovers(self.path, self.token)
             (home / f".trackres-set.{self.token}.plan").unlink(missing_ok=True)
 
 
@@ -397,15 +397,15 @@ def _remove_leftovers(home: Path) -> None:
 def _content(path: Path) -> Mapping[str, Any]:
     """What a journal says. Raises OSError if it is not one of ours."""
     try:
-        given = json.loads(_bytes(path))
-        sound = given["format"] == FORMAT and TOKEN.fullmatch(given["token"]) and isinstance(given["home"], str)
-        sound = sound and all(isinstance(root, str) for root in given["roots"])
-        sound = sound and all(isinstance(name, str) and len(of) == 2 for name, *of in given["files"])
+        content = json.loads(_bytes(path))
+        sound = content["format"] == FORMAT and TOKEN.fullmatch(content["token"]) and isinstance(content["home"], str)
+        sound = sound and all(isinstance(root, str) for root in content["roots"])
+        sound = sound and all(isinstance(name, str) and len(seals) == 2 for name, *seals in content["files"])
     except (ValueError, KeyError, TypeError):
         sound = False
     if not sound:
         raise OSError(errno.EINVAL, f"{path} is damaged", str(path))
-    return given  # type: ignore[no-any-return]
+    return content  # type: ignore[no-any-return]
 
 
 def _bytes(path: Path) -> bytes:
@@ -416,7 +416,7 @@ def _bytes(path: Path) -> bytes:
         return file.read(MOST_BYTES)
 
 
-def _unlink_of(journal: Path, token: str) -> None:
+def _unlink_leftovers(journal: Path, token: str) -> None:
     """Remove the journal of a set, but no other one."""
     if os.path.lexists(journal) and _content(journal)["token"] == token:
         journal.unlink()
@@ -428,13 +428,13 @@ def _journal_in(folder: Path) -> Path | None:
 
 def _seal(path: Path) -> Seal | None:
     try:
-        found = os.lstat(path)
+        status = os.lstat(path)
     except FileNotFoundError:
         return None
-    return [found.st_size, found.st_mtime_ns]
+    return [status.st_size, status.st_mtime_ns]
 
 
-def _beside(place: Path, token: str, kind: str) -> Path:
+def _neighbour(place: Path, token: str, kind: str) -> Path:
     """Name of the new or old file beside its place; that of any file fits into the length of a name."""
     digest = hashlib.sha256(os.fsencode(place.name)).hexdigest()[:16]
     return place.with_name(f".trackres-set.{token}.{digest}.{kind}")
@@ -455,11 +455,11 @@ def _name(path: Path, home: Path) -> str:
 
 def _roots(folders: Iterable[Path]) -> list[Path]:
     """Folders that are in none of the others, sorted."""
-    found: list[Path] = []
+    roots: list[Path] = []
     for folder in sorted(folders):
-        if not any(folder.is_relative_to(root) for root in found):
-            found.append(folder)
-    return found
+        if not any(folder.is_relative_to(root) for root in roots):
+            roots.append(folder)
+    return roots
 
 
 def _sync(path: Path) -> None:

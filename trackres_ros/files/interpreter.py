@@ -27,8 +27,8 @@ def python(module: str, *words: object, **variables: str) -> dict[str, Any]:
     With `-m` alone, Python looks for every module in the current folder first, and that may be a folder of unpacked recordings.
     What `multiprocessing` starts there has `-P` too.
     """
-    found = [place for place in sys.path if place]  # "" is the current folder
-    path = os.pathsep.join(found if ROOT in found else [*found, ROOT])
+    places = [place for place in sys.path if place]  # "" is the current folder
+    path = os.pathsep.join(places if ROOT in places else [*places, ROOT])
     return {
         "args": [sys.executable, "-P", "-m", module, *map(str, words)],
         "env": {**os.environ, "PYTHONPATH": path, **variables},
@@ -44,10 +44,10 @@ def unread(name: str) -> Iterator[None]:
     if not os.path.lexists(name):
         yield
         return
-    here = os.open(".", os.O_PATH)
+    folder = os.open(".", os.O_PATH)
     os.chdir("/")
     try:
         yield
     finally:
-        os.fchdir(here)
-        os.close(here)
+        os.fchdir(folder)
+        os.close(folder)

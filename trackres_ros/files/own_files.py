@@ -35,8 +35,8 @@ class NotOurFileError(OSError):
     """The path is not a file of our own; the text says what it is."""
 
 
-def read(path: Path, most: int) -> bytes:
-    """All bytes of a regular file of at most `most` bytes; never blocks.
+def read(path: Path, limit: int) -> bytes:
+    """All bytes of a regular file of at most `limit` bytes; never blocks.
 
     Files that belong together and that a killed process had replaced in part are made whole first, see `file_sets`.
 
@@ -44,22 +44,22 @@ def read(path: Path, most: int) -> bytes:
     """
     try:
         settle(Path(os.path.realpath(path)).parent)
-        _check(path, path.stat(), most)  # before it is opened: to open a device may do something
+        _check(path, path.stat(), limit)  # before it is opened: to open a device may do something
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
-            _check(path, os.fstat(file.fileno()), most)
-            data = file.read(most + 1)
+            _check(path, os.fstat(file.fileno()), limit)
+            data = file.read(limit + 1)
     except ValueError as error:  # a path with a zero byte in it
         raise NotOurFileError(errno.EINVAL, str(error), str(path)) from error
-    if len(data) > most:
-        raise NotOurFileError(errno.EFBIG, f"more than {most} bytes", str(path))
+    if len(data) > limit:
+        raise NotOurFileError(errno.EFBIG, f"more than {limit} bytes", str(path))
     return data
 
 
-def _check(path: Path, found: os.stat_result, most: int) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        raise NotOurFileError(errno.EINVAL, KINDS.get(stat.S_IFMT(found.st_mode), "not a regular file"), str(path))
-    if found.st_size > most:
-        raise NotOurFileError(errno.EFBIG, f"{found.st_size} bytes; a file of this kind has at most {most}", str(path))
+def _check(path: Path, status: os.stat_result, limit: int) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        raise NotOurFileError(errno.EINVAL, KINDS.get(stat.S_IFMT(status.st_mode), "not a regular file"), str(path))
+    if status.st_size > limit:
+        raise NotOurFileError(errno.EFBIG, f"{status.st_size} bytes; a file of this kind has at most {limit}", str(path))
 
 
 def write(path: Path, data: bytes, private: bool = False) -> None:

@@ -19,9 +19,9 @@ def config_dir() -> Path:
     if (checkout / "rubber").is_dir():
         return checkout
     for prefix in package.parents:
-        shared = prefix / "share" / PACKAGE / "config"
-        if shared.is_dir():
-            return shared
+        folder = prefix / "share" / PACKAGE / "config"
+        if folder.is_dir():
+            return folder
     raise InputError(
         "installation",
         str(package),
@@ -64,21 +64,21 @@ def cache_dir() -> Path | None:
         return None
 
 
-def _find(what: str, path_or_name: str | os.PathLike[str], shipped: dict[str, Path]) -> Path:
+def _find(kind: str, path_or_name: str | os.PathLike[str], shipped: dict[str, Path]) -> Path:
     """The shipped file of a name, else the path: a file of that name in the current folder may have come with recordings."""
-    allowed = f"the path of a {what} file, or one of {', '.join(shipped)}"
-    path, name = checks.path(path_or_name, what, allowed), str(path_or_name)
+    allowed = f"the path of a {kind} file, or one of {', '.join(shipped)}"
+    path, name = checks.path(path_or_name, kind, allowed), str(path_or_name)
     if name in shipped:
         return shipped[name]
     if path.is_file():
         return path
-    raise InputError(what, name, allowed, nearest(name, shipped))
+    raise InputError(kind, name, allowed, nearest(name, shipped))
 
 
 def _with_section(section: str) -> dict[str, Path]:
-    found = {}
+    files = {}
     for path in sorted(config_dir().glob("*.yaml")):
         with path.open(encoding="utf-8") as lines:
             if any(line.startswith(section) for line in lines):
-                found[path.stem] = path
-    return found
+                files[path.stem] = path
+    return files

@@ -74,9 +74,9 @@ class Application:
         self.estimator = Estimator(self.vehicle, setup.settings)
         self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
         self.outputs = live_topics(self.vehicle, self.topics)
-        measured = any("torque" in given.valued for given in self.inputs)
+        has_torque = any("torque" in topic.valued for topic in self.inputs)
         self._diagnose = parameters.diagnose_command()
-        self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
+        self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if has_torque else None)
         file = state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
         self.keeper = StateKeeper(*file, steady_ns=steady_ns)
         self.active = False
@@ -92,7 +92,7 @@ class Application:
             self.estimator.constants.number.max_acceleration, lambda: self.estimator.settings.speed_max_age_s
         )
         self.messages = MessageHandler(self.inputs, reader, self.sources, self.clock, self.guard, self._step)
-        self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
+        self.learning = LiveLearning(self.estimator, parameters.text("learning"), has_torque)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning)
         self.filter = FeedforwardFilter(self.session, self.clock)
         self._publisher = OutputPublisher(self.outputs, self.estimator, transport)
@@ -101,10 +101,10 @@ class Application:
         if idle := without_effect(self.topics, self.estimator.channels, bool(self.estimator.assemblies)):
             self.began_with += f"; the vehicle has no belt or wheel for {', '.join(idle)} of the topics file: without effect"
         self._state_at = self.keeper.holds_at
-        self._topic_names = [transport.topic_name(given.name) for given in self.inputs]
-        named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]
-        self._watch = Watch(self.estimator, named)
-        self._reasons_seen: tuple[int, bool, Reasons] | None = None  # time, whether the speed was old, reasons
+        self._topic_names = [transport.topic_name(topic.name) for topic in self.inputs]
+        inputs = [replace(topic, name=name) for topic, name in zip(self.inputs, self._topic_names, strict=True)]
+        self._watch = Watch(self.estimator, inputs)
+        self._last_reasons: tuple[int, bool, Reasons] | None = None  # time, whether the speed was old, reasons
         self._peers: list[Sequence[Peer]] = [()] * len(self.inputs)
         self._latched: set[int] = set()  # inputs that also receive what their publishers keep
         self._rivals: Sequence[str] = ()
@@ -115,7 +115,7 @@ class Application:
     @property
     def publishes(self) -> bool:
         """Whether it is active, and no other publisher of the feed-forward was found before its own outputs were opened."""
-        return self.active and self._publisher.opened
+        return self.active and self._publisher.is_open
 
     @property
     def _on_speed(self) -> bool:
@@ -135,65 +135,65 @@ class Application:
     def inbox(self, take: Callable[[int], Iterable[Any]], deliver: Callable[[int, Any, Arrival], None]) -> Inbox:
         """The queue of a transport: `take` fetches what waits at an input, `deliver` passes a message on with its arrival."""
         fetches = [self.guard.taking(f"reading {name}", partial(take, index)) for index, name in enumerate(self._topic_names)]
-        return Inbox(fetches, deliver, self.clock.arrival, self.messages.dropped, self.parameters.count("input_depth"))
+        return Inbox(fetches, deliver, self.clock.arrival, self.messages.count_drop, self.parameters.count("input_depth"))
 
     def record(self, keep: KeepMessage) -> list[tuple[InputTopic, str]]:
         """Record every message on all topics of the topics file; return these topics and the texts that define their types.
 
         Messages come with their place in that list.
         """
-        others = other_topics(self.topics, self.inputs)
-        texts = self._transport.record(others)
-        listed = list(zip((*self.inputs, *others), texts, strict=True))
-        for given, text in listed:
+        other_inputs = other_topics(self.topics, self.inputs)
+        texts = self._transport.record(other_inputs)
+        pairs = list(zip((*self.inputs, *other_inputs), texts, strict=True))
+        for topic, text in pairs:
             if text is None:
-                name = self._transport.topic_name(given.name)
-                self._log(Level.WARN, f"{name} is not recorded: its type {given.type} is unknown")
-        known = [(given, text) for given, text in listed if text is not None]
-        place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
-        self.messages.keep_raw = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
-        return known
+                name = self._transport.topic_name(topic.name)
+                self._log(Level.WARN, f"{name} is not recorded: its type {topic.type} is unknown")
+        topics = [(topic, text) for topic, text in pairs if text is not None]
+        places = {index: topics.index((topic, text)) for index, (topic, text) in enumerate(pairs) if text is not None}
+        self.messages.keep_raw = lambda index, raw, arrival_ns: keep(places[index], raw, arrival_ns) if index in places else None
+        return topics
 
     # The way of a sample: guards and step, filter, publisher
 
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
         """Have the guards judge a sample; an accepted speed makes a step."""
-        restored = None
+        state_file = None
         if channel == at.SPEED and self._publisher.stamp_ns is None:
             self.guard("cooling the restored belts", self._rest_unused_belts)
-            restored = self.guard("recording", self._restored) if self.on_restored else None
+            state_file = self.guard("recording", self._restored_state) if self.on_restored else None
         counters = self.session.memory.counters
-        before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
+        accepted, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.feed(channel, stamp, arrival, value)
-        if counters[channel, ACCEPTED] != before:
+        if counters[channel, ACCEPTED] != accepted:
             self._watch.accepted_ns[channel] = steady - self._waited_ns(channel, arrival)
         elif counters[channel, IMPLAUSIBLE] != doubted:
             self._show(SPEED_IMPLAUSIBLE if channel == at.SPEED else LOAD_DOUBTED)
         if estimate is not None:
-            if restored and self.on_restored:
-                self.guard("recording", self.on_restored, restored, arrival)
-            self._take(estimate, steady, now, arrival)
+            if state_file and self.on_restored:
+                self.guard("recording", self.on_restored, state_file, arrival)
+            self._use_estimate(estimate, steady, now, arrival)
 
-    def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
+    def _use_estimate(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
         """Hand an estimate to the filter and the publisher, then to all that only look at it."""
         values = estimate.row.tolist()
-        if odd := [self.estimator.columns[column] for column in MUST_BE_FINITE if not math.isfinite(values[column])]:
-            raise ArithmeticError(f"not finite: {', '.join(odd)}")  # without values: a new text each time floods the log
+        if bad_columns := [self.estimator.columns[column] for column in MUST_BE_FINITE if not math.isfinite(values[column])]:
+            raise ArithmeticError(f"not finite: {', '.join(bad_columns)}")  # without values: a new text each time floods the log
         stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
         set_ns = 0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival)
         self.filter.take(steady, waited)
         self._publisher.take(values, stamp + set_ns)
         offset = now - waited - stamp - set_ns
-        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.Results.reasons]), offset)
+        new_reasons = self.guard("watching the reasons", self._watch.count_step, int(values[at.Results.reasons]), offset)
         if new_reasons:
-            self._reasons_seen = None
+            self._last_reasons = None
         if self.publishes and self._on_speed:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
             self.guard.essential("publishing", self._publish, self.clock.steady_ns())
         self._state_at = time.time() - waited * NANOSECOND
         news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values, arrival, set_ns)
         if news:
-            self._reasons_seen = None
+            self._last_reasons = None
             self._log(Level.OK, news)
         if new_reasons and self.active:
             self._publish_status(self.clock.steady_ns())
@@ -205,9 +205,9 @@ class Application:
     def _publish(self, steady: int) -> None:
         """Publish the last estimate, with the feed-forward and the reasons of now; before the first one only a reason."""
         course = self.filter.course(steady)
-        self._show(course.stopped)
+        self._show(course.stop_reason)
         if self._publisher.stamp_ns is not None:
-            self._publisher.publish(self.filter.moved(course), lambda: self._reasons_or_fault(steady))
+            self._publisher.publish(self.filter.move(course), lambda: self._reasons_or_fault(steady))
 
     def _waited_ns(self, channel: int, arrival: int) -> int:
         """How long the last accepted message waited in a queue before it came, as while this process was stopped.
@@ -220,7 +220,7 @@ class Application:
         if self.on_published:
             self.guard("recording", self.on_published, stamp, numbers, reasons, self.clock.present_ns(self.clock.steady_ns()))
 
-    def _restored(self) -> bytes | None:
+    def _restored_state(self) -> bytes | None:
         """State file from which a replay of all messages gives the live estimates; None for a start without a past."""
         if not self.session.has_past:
             return None
@@ -232,7 +232,7 @@ class Application:
     # Reasons
 
     def _report_fault(self, text: str) -> None:
-        self._reasons_seen = None
+        self._last_reasons = None
         self._log(Level.ERROR, text)
 
     def _log(self, level: Level, text: str) -> None:
@@ -249,7 +249,7 @@ class Application:
             self._show_change()
 
     def _show_change(self) -> None:
-        self._reasons_seen = None
+        self._last_reasons = None
         if self.active:
             self._publish_status(self.clock.steady_ns())
 
@@ -260,40 +260,40 @@ class Application:
     def _reasons(self, steady: int) -> Reasons:
         """All present notices, each name once."""
         old = self.filter.age_s(steady) > self.filter.max_age_s
-        seen = self._reasons_seen
-        if seen is None or old is not seen[1] or not 0 <= steady - seen[0] < REASONS_KEPT_NS:
+        last = self._last_reasons
+        if last is None or old is not last[1] or not 0 <= steady - last[0] < REASONS_KEPT_NS:
             hold = tuple({notice.name: notice.level for notice in self.notices(steady)}.items())
-            self._reasons_seen = seen = steady, old, hold
-        return seen[2]
+            self._last_reasons = last = steady, old, hold
+        return last[2]
 
     # Outputs
 
     def activate(self) -> None:
         """Begin to publish, once nobody else publishes the feed-forward. The estimate runs whether it is published or not."""
         self.filter.begin()
-        self.active, self._reasons_seen = True, None
-        self.guard("looking for other publishers", self._look_around, self.clock.steady_ns())
+        self.active, self._last_reasons = True, None
+        self.guard("looking for other publishers", self._watch_publishers, self.clock.steady_ns())
 
-    def deactivate(self, error: BaseException | None = None, meanwhile: Callable[[], None] = lambda: None) -> None:
+    def deactivate(self, error: BaseException | None = None, on_wait: Callable[[], None] = lambda: None) -> None:
         """Ramp the feed-forward to zero at its rate limit, and stop publishing; log and report the fault behind it, if any.
 
-        It takes `feedforward_fade_s` at most, and calls `meanwhile` every `period_s`. It never raises: where nothing can be
+        It takes `feedforward_fade_s` at most, and calls `on_wait` every `period_s`. It never raises: where nothing can be
         published, nothing can be done.
         """
         if error is not None:
-            self.guard.failed("the main loop", error, essential=True)
+            self.guard.report("the main loop", error, essential=True)
         if not self.active:
             return
-        self._reasons_seen = None
+        self._last_reasons = None
         self.filter.end(self.clock.steady_ns())
         self._publish_status(self.clock.steady_ns(), diagnostics=True)
         with suppress(Exception):
-            while self._publisher.opened and self._publisher.stamp_ns is not None:
+            while self._publisher.is_open and self._publisher.stamp_ns is not None:
                 self._publish(self.clock.steady_ns())
                 if self.filter.torque_nm == 0.0:
                     break
                 self._sleep(self.period_s)
-                meanwhile()
+                on_wait()
         self._publish_status(self.clock.steady_ns(), diagnostics=True)
         self.active = False
 
@@ -308,7 +308,7 @@ class Application:
         self.guard.essential("taking late messages", self.messages.handle_late, steady)
         if steady >= self._next_look_ns:
             self._next_look_ns = steady + LOOK_NS
-            self.guard("looking for other publishers", self._look_around, steady)
+            self.guard("looking for other publishers", self._watch_publishers, steady)
         self.guard("withholding the feed-forward", self._withhold, steady)
         self.guard.essential("publishing", self._publish_due, steady)
         if steady >= self._next_second_ns:
@@ -317,19 +317,19 @@ class Application:
         elif turned_old and self.active:
             self._publish_status(steady)
         self.guard("saving the state", self._save_due, steady)
-        self.guard("the service manager", self._service.alive, self._publisher.sent, self.active, steady)
+        self.guard("the service manager", self._service.alive, self._publisher.message_count, self.active, steady)
 
-    def _look_around(self, steady: int) -> None:
+    def _watch_publishers(self, steady: int) -> None:
         """Open the outputs where nobody else publishes the feed-forward; receive what publishers keep, soon after the start."""
         rivals = self._transport.rivals()
-        if self.active and not self._publisher.opened and rivals is not None and not rivals:
+        if self.active and not self._publisher.is_open and rivals is not None and not rivals:
             self._transport.open_outputs()
-            self._publisher.opened = True
+            self._publisher.is_open = True
         if rivals is not None and set(rivals) != set(self._rivals):
-            self._rivals, self._reasons_seen = tuple(dict.fromkeys(rivals)), None
+            self._rivals, self._last_reasons = tuple(dict.fromkeys(rivals)), None
         if steady - self._started_ns < STARTING_NS:
-            for index, given in enumerate(self.inputs):
-                if given.stands and index not in self._latched:
+            for index, topic in enumerate(self.inputs):
+                if topic.stands and index not in self._latched:
                     self._latch(index, self._transport.peers(index))
 
     def _latch(self, index: int, peers: Sequence[Peer]) -> None:
@@ -369,24 +369,24 @@ class Application:
         self.messages.misread = ()
         try:
             self._peers = [self._transport.peers(i) for i in range(len(self.inputs))]
-            self._look_at_peers()
+            self._watch_peers()
         finally:  # rates and refusals are of interest without peers too
             arrival = self.clock.present_ns(steady)
             self._watch.every_second(self.session, self.messages.reader, self._peers, steady, arrival)
-            self._reasons_seen = None
+            self._last_reasons = None
 
-    def _look_at_peers(self) -> None:
+    def _watch_peers(self) -> None:
         """Treat each input as its present publishers require."""
-        self.messages.misread = [i for i, found in enumerate(self._peers) if any(peer.misread for peer in found)]
+        self.messages.misread = [i for i, publishers in enumerate(self._peers) if any(peer.misread for peer in publishers)]
         mixed = []
-        for index, (given, found) in enumerate(zip(self.inputs, self._peers, strict=True)):
-            sending = [peer for peer in found if peer.compatible and peer.type == given.type]
+        for index, (topic, publishers) in enumerate(zip(self.inputs, self._peers, strict=True)):
+            sending = [peer for peer in publishers if peer.compatible and peer.type == topic.type]
             if len(sending) > 1:
                 mixed.append(index)
-            if not given.stands:
+            if not topic.stands:
                 continue
             if index not in self._latched:
-                self._latch(index, found)
+                self._latch(index, publishers)
             self.messages.repeat(index, {peer.source for peer in sending if peer.latched})
         self.messages.mixed = mixed
 
@@ -403,16 +403,16 @@ class Application:
 
     def _publish_statuses(self, steady: int, diagnostics: bool) -> None:
         name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
-        found = self.guard("the statuses", lambda: statuses(self.overview(steady), name, self.vehicle.name))
+        node_statuses = self.guard("the statuses", lambda: statuses(self.overview(steady), name, self.vehicle.name))
         learned = self.guard("the statuses of learning", self.learning.statuses, name, self.vehicle.name)
-        bare = [] if found else [bare_status(self.notices(steady), name, self.vehicle.name)]
-        self._publisher.publish_statuses(found or bare, self.clock.now_ns(steady), diagnostics, learned or ())
+        bare = [] if node_statuses else [bare_status(self.notices(steady), name, self.vehicle.name)]
+        self._publisher.publish_statuses(node_statuses or bare, self.clock.now_ns(steady), diagnostics, learned or ())
 
     def notices(self, steady: int | None = None) -> list[Notice]:
         """All present notices, most severe first."""
         steady = self.clock.steady_ns() if steady is None else steady
-        found = [
-            *(self.guard("watching the inputs", self._watched, steady) or []),
+        notices = [
+            *(self.guard("watching the inputs", self._input_notices, steady) or []),
             *(self.guard("the comparison with the measured torque", self.comparison.notices, self._diagnose) or []),
             *(self.guard("learning", self.learning.notices) or []),
             *(self.guard("publishing statuses", self._publisher.notices) or []),
@@ -420,24 +420,24 @@ class Application:
             *(self.guard("recording", self.recording_notices) or []),
             *self.guard.notices(steady),
         ]
-        if self.filter.ends and all(notice.name != "INTERNAL_ERROR" for notice in found):  # which says why it ends
-            found.append(Notice("INACTIVE", "the node is deactivated or ends, and the feed-forward goes to zero"))
-        return sorted(found, key=lambda notice: -notice.level)
+        if self.filter.ends and all(notice.name != "INTERNAL_ERROR" for notice in notices):  # which says why it ends
+            notices.append(Notice("INACTIVE", "the node is deactivated or ends, and the feed-forward goes to zero"))
+        return sorted(notices, key=lambda notice: -notice.level)
 
-    def _watched(self, steady: int) -> list[Notice]:
-        found = self._watch.notices(
+    def _input_notices(self, steady: int) -> list[Notice]:
+        notices = self._watch.notices(
             age_s=self.filter.age_s(steady),
             max_age_s=self.filter.max_age_s,
             period_s=int(self.session.memory.times[at.SPEED, at.Times.period]) * NANOSECOND,
             no_clock=self.clock.lack(steady),
         )
         if self._rivals:
-            found.append(contested(self._rivals, self._publisher.opened))
-        both = self.sources.disagreeing(self.clock.present_ns(steady))
-        if both:
-            index = next(index for index, given in enumerate(self.inputs) if "speed" in given.valued)
-            found.append(two_speeds(self._topic_names[index], both, self._peers[index]))
-        return found
+            notices.append(contested(self._rivals, self._publisher.is_open))
+        speeds = self.sources.disagreeing(self.clock.present_ns(steady))
+        if speeds:
+            index = next(index for index, topic in enumerate(self.inputs) if "speed" in topic.valued)
+            notices.append(two_speeds(self._topic_names[index], speeds, self._peers[index]))
+        return notices
 
     def overview(self, steady: int | None = None) -> Overview:
         """Snapshot for statuses and the terminal."""
@@ -466,12 +466,12 @@ class Application:
 
     # Requests of a transport or a signal
 
-    def change(self, given: Mapping[str, object]) -> None:
+    def change(self, values: Mapping[str, object]) -> None:
         """Change parameters while running; the temperatures stay.
 
         Raises InputError as `checked_change` does; then nothing is changed.
         """
-        parameters = self.checked_change(given)
+        parameters = self.checked_change(values)
         settings = settings_for(parameters.settings(), self.topics)
         self.comparison.change(parameters.mismatch())
         self.learning.change(parameters.text("learning"), self.session)
@@ -481,11 +481,11 @@ class Application:
             self._next_output_ns = self.clock.steady_ns()
         self.parameters = parameters
         if settings != self.estimator.settings:
-            self._go_on_with(Estimator(self.vehicle, settings))
+            self._continue_with(Estimator(self.vehicle, settings))
 
-    def checked_change(self, given: Mapping[str, object]) -> Parameters:
+    def checked_change(self, values: Mapping[str, object]) -> Parameters:
         """The parameters after a change, which is not made; see `changed_parameters`."""
-        return changed_parameters(self.parameters, given, self.topics)
+        return changed_parameters(self.parameters, values, self.topics)
 
     def carry_out(self, requests: SignalRequests) -> None:
         """Carry out pending requests by signals, and log what became of each."""
@@ -545,24 +545,24 @@ class Application:
             self.guard("saving the state", self.keeper.close)
 
     def _log_counts(self) -> None:
-        counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
+        counts = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         for kind, numbers in self.messages.reader.counts().items():
             names = self._topic_names if kind == "dropped" else self.estimator.channels
-            counted += [f"{name} {kind} {n}" for name, n in zip(names, numbers, strict=True) if n]
-        self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
+            counts += [f"{name} {kind} {n}" for name, n in zip(names, numbers, strict=True) if n]
+        self._log(Level.OK, f"messages: {', '.join(counts) or 'none'}")
 
-    def _go_on_with(self, estimator: Estimator) -> None:
+    def _continue_with(self, estimator: Estimator) -> None:
         session = estimator.session()
         session.adopt(self.session)
         self.estimator, self.session, self.filter.session = estimator, session, session
 
     def _rest_unused_belts(self) -> None:
         """Belts from a state file cool and learned values wear until the first speed: a clock set before that tells how long."""
-        off = max(0.0, time.time() - self._state_at)
+        off_s = max(0.0, time.time() - self._state_at)
         if self.session.started:
-            self.session.begin(self.estimator.rest(self.session.state, None, min(off, LONGEST_OFF)))
-        self.learning.wear(off)
-        self._state_at += off
+            self.session.begin(self.estimator.rest(self.session.state, None, min(off_s, LONGEST_OFF)))
+        self.learning.wear(off_s)
+        self._state_at += off_s
 
     def _save_period_ns(self) -> int:
         return int(self.parameters.number("save_period_s") * SECOND_NS)

@@ -3,7 +3,7 @@
 
 """The way of a message from a transport to samples: its arrival, its turn, its values, and for a speed its publisher.
 
-A transport fetches messages into the `Inbox`. The `MessageHandler` brings them into the order of sending, reads their samples by
+A transport fetches messages into the `Inbox`. The `MessageHandler` brings them into the order of origin, reads their samples by
 `InputReader`, and passes these to the application; of a speed only those that `SpeedSources` chooses.
 """
 
@@ -33,7 +33,7 @@ COLLECT_EVERY_NS = 2_000_000  # accuracy of an arrival; at 1 kHz two messages
 MOST_BEFORE_CLOCK = 10000  # messages of an input
 LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 LONGEST_HELD_NS = 10_000_000_000  # of a message that is handled after a later one; a clock that goes back further was set
-MOST_COPIES = 10000  # sending times kept of latched messages, whose copies come within milliseconds
+MOST_COPIES = 10000  # origin times kept of latched messages, whose copies come within milliseconds
 REPEATED_NS = 500_000_000  # at the next look, so once a second: as a slow publisher does
 TOGETHER = frozenset({at.SPEED, at.TORQUE, at.SPECIFIC_FORCE, at.LATITUDE, at.LONGITUDE})  # channels whose stamps are compared
 NO_CHANNEL = -1
@@ -64,8 +64,8 @@ class NodeClock:
         if not self.simulated or self.now_ns(steady):
             return ""
         if self._refused_ns:
-            given = f"/clock shows {self._refused_ns * NANOSECOND:.1f} s: a time before 0 is none"
-            return f"use_sim_time is set and {given}; let the simulation start at 0 or later"
+            problem = f"/clock shows {self._refused_ns * NANOSECOND:.1f} s: a time before 0 is none"
+            return f"use_sim_time is set and {problem}; let the simulation start at 0 or later"
         return "use_sim_time is set and no /clock message has arrived"
 
     def arrival(self) -> Arrival:
@@ -75,19 +75,19 @@ class NodeClock:
 
     def now_ns(self, steady: int) -> int:
         """The node's time: the machine's where a clock cannot be read; 0, none, for a simulated one or where it is negative."""
-        now = self._guard("the clock", self._transport.now_ns)
+        time_ns = self._guard("the clock", self._transport.now_ns)
         if not self.simulated:
-            return now if now is not None else steady + self.offset_ns
-        self._refused_ns = min(0, now or 0)
-        return max(0, now or 0)
+            return time_ns if time_ns is not None else steady + self.offset_ns
+        self._refused_ns = min(0, time_ns or 0)
+        return max(0, time_ns or 0)
 
-    def recorded_ns(self, steady: int, now: int) -> int:
+    def recorded_ns(self, steady: int, now_ns: int) -> int:
         """An arrival as it is recorded: steady like the ages of samples, or simulated."""
-        return now if self.simulated else steady + self.offset_ns
+        return now_ns if self.simulated else steady + self.offset_ns
 
-    def set_by_ns(self, now: int, recorded: int) -> int:
+    def set_by_ns(self, now_ns: int, recorded_ns: int) -> int:
         """How far the machine's clock has been set since the start, as an arrival shows by both times."""
-        return now - recorded if abs(now - recorded) > SET_NS else 0
+        return now_ns - recorded_ns if abs(now_ns - recorded_ns) > SET_NS else 0
 
     def pace_ns(self, steady: int) -> int:
         """Time of the feed-forward's motion: the controller's, or the simulated one."""
@@ -109,18 +109,18 @@ class Inbox:
         self,
         inputs: Sequence[Take],  # for each input: fetch new messages from the middleware
         deliver: Callable[[int, Any, Arrival], None],  # pass one message to the application: input, message, arrival
-        now: Callable[[], Arrival],  # arrival time of a new message
-        dropped: Callable[[int], None],  # called with the input of each dropped message
+        arrival: Callable[[], Arrival],  # arrival time of a new message
+        on_drop: Callable[[int], None],  # called with the input of each dropped message
         depth: int,  # limit of waiting messages per input
     ) -> None:
-        self._inputs, self._deliver, self._now, self._dropped, self._depth = inputs, deliver, now, dropped, depth
-        self._waiting: list[deque[tuple[Any, Arrival]]] = [deque() for _ in inputs]
+        self._inputs, self._deliver, self._arrival, self._on_drop, self._depth = inputs, deliver, arrival, on_drop, depth
+        self._queues: list[deque[tuple[Any, Arrival]]] = [deque() for _ in inputs]
         self._collected_ns = 0
 
     @property
     def holds_any(self) -> bool:
         """Whether a message waits here, such as one fetched while others were passed on."""
-        return any(self._waiting)
+        return any(self._queues)
 
     def collect(self) -> None:
         """Fetch new messages from the middleware.
@@ -136,21 +136,21 @@ class Inbox:
 
     def put(self, index: int, message: object) -> None:
         """A message of an input that came just now."""
-        waiting = self._waiting[index]
-        if len(waiting) >= self._depth:
-            waiting.popleft()
-            self._dropped(index)
-        waiting.append((message, self._now()))
+        queue = self._queues[index]
+        if len(queue) >= self._depth:
+            queue.popleft()
+            self._on_drop(index)
+        queue.append((message, self._arrival()))
 
-    def work_off(self, meanwhile: Callable[[], None], collecting: bool) -> None:
-        """Pass on waiting messages; call `meanwhile` after each, and if `collecting`, fetch new messages too."""
-        handed, self._waiting = self._waiting, [deque() for _ in self._inputs]
-        for index, messages in enumerate(handed):
-            for message, arrived in messages:
-                self._deliver(index, message, arrived)
+    def work_off(self, on_message: Callable[[], None], collecting: bool) -> None:
+        """Pass on waiting messages; call `on_message` after each, and if `collecting`, fetch new messages too."""
+        queues, self._queues = self._queues, [deque() for _ in self._inputs]
+        for index, messages in enumerate(queues):
+            for message, arrival in messages:
+                self._deliver(index, message, arrival)
                 if collecting and time.monotonic_ns() - self._collected_ns > COLLECT_EVERY_NS:
                     self.collect()
-                meanwhile()
+                on_message()
 
 
 class Sent(NamedTuple):
@@ -181,7 +181,7 @@ class MessageHandler:
     """Passes the samples of all inputs to `use`, in the order in which their messages were sent.
 
     After a pause of this process, a middleware passes on one message of each topic in turn. So messages other than speeds are
-    held back until a speed with a later sending time arrives, for `LONGEST_WAIT_NS` at most.
+    held back until a speed with a later origin time arrives, for `LONGEST_WAIT_NS` at most.
 
     Stamps of several publishers do not compare. So a speed is of one publisher, see `SpeedSources`; other inputs with several
     count by their arrival.
@@ -204,74 +204,74 @@ class MessageHandler:
         self.mixed: Collection[int] = ()  # inputs with several publishers
         self.sources = sources
         self._clock, self._guard, self._use = clock, guard, use
-        self._widths = [len(given.readings) for given in inputs]
-        self._is_speed = ["speed" in given.valued for given in inputs]
-        self._held: list[Arrived] = []
+        self._widths = [len(topic.readings) for topic in inputs]
+        self._is_speed = ["speed" in topic.valued for topic in inputs]
+        self._held_back: list[Arrived] = []
         self._handled_ns = self._handled_now_ns = 0  # arrival of the last handled message, as recorded and by the node's time
         self._before_clock: list[deque[Arrived]] = [deque() for _ in inputs]
-        self._newest_ns = [0] * len(inputs)  # sending time of the newest message
-        self._latched: list[dict[int, None]] = [{} for _ in inputs]  # sending times of latched messages, the oldest first
+        self._newest_ns = [0] * len(inputs)  # origin time of the newest message
+        self._latched: list[dict[int, None]] = [{} for _ in inputs]  # origin times of latched messages, the oldest first
         self._last: list[Arrived | None] = [None for _ in inputs]
 
     def receive(
-        self, index: int, message: object, sent: Sent = NOT_TOLD, arrived: Arrival | None = None, raw: bytes | None = None
+        self, index: int, message: object, origin: Sent = NOT_TOLD, arrival: Arrival | None = None, raw: bytes | None = None
     ) -> None:
         """Process a decoded message of an input topic.
 
         By default it arrives now. `raw` are its bytes, to be recorded as it is handled.
         """
-        read = self._guard.essential("reading a message", self.reader.read, index, message)
-        if read is not None:
-            self.receive_values(index, *read, sent, arrived, raw)
+        content = self._guard.essential("reading a message", self.reader.read, index, message)
+        if content is not None:
+            self.receive_values(index, *content, origin, arrival, raw)
         else:
-            self.keep(index, raw, arrived)
+            self.keep(index, raw, arrival)
 
     def receive_values(
         self,
         index: int,
         stamp_ns: int | None,
         values: Sequence[float | str] | None,
-        sent: Sent = NOT_TOLD,
-        arrived: Arrival | None = None,
+        origin: Sent = NOT_TOLD,
+        arrival: Arrival | None = None,
         raw: bytes | None = None,
     ) -> None:
         """Process values that a transport has read from a message of an input topic; see `InputReader.samples`.
 
         None is a message that cannot be decoded: no number, at the node's time.
         """
-        if self._has_come(index, sent):
+        if self._has_come(index, origin):
             return
         if index in self.misread:
-            self.keep(index, raw, arrived)
+            self.keep(index, raw, arrival)
             return
         values = [math.nan] * self._widths[index] if values is None else values
-        message = Arrived(sent, *(arrived or self._clock.arrival()), index, stamp_ns, values, raw)
+        message = Arrived(origin, *(arrival or self._clock.arrival()), index, stamp_ns, values, raw)
         self._guard.essential("taking a message", self._receive, message)
 
-    def keep(self, index: int, raw: bytes | None, arrived: Arrival | None = None) -> None:
+    def keep(self, index: int, raw: bytes | None, arrival: Arrival | None = None) -> None:
         """Record a raw message that is not handled, where all are recorded; None is not recorded."""
-        self._record(index, raw, self._clock.recorded_ns(*(arrived or self._clock.arrival())))
+        self._record(index, raw, self._clock.recorded_ns(*(arrival or self._clock.arrival())))
 
-    def dropped(self, index: int) -> None:
+    def count_drop(self, index: int) -> None:
         """Take note of a message of an input topic that had to make way for later ones."""
         self.reader.dropped[index] += 1
 
-    def _has_come(self, index: int, sent: Sent) -> bool:
+    def _has_come(self, index: int, origin: Sent) -> bool:
         """Whether a message is a copy, as each of a publisher that keeps its messages comes by both endpoints of an input; or
         was kept since before the newest one.
         """
-        if not sent.ns:
+        if not origin.ns:
             return False
         latched = self._latched[index]
-        if not sent.latched:
-            copied = sent.ns in latched
+        if not origin.latched:
+            is_copy = origin.ns in latched
         else:
-            copied = sent.ns <= self._newest_ns[index]
-            latched[sent.ns] = None
+            is_copy = origin.ns <= self._newest_ns[index]
+            latched[origin.ns] = None
             if len(latched) > MOST_COPIES:
                 del latched[next(iter(latched))]
-        self._newest_ns[index] = max(self._newest_ns[index], sent.ns)
-        return copied
+        self._newest_ns[index] = max(self._newest_ns[index], origin.ns)
+        return is_copy
 
     def repeat(self, index: int, sources: Collection[int]) -> None:
         """Let the last message of an input stand: one from a publisher that keeps it is repeated now, unless it has just come.
@@ -286,8 +286,8 @@ class MessageHandler:
             return
         stamp, raw = last.stamp_ns, last.raw
         if stamp is not None:  # in a recording it would be a repeated stamp
-            passed = self._clock.recorded_ns(steady, now) - self._clock.recorded_ns(last.steady_ns, last.now_ns)
-            stamp, raw = stamp + passed, None
+            passed_ns = self._clock.recorded_ns(steady, now) - self._clock.recorded_ns(last.steady_ns, last.now_ns)
+            stamp, raw = stamp + passed_ns, None
         self._handle(last._replace(steady_ns=steady, now_ns=now, stamp_ns=stamp, raw=raw))
 
     def handle_late(self, steady: int) -> None:
@@ -316,34 +316,34 @@ class MessageHandler:
             if message.now_ns == 0:
                 self._wait_for_clock(message)
                 return
-            for earlier in self._take_waiting():
-                self._guard.essential("taking a message", self._receive, earlier)
+            for waiting in self._take_waiting():
+                self._guard.essential("taking a message", self._receive, waiting)
         if message.sent.ns and not self._is_speed[message.place]:
-            self._held.append(message)
+            self._held_back.append(message)
             return
-        if self._held:
-            self._handle_held(lambda other: other.sent.ns <= message.sent.ns or not message.sent.ns)
+        if self._held_back:
+            self._handle_held(lambda held: held.sent.ns <= message.sent.ns or not message.sent.ns)
         self._handle(message)
 
     def _wait_for_clock(self, message: Arrived) -> None:
         waiting = self._before_clock[message.place]
         waiting.append(message)
         if len(waiting) > MOST_BEFORE_CLOCK:
-            self.dropped(message.place)
+            self.count_drop(message.place)
             oldest = waiting.popleft()
             self.keep(oldest.place, oldest.raw, (oldest.steady_ns, 0))
 
     def _take_waiting(self) -> list[Arrived]:
         """The messages that wait for a clock, in the order of arrival; none wait afterwards."""
-        found = sorted(chain(*self._before_clock), key=attrgetter("steady_ns"))
-        for waiting in self._before_clock:
-            waiting.clear()
-        return found
+        messages = sorted(chain(*self._before_clock), key=attrgetter("steady_ns"))
+        for queue in self._before_clock:
+            queue.clear()
+        return messages
 
     def _handle_held(self, due: Callable[[Arrived], bool]) -> None:
-        """Handle the messages held back that are due, in the order of sending."""
-        handled = [message for message in self._held if due(message)]
-        self._held = [message for message in self._held if not due(message)]
+        """Handle the messages held back that are due, in the order of origin."""
+        handled = [message for message in self._held_back if due(message)]
+        self._held_back = [message for message in self._held_back if not due(message)]
         for message in sorted(handled, key=attrgetter("sent.ns")):
             self._handle(message)
 
@@ -353,22 +353,22 @@ class MessageHandler:
         Messages held back are 1 ns apart by both clocks. Their own readings differ by more than that, so their stamps would run
         backward.
         """
-        sent, steady, now, place, stamp_ns, values, raw = message
-        recorded = self._clock.recorded_ns(steady, now)
-        if 0 <= self._handled_ns - recorded < LONGEST_HELD_NS - 1:
-            recorded, now = self._handled_ns + 1, self._handled_now_ns + 1
-        self._handled_ns, self._handled_now_ns = recorded, now
+        origin, steady, now, place, stamp_ns, values, raw = message
+        recorded_ns = self._clock.recorded_ns(steady, now)
+        if 0 <= self._handled_ns - recorded_ns < LONGEST_HELD_NS - 1:
+            recorded_ns, now = self._handled_ns + 1, self._handled_now_ns + 1
+        self._handled_ns, self._handled_now_ns = recorded_ns, now
         self._last[place] = message
-        self._record(place, raw, recorded)
-        set_ns = self._clock.set_by_ns(now, recorded)
-        samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, recorded, set_ns)
+        self._record(place, raw, recorded_ns)
+        set_ns = self._clock.set_by_ns(now, recorded_ns)
+        samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, recorded_ns, set_ns)
         for channel, stamp, value in samples or ():
-            if channel == at.SPEED and not self.sources.takes(sent.source, value, recorded, sent.mixed):
+            if channel == at.SPEED and not self.sources.takes(origin.source, value, recorded_ns, origin.mixed):
                 self.reader.unused[channel] += 1
                 continue
             if place in self.mixed and channel not in TOGETHER:
-                stamp = recorded
-            self._guard.essential("the step", self._use, channel, stamp, value, steady, now, recorded)
+                stamp = recorded_ns
+            self._guard.essential("the step", self._use, channel, stamp, value, steady, now, recorded_ns)
 
     def _record(self, index: int, raw: bytes | None, recorded_ns: int) -> None:
         if self.keep_raw and raw is not None:
@@ -389,18 +389,21 @@ class InputReader:
         self.bad_stamp = [0] * len(channels)
         self.unused = [0] * len(channels)  # samples of another publisher than the one in use
         self.stamped: dict[int, int] = {}  # how far the clock was set [ns] at the last stamp of a channel in `TOGETHER`
-        roles = dict.fromkeys(reading.role for given in inputs for reading in given.readings)
+        roles = dict.fromkeys(reading.role for topic in inputs for reading in topic.readings)
         self.sums = {role: Sum(role, bindings[role]) for role in roles if bindings[role].parts}
         self.companions = Companions(readings_of(tuple(roles), bindings), bindings)
         self._channels = channels
         self._readers = [
-            [(_channel(one.role, channels), _getter(one.binding), one, self.sums.get(one.role)) for one in given.readings]
-            for given in inputs
+            [
+                (_channel(reading.role, channels), _getter(reading.binding), reading, self.sums.get(reading.role))
+                for reading in topic.readings
+            ]
+            for topic in inputs
         ]
 
     def read(self, index: int, message: object) -> tuple[int | None, list[float | str]]:
         """Stamp and values of a message with fields as attributes, for `samples`."""
-        return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
+        return _stamp(message), [_value(getter, message) for _, getter, *_ in self._readers[index]]
 
     def samples(
         self, index: int, stamp_ns: int | None, values: Sequence[float | str], arrival_ns: int, set_ns: int = 0
@@ -413,12 +416,12 @@ class InputReader:
         binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
         """
         self.received[index] += 1
-        found = []
-        absent, bad_stamp = set[int](), set[int]()  # channels: a sum has several parts in a message
-        for (channel, _, one, total), value in zip(self._readers[index], values, strict=True):
-            binding, by_header = one.binding, one.binding.stamp != "log"
+        samples = []
+        absent_channels, bad_stamps = set[int](), set[int]()  # channels: a sum has several parts in a message
+        for (channel, _, reading, total), value in zip(self._readers[index], values, strict=True):
+            binding, by_header = reading.binding, reading.binding.stamp != "log"
             if isinstance(value, str):
-                absent.add(channel)
+                absent_channels.add(channel)
                 if channel != NO_CHANNEL:
                     self.lacks[channel] = f"{binding.field}: {value}"
                 continue
@@ -426,35 +429,37 @@ class InputReader:
                 self.stamped[channel] = set_ns
             came_ns = arrival_ns + (set_ns if self.stamped and channel in TOGETHER else 0)
             as_before = channel in self.stamped and abs(set_ns - self.stamped[channel]) <= SET_NS  # as its last stamp
-            given = by_header and (stamp_ns or came_ns == arrival_ns or as_before)
-            stamp = binding.less_delay(stamp_ns if given and stamp_ns is not None else came_ns)
+            has_stamp = by_header and (stamp_ns or came_ns == arrival_ns or as_before)
+            stamp = binding.less_delay(stamp_ns if has_stamp and stamp_ns is not None else came_ns)
             if not is_usable(stamp):
-                bad_stamp.add(channel)
+                bad_stamps.add(channel)
                 continue
             value = float(binding.meant(np.asarray(value))) if binding.has_modes else value
-            if not self.companions.valid(one, arrival_ns, value):
+            if not self.companions.valid(reading, arrival_ns, value):
                 continue
-            whole = [(stamp, value)] if total is None or one.part is None else total.add(one.part, stamp, came_ns, value)
-            signed = [(at_ns, self.companions.signed(one.role, arrival_ns, number)) for at_ns, number in whole]
-            found += [(channel, at_ns, number) for at_ns, number in signed if number is not None and channel != NO_CHANNEL]
-        for channel in absent - {NO_CHANNEL}:
+            complete = (
+                [(stamp, value)] if total is None or reading.part is None else total.add(reading.part, stamp, came_ns, value)
+            )
+            signed = [(at_ns, self.companions.signed(reading.role, arrival_ns, number)) for at_ns, number in complete]
+            samples += [(channel, at_ns, number) for at_ns, number in signed if number is not None and channel != NO_CHANNEL]
+        for channel in absent_channels - {NO_CHANNEL}:
             self.absent[channel] += 1
-        for channel in bad_stamp - {NO_CHANNEL}:
+        for channel in bad_stamps - {NO_CHANNEL}:
             self.bad_stamp[channel] += 1
-        return found
+        return samples
 
     def counts(self) -> dict[str, list[int]]:
         """Samples of each channel that the guards have not seen, by the reason; `dropped` are messages of each input."""
-        none = Dropped()
-        companions = [self.companions.dropped.get(role, none) for role in self._channels]
+        nothing = Dropped()
+        companions = [self.companions.dropped.get(role, nothing) for role in self._channels]
         return {
             "bad_stamp": self.bad_stamp,
             "without_other_part": [self.sums[role].alone if role in self.sums else 0 for role in self._channels],
             "absent": self.absent,
             "unused": self.unused,
             "dropped": self.dropped,
-            "invalid": [one.invalid for one in companions],
-            "without_direction": [one.no_direction for one in companions],
+            "invalid": [counts.invalid for counts in companions],
+            "without_direction": [counts.no_direction for counts in companions],
         }
 
 
@@ -474,9 +479,9 @@ def _getter(binding: TopicBinding) -> Callable[[Any], float]:
     return lambda message: scale * float(get(message)) + offset
 
 
-def _value(read: Callable[[Any], float], message: object) -> float | str:
+def _value(getter: Callable[[Any], float], message: object) -> float | str:
     try:
-        return read(message)
+        return getter(message)
     except LookupError as error:
         return str(error)
     except (TypeError, ValueError, AttributeError):
@@ -513,14 +518,14 @@ class SpeedSources:
     def __init__(self, max_acceleration: float, max_age_s: Callable[[], float]) -> None:
         self._max_acceleration, self._max_age_s = max_acceleration, max_age_s
         self._speeds: dict[int, LastSpeed] = {}
-        self._used: int | None = None
-        self._began_ns: int | None = None  # when they began to differ
+        self._used_source: int | None = None
+        self._differing_since_ns: int | None = None  # when they began to differ
         self._differed_ns = 0  # when they last did
-        self._both: tuple[tuple[int, float], tuple[int, float]] | None = None
+        self._speed_pair: tuple[tuple[int, float], tuple[int, float]] | None = None
 
     def disagreeing(self, now_ns: int) -> tuple[tuple[int, float], tuple[int, float]] | None:
         """Two publishers with the speed of each [m/s], when they last differed; None while none disagree."""
-        return self._both if self._parted(now_ns) else None
+        return self._speed_pair if self._parted(now_ns) else None
 
     def takes(self, source: int, speed: float, arrival_ns: int, mixed: bool = False) -> bool:
         """Whether to use a speed [m/s] of a publisher, or with `mixed` of one of several, that arrives now [ns]."""
@@ -528,35 +533,35 @@ class SpeedSources:
             return True  # it is refused and counted
         if any(arrival_ns < last.arrival_ns for last in self._speeds.values()):  # time went back
             self._speeds.clear()
-            self._used = self._began_ns = None
+            self._used_source = self._differing_since_ns = None
         if self._differs(source, speed, arrival_ns, mixed) and mixed:
             return False
-        used = self._speeds.get(self._used) if self._used is not None else None
-        if used is None or (arrival_ns - used.arrival_ns) * NANOSECOND > self._max_age_s():
-            self._used = source
+        last_used = self._speeds.get(self._used_source) if self._used_source is not None else None
+        if last_used is None or (arrival_ns - last_used.arrival_ns) * NANOSECOND > self._max_age_s():
+            self._used_source = source
         self._speeds[source] = LastSpeed(speed, arrival_ns)
-        for silent in [s for s, last in self._speeds.items() if arrival_ns - last.arrival_ns > REMEMBERED_NS]:
-            del self._speeds[silent]
-        return source == self._used and not self._parted(arrival_ns)
+        for old_source in [source for source, last in self._speeds.items() if arrival_ns - last.arrival_ns > REMEMBERED_NS]:
+            del self._speeds[old_source]
+        return source == self._used_source and not self._parted(arrival_ns)
 
     def _differs(self, source: int, speed: float, arrival_ns: int, mixed: bool) -> bool:
         agrees = False
-        for other, last in self._speeds.items():
+        for other_source, last in self._speeds.items():
             age_s = (arrival_ns - last.arrival_ns) * NANOSECOND
-            if age_s > self._max_age_s() or (other == source and not mixed):
+            if age_s > self._max_age_s() or (other_source == source and not mixed):
                 continue
-            apart = abs(speed - last.speed) - SHARE * max(abs(speed), abs(last.speed)) - RESOLUTION_MPS
-            agrees |= apart <= 0.0
-            if apart > self._max_acceleration * max(0.0, age_s - LATEST_S):
-                if self._began_ns is None or arrival_ns - self._differed_ns > REMEMBERED_NS:
-                    self._began_ns = arrival_ns
-                self._differed_ns, self._both = arrival_ns, ((other, last.speed), (source, speed))
+            excess = abs(speed - last.speed) - SHARE * max(abs(speed), abs(last.speed)) - RESOLUTION_MPS
+            agrees |= excess <= 0.0
+            if excess > self._max_acceleration * max(0.0, age_s - LATEST_S):
+                if self._differing_since_ns is None or arrival_ns - self._differed_ns > REMEMBERED_NS:
+                    self._differing_since_ns = arrival_ns
+                self._differed_ns, self._speed_pair = arrival_ns, ((other_source, last.speed), (source, speed))
                 return True
         if agrees and not mixed and not self._parted(arrival_ns):
-            self._began_ns = None
+            self._differing_since_ns = None
         return False
 
     def _parted(self, now_ns: int) -> bool:
-        if self._began_ns is None or now_ns - self._differed_ns > REMEMBERED_NS:
+        if self._differing_since_ns is None or now_ns - self._differed_ns > REMEMBERED_NS:
             return False
-        return (self._differed_ns - self._began_ns) * NANOSECOND > self._max_age_s()
+        return (self._differed_ns - self._differing_since_ns) * NANOSECOND > self._max_age_s()

@@ -94,7 +94,7 @@ class _Noise:
     """The residual's own noise, a first-order autoregression about its running mean; outliers have reduced weight."""
 
     def __init__(self) -> None:
-        self.settled = False
+        self.is_settled = False
         self._first: list[float] = []
         self._recent: deque[float] = deque(maxlen=TYPICAL_OF)
         self._bins = 0
@@ -112,22 +112,22 @@ class _Noise:
         correlation += (1.0 + 3.0 * correlation) / MEAN_BINS  # correction for the mean subtracted from so many bins
         return min(max(correlation, 0.0), MOST_PHI)
 
-    def shock(self, least: float) -> float:
+    def shock(self, floor: float) -> float:
         """Standard deviation of a bin's innovation, bounded below [Nm]."""
         phi = self.phi
-        return max(math.sqrt(self._variance * (1.0 - phi * phi)), least)
+        return max(math.sqrt(self._variance * (1.0 - phi * phi)), floor)
 
-    def learn(self, residual: float, related: bool, share: float, least: float) -> None:
+    def learn(self, residual: float, related: bool, share: float, floor: float) -> None:
         """Add a bin with a weight of `share`; `related` to the one before or not."""
         self._recent.append(residual)
         self._bins += 1
-        if not self.settled:
+        if not self.is_settled:
             self._first.append(residual)
             if self._bins == SETTLING_BINS:
                 self._settle()
             return
-        bound = OUTLIER * max(math.sqrt(self._variance), least)
-        deviation = _within(residual - self._mean, bound)
+        bound = OUTLIER * max(math.sqrt(self._variance), floor)
+        deviation = _clipped(residual - self._mean, bound)
         self._mean += max(1.0 / self._bins, 1.0 / MEAN_BINS) * (self.typical - self._mean)
         share = max(1.0 / self._bins, min(share, 1.0 / SETTLING_BINS))
         self._variance += share * (deviation * deviation - self._variance)
@@ -139,12 +139,12 @@ class _Noise:
         """Begin with median and median deviation, lest a spike at the start blinds for hours."""
         middle = statistics.median(self._first)
         spread = MAD_TO_STD * statistics.median(abs(value - middle) for value in self._first)
-        deviations = [_within(value - middle, OUTLIER * spread) for value in self._first]
+        deviations = [_clipped(value - middle, OUTLIER * spread) for value in self._first]
         self._mean = middle
         self._variance = sum(d * d for d in deviations) / len(deviations)
         self._covariance = sum(a * b for a, b in pairwise(deviations)) / len(deviations)
         self._deviation = deviations[-1]
-        self.settled, self._first = True, []
+        self.is_settled, self._first = True, []
 
 
 class _Page:
@@ -205,7 +205,7 @@ class MismatchDetector:
     def restart(self) -> None:
         """Reset after a restart of the estimate."""
         self._begin_bin(0)
-        self._before: _Bin | None = None
+        self._last_bin: _Bin | None = None
         self._seconds = 0.0
         self._noise = _Noise()
         self._judging = False
@@ -239,23 +239,23 @@ class MismatchDetector:
     @property
     def verdict(self) -> Mismatch:
         """Result so far."""
-        settled = self._settled
+        is_settled = self._is_settled
         if self._side is None:
-            text = "no lasting difference" if settled else "not enough driving with a measured torque yet"
-            return Mismatch(False, math.nan, math.nan, math.nan, settled, text)
+            text = "no lasting difference" if is_settled else "not enough driving with a measured torque yet"
+            return Mismatch(False, math.nan, math.nan, math.nan, is_settled, text)
         page = self._sides[self._side]
         mean, share = page.residual / page.seconds, page.residual / max(page.drive, 1e-9)
         after_s = page.seconds_before
-        when = "from the start on" if after_s == 0.0 else f"after {after_s / 60.0:.1f} min of driving"
+        span = "from the start on" if after_s == 0.0 else f"after {after_s / 60.0:.1f} min of driving"
         text = (
             f"the measured torque is {abs(mean):.0f} Nm ({100.0 * abs(share):.0f} %) "
-            f"{'above' if mean > 0.0 else 'below'} the expected torque for {page.seconds / 60.0:.1f} min of driving, {when}"
+            f"{'above' if mean > 0.0 else 'below'} the expected torque for {page.seconds / 60.0:.1f} min of driving, {span}"
         )
-        return Mismatch(True, after_s, mean, share, settled, text)
+        return Mismatch(True, after_s, mean, share, is_settled, text)
 
     @property
-    def _settled(self) -> bool:
-        return self._noise.settled and self._seconds >= KNOWN_AFTER * self.settings.mismatch_hold_s
+    def _is_settled(self) -> bool:
+        return self._noise.is_settled and self._seconds >= KNOWN_AFTER * self.settings.mismatch_hold_s
 
     def _begin_bin(self, stamp_ns: int) -> None:
         self._bin_start, self._samples = stamp_ns, 0
@@ -263,52 +263,52 @@ class MismatchDetector:
 
     def _close_bin(self) -> None:
         s = self.settings
-        now = _Bin(self._bin_start, *(total / self._samples for total in (self._residual, self._drive, self._std)))
-        before, seconds = self._before, s.mismatch_bin_s
-        if before is not None and 0 < now.start_ns - before.start_ns <= self._related_ns:
-            seconds = (now.start_ns - before.start_ns) * NANOSECOND
+        latest = _Bin(self._bin_start, *(total / self._samples for total in (self._residual, self._drive, self._std)))
+        last_bin, seconds = self._last_bin, s.mismatch_bin_s
+        if last_bin is not None and 0 < latest.start_ns - last_bin.start_ns <= self._related_ns:
+            seconds = (latest.start_ns - last_bin.start_ns) * NANOSECOND
         else:  # after a long pause, or the clock was set back
-            before = None
-        judging = self._noise.settled
-        least = max(LEAST_NOISE * now.drive, 1e-9)
-        self._noise.learn(now.residual, before is not None, seconds / s.mismatch_memory_s, least)
+            last_bin = None
+        judging = self._noise.is_settled
+        floor = max(LEAST_NOISE * latest.drive, 1e-9)
+        self._noise.learn(latest.residual, last_bin is not None, seconds / s.mismatch_memory_s, floor)
         if judging:
-            self._judge(now, before, seconds, least)
-        self._before = now
+            self._judge(latest, last_bin, seconds, floor)
+        self._last_bin = latest
         self._seconds += seconds
 
-    def _judge(self, now: _Bin, before: _Bin | None, seconds: float, least: float) -> None:
+    def _judge(self, latest: _Bin, last_bin: _Bin | None, seconds: float, floor: float) -> None:
         s = self.settings
-        phi, sigma = self._noise.phi, self._noise.shock(least)
-        if before is None:
+        phi, sigma = self._noise.phi, self._noise.shock(floor)
+        if last_bin is None:
             gain = math.sqrt(1.0 - phi * phi) / sigma
-            white = now.residual * gain
+            white = latest.residual * gain
         else:
             gain = (1.0 - phi) / sigma
-            white = (now.residual - phi * before.residual) / sigma
-        allowance = max(s.mismatch_share * now.drive, s.mismatch_std * now.std) * gain
+            white = (latest.residual - phi * last_bin.residual) / sigma
+        allowance = max(s.mismatch_share * latest.drive, s.mismatch_std * latest.std) * gain
         # Outliers are judged by their unexpected part, after the offset within the allowance.
-        white = _within(white, OUTLIER + allowance)
+        white = _clipped(white, OUTLIER + allowance)
         began = self._seconds if self._judging else 0.0
         self._judging = True
         typical = self._noise.typical
         for side, page in self._sides.items():
             if side != self._side:
                 page.add(side * white - allowance, began)
-            page.gather(typical, now.drive, seconds)
+            page.gather(typical, latest.drive, seconds)
         if self._side is None:
-            enough = (side for side, page in self._sides.items() if page.exceeds(s.mismatch_evidence, s.mismatch_hold_s))
-            self._side = next(enough, None) if self._settled else None
+            sides = (side for side, page in self._sides.items() if page.exceeds(s.mismatch_evidence, s.mismatch_hold_s))
+            self._side = next(sides, None) if self._is_settled else None
             return
         self._back.add(allowance - self._side * white, began)
-        self._back.gather(typical, now.drive, seconds)
+        self._back.gather(typical, latest.drive, seconds)
         if self._back.exceeds(s.mismatch_evidence, s.mismatch_hold_s):
             self._sides[self._side].clear()
             self._back.clear()
             self._side = None
 
 
-def _within(value: float, bound: float) -> float:
+def _clipped(value: float, bound: float) -> float:
     return min(max(value, -bound), bound)
 
 
@@ -352,7 +352,7 @@ class Comparison:
         jumped = bool(int(row[at.Results.reasons]) & CLOCK_JUMPED) or set_ns != self._set_ns
         self._set_ns = set_ns
         residual, speed, accel = row[at.Results.residual_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
-        before, explained = self.belief, 0.0
+        last_belief, explained = self.belief, 0.0
         if self._watch is not None:
             counts = self._detector.settings.compares(speed, accel)
             now_ns = stamp_ns + set_ns
@@ -361,7 +361,7 @@ class Comparison:
         self._detector.take(
             stamp_ns, residual - explained, row[at.Results.drive_torque_nm], row[at.Results.resistance_std_nm], speed, accel
         )
-        return _turned(before, self.belief)
+        return _spell_change(last_belief, self.belief)
 
     def notices(self, command: str) -> list[Notice]:
         """Present notices; `command` explains a mismatch."""
@@ -372,11 +372,11 @@ class Comparison:
         ]
 
 
-def _turned(before: Belief | None, now: Belief | None) -> str:
+def _spell_change(last: Belief | None, belief: Belief | None) -> str:
     """Text that a spell begins or is over; empty if neither."""
-    if before is None or now is None or before.present is now.present:
+    if last is None or belief is None or last.present is belief.present:
         return ""
-    return f"{'the disturbance begins' if now.present else 'the disturbance is over'}: {now.text}"
+    return f"{'the disturbance begins' if belief.present else 'the disturbance is over'}: {belief.text}"
 
 
 class LiveLearning:
@@ -384,13 +384,13 @@ class LiveLearning:
     those of the state file without a torque.
     """
 
-    def __init__(self, estimator: Estimator, mode: str, measured: bool) -> None:
+    def __init__(self, estimator: Estimator, mode: str, has_torque: bool) -> None:
         self.mode = mode
-        self.learner = Learner(estimator, mode) if measured else None
+        self.learner = Learner(estimator, mode) if has_torque else None
         self._columns = None if self.learner is None else LearningColumns(self.learner)
-        self._kept: Any = None  # plain values for the state file while nothing learns
+        self._stored: Any = None  # plain values for the state file while nothing learns
 
-    def go_on(self, session: Session, saved: Any, now: float) -> str:
+    def go_on(self, session: Session, values: Any, now_s: float) -> str:
         """Continue with a session and the learned values of a state file at a time [s since 1970]; return a text for the log.
 
         They are less certain by the time since they were learned.
@@ -398,34 +398,34 @@ class LiveLearning:
         Raises ValueError if they are not from a learner of this vehicle; they are then not used.
         """
         use_file(session.learned)
-        if saved is None:
+        if values is None:
             return ""
         if self.learner is None:
-            self._kept = saved
+            self._stored = values
             return "the learned parameters are kept, but no torque is measured"
-        go_on(session, self.learner, saved, since_learned(saved, now))
-        self._kept = saved if self.mode == OFF else None
+        go_on(session, self.learner, values, since_learned(values, now_s))
+        self._stored = values if self.mode == OFF else None
         return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
     def wear(self, seconds: float) -> None:
         """Account for more time off [s] before the first speed; values that are only kept say when they were learned."""
-        if self.learner is not None and self._kept is None:
+        if self.learner is not None and self._stored is None:
             self.learner.wear(seconds)
 
     def stored(self) -> Any:
         """Plain values for the state file; None if nothing was learned."""
-        return self._kept if self.learner is None or self._kept is not None else stored(self.learner)
+        return self._stored if self.learner is None or self._stored is not None else stored(self.learner)
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
         if self.learner is not None and self.mode != OFF:
-            before = session.learned.copy()
+            parameters = session.learned.copy()
             try:
                 self.learner.take(stamp_ns, row, session)
                 if not np.isfinite(session.learned).all():
                     raise ArithmeticError("a learned parameter is not finite")
             except BaseException:  # learned values for the next step stay unchanged
-                session.learned[:] = before
+                session.learned[:] = parameters
                 raise
 
     def columns(self, row: list[float], session: Session) -> list[float]:
@@ -438,10 +438,10 @@ class LiveLearning:
             self.mode = mode
             return
         if mode == OFF:
-            self._kept = {LEARNED_AT: time.time(), **stored(self.learner)}
-        elif self._kept is not None:
-            go_on(session, self.learner, self._kept, since_learned(self._kept, time.time()))
-            self._kept = None
+            self._stored = {LEARNED_AT: time.time(), **stored(self.learner)}
+        elif self._stored is not None:
+            go_on(session, self.learner, self._stored, since_learned(self._stored, time.time()))
+            self._stored = None
         if OFF in (mode, self.mode):
             self.learner.restart()
         self.mode = self.learner.mode = mode
@@ -457,9 +457,9 @@ class LiveLearning:
     def reset(self, session: Session) -> str:
         """Reset the learned parameters; return a text for the log."""
         use_file(session.learned)
-        if self.learner is None and self._kept is None:
+        if self.learner is None and self._stored is None:
             return "no torque is measured, so there is nothing to reset"
-        self._kept = None
+        self._stored = None
         if self.learner is not None:
             self.learner.reset()
         return "the learned parameters are reset: the vehicle file is used"
@@ -482,8 +482,8 @@ class LiveLearning:
             ("disturbance", self.learner.disturbance),
         )
         learned = lines(self.learner, shown(self.learner))
-        listed = [("learning", self.text, overall), *learned]
-        return [Status(Level.OK, f"{node}: {name}", message, vehicle, known) for name, message, known in listed]
+        rows = [("learning", self.text, overall), *learned]
+        return [Status(Level.OK, f"{node}: {name}", message, vehicle, values) for name, message, values in rows]
 
     def notices(self) -> list[Notice]:
         """Present notices of the learning."""

@@ -135,36 +135,36 @@ class Guard:
         self._report, self._steady_ns = report, steady_ns
         self._failures: dict[str, _Failure] = {}
 
-    def __call__(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
+    def __call__(self, part: str, do: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
         """Call a part; return its result, or None if it fails."""
         try:
-            return do(*args, **named)
+            return do(*args, **kwargs)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # whatever a library raises to end a program must not end this one
-            self.failed(part, error, essential=False)
+            self.report(part, error, essential=False)
         return None
 
-    def essential(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
+    def essential(self, part: str, do: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
         """Call a part that the estimate needs. Written out, as each message passes here: one more call costs 400 ns."""
         try:
-            return do(*args, **named)
+            return do(*args, **kwargs)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # as above
-            self.failed(part, error, essential=True)
+            self.report(part, error, essential=True)
         return None
 
     def taking(self, part: str, take: Callable[[], Iterable[T]]) -> Callable[[], Sequence[T]]:
         """A function that takes the waiting messages of an input; none if it fails."""
         return lambda: self.essential(part, lambda: list(take())) or ()
 
-    def failed(self, part: str, error: BaseException, essential: bool) -> None:
+    def report(self, part: str, error: BaseException, essential: bool) -> None:
         """Take note of a failure."""
         text, now = f"{type(error).__name__}: {error}", self._steady_ns()
-        before = self._failures.get(part)
+        last = self._failures.get(part)
         self._failures[part] = _Failure(text, now, essential)
-        if before is None or before.text != text or now - before.at_ns > SHOWN_NS:
+        if last is None or last.text != text or now - last.at_ns > SHOWN_NS:
             self._report(f"{part} failed because of a bug: {''.join(traceback.format_exception(error))}")
 
     def notices(self, steady: int) -> list[Notice]:

@@ -31,7 +31,7 @@ class Course(NamedTuple):
     pace: int  # and by the controller's [ns]
     present_nm: float  # the session's feed-forward now
     target_nm: float  # what that is on its way to
-    stopped: int  # the reason why the target is zero, else 0
+    stop_reason: int  # the reason why the target is zero, else 0
 
 
 class FeedforwardFilter:
@@ -55,8 +55,8 @@ class FeedforwardFilter:
 
     def begin(self) -> None:
         """Begin to publish: the feed-forward rises from zero."""
-        self.torque_nm = self._unfaded = 0.0
-        self._moved_ns: int | None = None
+        self.torque_nm = self._full_nm = 0.0
+        self._last_move_ns: int | None = None
         self._zero_since_ns: int | None = None
         self._window: tuple[int, int] | None = None  # beginning, by the steady clock and by the pace
         self._rates = 1.0, 1.0  # of the pace against the steady clock, in the last two windows
@@ -80,7 +80,7 @@ class FeedforwardFilter:
         self._slow_max_age_s = float(self.session.motion[at.Motion.longest_age])
         self._step_ns = steady - waited_ns
         if self.age_s(steady) <= self.max_age_s:
-            self._unfaded, self._share = self.torque_nm, 1.0
+            self._full_nm, self._share = self.torque_nm, 1.0
 
     def age_s(self, steady: int) -> float:
         """Time since the last step was made [s]; infinite before the first."""
@@ -98,16 +98,16 @@ class FeedforwardFilter:
         age_s, fade_s = self.age_s(steady), self.session.estimator.settings.feedforward_fade_s
         since_s = 0.0 if self._zero_since_ns is None else (steady - self._zero_since_ns) * NANOSECOND
         share = 0.0 if math.isinf(age_s) else fade(age_s, self.max_age_s, fade_s) * fade(since_s, 0.0, fade_s)
-        if self._moved_ns is None:
+        if self._last_move_ns is None:
             return share
-        return min(self._share, max(share, self._share - (steady - self._moved_ns) * NANOSECOND / fade_s))
+        return min(self._share, max(share, self._share - (steady - self._last_move_ns) * NANOSECOND / fade_s))
 
     def course(self, steady: int) -> Course:
         """Where it is going now; see `feedforward_at`."""
         pace = self._clock.pace_ns(steady)
         session, arrival = self.session, self._clock.recorded_ns(steady, pace)
-        present, target, stopped = feedforward_at(session.estimator.constants, session.memory, session.motion, arrival)
-        return Course(steady, pace, float(present), float(target), stopped)
+        present_nm, target_nm, stop_reason = feedforward_at(session.estimator.constants, session.memory, session.motion, arrival)
+        return Course(steady, pace, float(present_nm), float(target_nm), stop_reason)
 
     def has_to_fall(self, steady: int) -> bool:
         """Whether the last published torque is on its way to zero or through it: that waits for no slow rate of outputs."""
@@ -115,18 +115,18 @@ class FeedforwardFilter:
             return False
         return self.share(steady) < 1.0 or self.torque_nm * self.course(steady).target_nm <= 0.0
 
-    def moved(self, course: Course) -> float:
+    def move(self, course: Course) -> float:
         """The feed-forward [Nm] to publish, on a course of now."""
         elapsed_s = self._elapsed_s(course)
-        present, target = (course.present_nm, course.target_nm) if self._zero_since_ns is None else (0.0, 0.0)
-        number, here = self.session.estimator.constants.number, self._unfaded
-        if present * target > 0.0:
-            self._unfaded = approach(number, here, present, elapsed_s)
+        present_nm, target_nm = (course.present_nm, course.target_nm) if self._zero_since_ns is None else (0.0, 0.0)
+        number, last_nm = self.session.estimator.constants.number, self._full_nm
+        if present_nm * target_nm > 0.0:
+            self._full_nm = approach(number, last_nm, present_nm, elapsed_s)
         else:  # while the session's goes to zero, so does this one
-            there = present if min(0.0, here) <= present <= max(0.0, here) else 0.0
-            self._unfaded = towards(here, there, rate_towards(number, 0.0) * elapsed_s)
-        self._share, self._moved_ns = self.share(course.steady), course.steady
-        self.torque_nm = self._unfaded * self._share
+            end_nm = present_nm if min(0.0, last_nm) <= present_nm <= max(0.0, last_nm) else 0.0
+            self._full_nm = towards(last_nm, end_nm, rate_towards(number, 0.0) * elapsed_s)
+        self._share, self._last_move_ns = self.share(course.steady), course.steady
+        self.torque_nm = self._full_nm * self._share
         return self.torque_nm
 
     def _elapsed_s(self, course: Course) -> float:
@@ -134,12 +134,12 @@ class FeedforwardFilter:
 
         A simulated clock may run fast, and a controller with it. How fast is the slower of two windows: a leap is in one.
         """
-        begun, since = self._window = self._window or (course.steady, course.pace)
-        if course.steady - begun >= WINDOW_NS:
-            self._rates = self._rates[1], (course.pace - since) / (course.steady - begun)
+        begin_ns, pace_ns = self._window = self._window or (course.steady, course.pace)
+        if course.steady - begin_ns >= WINDOW_NS:
+            self._rates = self._rates[1], (course.pace - pace_ns) / (course.steady - begin_ns)
             self._window = course.steady, course.pace
-        passed = 0 if self._moved_ns is None else course.steady - self._moved_ns
-        return passed * NANOSECOND * max(1.0, min(self._rates))
+        passed_ns = 0 if self._last_move_ns is None else course.steady - self._last_move_ns
+        return passed_ns * NANOSECOND * max(1.0, min(self._rates))
 
 
 class OutputPublisher:
@@ -152,9 +152,9 @@ class OutputPublisher:
         self.row: Row = []
         self.stamp_ns: int | None = None
         self.published = 0
-        self.failed: dict[str, str] = {}
-        self.opened = False  # whether the topics below the node's own name are open
-        self.sent = 0  # messages that the middleware took, statuses too
+        self.failures: dict[str, str] = {}
+        self.is_open = False  # whether the topics below the node's own name are open
+        self.message_count = 0  # messages that the middleware took, statuses too
         self.on_estimate: Callable[[int, list[float], Reasons], None] | None = None  # each that was published
         self._outputs, self._transport = outputs, transport
         index = estimator.column_index
@@ -189,26 +189,26 @@ class OutputPublisher:
         """Publish the first status on the node's own topic, and, on request, all as diagnostics and the learned values."""
         for output, topic in enumerate(self._outputs):
             if topic is PARAMETERS_TOPIC:
-                if diagnostics and learned and self.opened:
+                if diagnostics and learned and self.is_open:
                     self._send(output, self._transport.publish_status, nearest_usable(now_ns), learned)
-            elif topic.kind == "status" and (diagnostics if topic.shared else self.opened):
-                shown = statuses if topic.shared else statuses[:1]
-                self._send(output, self._transport.publish_status, nearest_usable(now_ns), shown)
+            elif topic.kind == "status" and (diagnostics if topic.shared else self.is_open):
+                own_statuses = statuses if topic.shared else statuses[:1]
+                self._send(output, self._transport.publish_status, nearest_usable(now_ns), own_statuses)
 
     def notices(self) -> list[Notice]:
         """The topics that cannot be published."""
-        return [Notice("OUTPUT_FAILED", f"{topic} cannot be published: {error}") for topic, error in self.failed.items()]
+        return [Notice("OUTPUT_FAILED", f"{topic} cannot be published: {error}") for topic, error in self.failures.items()]
 
     def _send(self, output: int, publish: Callable[..., None], stamp_ns: int, *content: object) -> None:
         name = self._outputs[output].name
         try:
             publish(output, stamp_ns, *content)
         except Exception as error:  # whatever a middleware may raise
-            self.failed[name] = f"{type(error).__name__}: {error}"
+            self.failures[name] = f"{type(error).__name__}: {error}"
         else:
-            self.sent += 1
-            if self.failed:
-                self.failed.pop(name, None)
+            self.message_count += 1
+            if self.failures:
+                self.failures.pop(name, None)
 
 
 def _values(topic: OutputTopic, index: dict[str, int]) -> Values:

@@ -76,32 +76,32 @@ class NodeParameter:
         """Whether it is a number, integer or not."""
         return isinstance(self.default, int | float) and not isinstance(self.default, bool)
 
-    def checked(self, given: object) -> Value:
+    def check(self, value: object) -> Value:
         """The value as this parameter's kind: 2 for a float is 2.0, 2.0 for a count is 2, and true is the word on.
 
         Raises InputError if it is of another kind or out of range; with the given and the allowed values.
         """
-        where = f"parameter {self.name}"
+        place = f"parameter {self.name}"
         if isinstance(self.default, bool):
-            if not isinstance(given, bool):
-                raise InputError(where, given, "true or false")
-            return given
+            if not isinstance(value, bool):
+                raise InputError(place, value, "true or false")
+            return value
         if isinstance(self.default, str):
             if self.choices:
-                word = SWITCH.get(given) if isinstance(given, bool) else given
-                return checks.one_of(word if word in self.choices else given, where, self.choices)
-            if not isinstance(given, str):
-                raise InputError(where, given, "a text")
-            return given
+                word = SWITCH.get(value) if isinstance(value, bool) else value
+                return checks.one_of(word if word in self.choices else value, place, self.choices)
+            if not isinstance(value, str):
+                raise InputError(place, value, "a text")
+            return value
         if isinstance(self.default, tuple):
-            return checks.each_of(given, where, self.choices)
+            return checks.each_of(value, place, self.choices)
         unit = "" if self.unit == "1" else self.unit
         if isinstance(self.default, int):
-            return checks.whole(given, where, int(self.low), int(self.high), unit)
-        return checks.number(given, where, self.low, self.high, unit)
+            return checks.whole(value, place, int(self.low), int(self.high), unit)
+        return checks.number(value, place, self.low, self.high, unit)
 
 
-def _of(settings: type[Settings | MismatchSettings]) -> tuple[NodeParameter, ...]:
+def _parameters_of(settings: type[Settings | MismatchSettings]) -> tuple[NodeParameter, ...]:
     """Parameters out of an annotated dataclass of settings."""
     limits, choices = limits_of(settings), {field.name: words_of(field.kind) for field in fields_of(settings)}
     return tuple(
@@ -186,7 +186,7 @@ NODE_PARAMETERS = (
     ),
 )
 PARAMETERS: Mapping[str, NodeParameter] = MappingProxyType(
-    {p.name: p for p in (*NODE_PARAMETERS, *_of(Settings), *_of(MismatchSettings))}
+    {p.name: p for p in (*NODE_PARAMETERS, *_parameters_of(Settings), *_parameters_of(MismatchSettings))}
 )
 
 
@@ -221,8 +221,10 @@ class Parameters:
 
     def diagnose_command(self) -> str:
         """Command that explains where and why measured and expected torque differ."""
-        given = [f"--{name} {shlex.quote(self.text(name))}" for name in ("vehicle", "surroundings", "topics") if self.text(name)]
-        return f"trackres diagnose RECORDING {' '.join(given)} -o report"
+        options = [
+            f"--{name} {shlex.quote(self.text(name))}" for name in ("vehicle", "surroundings", "topics") if self.text(name)
+        ]
+        return f"trackres diagnose RECORDING {' '.join(options)} -o report"
 
     def settings(self) -> Settings:
         """The estimator's share."""
@@ -247,33 +249,33 @@ class Parameters:
         deadline_s = self.number("output_deadline_s") if steady else 0.0
         return Quality(self.text("output_reliability") == "reliable", self.count("output_depth"), deadline_s)
 
-    def changed(self, given: Mapping[str, object]) -> Parameters:
+    def with_changes(self, changes: Mapping[str, object]) -> Parameters:
         """These with some changed while the node runs.
 
         Raises InputError for an unknown one, a bad value, or one that cannot be changed while the node runs; then none
         is changed.
         """
-        for name in given:
-            parameter = known(name)
-            if parameter.fixed_because and parameter.checked(given[name]) != self.values[name]:
+        for name in changes:
+            parameter = node_parameter(name)
+            if parameter.fixed_because and parameter.check(changes[name]) != self.values[name]:
                 raise InputError(
                     f"parameter {name}",
-                    given[name],
+                    changes[name],
                     f"its initial value {self.values[name]}: {parameter.fixed_because}",
                     "set it in the parameter file and reconfigure the node",
                 )
-        return make_parameters({**self.values, **given})
+        return make_parameters({**self.values, **changes})
 
 
-def known(name: str) -> NodeParameter:
+def node_parameter(name: str) -> NodeParameter:
     """The parameter of a name. Raises InputError for an unknown name; with the nearest name."""
     return PARAMETERS[checks.one_of(name, "parameter", PARAMETERS)]
 
 
-def make_parameters(given: Mapping[str, object]) -> Parameters:
+def make_parameters(entries: Mapping[str, object]) -> Parameters:
     """Parameters from names and values, the rest by default. Raises InputError for an unknown name or a bad value."""
-    checked = {name: known(name).checked(value) for name, value in given.items()}
-    parameters = Parameters(MappingProxyType({name: checked.get(name, p.default) for name, p in PARAMETERS.items()}))
+    valid = {name: node_parameter(name).check(value) for name, value in entries.items()}
+    parameters = Parameters(MappingProxyType({name: valid.get(name, p.default) for name, p in PARAMETERS.items()}))
     rate, deadline = parameters.number("output_rate_hz"), parameters.number("output_deadline_s")
     if rate > 0.0 and 0.0 < deadline < 2.0 / rate:
         allowed = f"0, or at least {2.0 / rate:g} s, two outputs at an output_rate_hz of {rate:g} Hz"
@@ -292,17 +294,17 @@ def read_with_overrides(path: Path | None, node: str, namespace: str) -> tuple[d
 
     Raises InputError if the file cannot be read, an entry is unknown or bad, or no section fits the node.
     """
-    given = {} if path is None else read_entries(path, node, namespace)
-    own = {name: value for name, value in given.items() if str(name).split(".")[0] != QOS_OVERRIDES}
+    entries = {} if path is None else read_entries(path, node, namespace)
+    values = {name: value for name, value in entries.items() if str(name).split(".")[0] != QOS_OVERRIDES}
     try:
-        make_parameters(own)
+        make_parameters(values)
     except InputError as error:
         raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None
-    overrides = dict(_flat({name: value for name, value in given.items() if name not in own}, ""))
+    overrides = dict(_flat({name: value for name, value in entries.items() if name not in values}, ""))
     for name, value in overrides.items():
         if not isinstance(value, bool | int | str):
             raise InputError(f"{path}: {name}", value, "a word, a whole number, true or false")
-    return own, overrides
+    return values, overrides
 
 
 def _flat(entries: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
@@ -320,14 +322,14 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
     Raises InputError if the file cannot be read, or no section fits the node.
     """
     content = read_yaml(path)
-    full = f"{namespace.rstrip('/')}/{node}"
+    full_name = f"{namespace.rstrip('/')}/{node}"
     if not any(isinstance(value, Mapping) for value in content.values()):
         return dict(content)
     sections = _sections(content, "", str(path))
-    fitting = [values for pattern, values in sections if fits(pattern, full)]
+    fitting = [values for pattern, values in sections if fits(pattern, full_name)]
     if not fitting:
         names = ", ".join(pattern for pattern, _ in sections)
-        raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "use that name, or /** for any node")
+        raise InputError(str(path), f"parameters of {names}", f"a section for {full_name}", "use that name, or /** for any node")
     return {name: value for values in fitting for name, value in values.items()}
 
 
@@ -346,21 +348,21 @@ def section_names(path: Path) -> list[str]:
 
 def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tuple[str, Mapping[str, object]]]:
     """Node patterns and their parameters in a ROS parameter file, namespaces nested or not; anything else is refused."""
-    found: list[tuple[str, Mapping[str, object]]] = []
+    sections: list[tuple[str, Mapping[str, object]]] = []
     for key, value in content.items():
         name = f"{prefix}/{str(key).strip('/')}"
         if not isinstance(value, Mapping) or not value:
-            near = f"did you mean {ROS_KEY}?" if difflib.get_close_matches(ROS_KEY, name.split("/")) else ""
+            remedy = f"did you mean {ROS_KEY}?" if difflib.get_close_matches(ROS_KEY, name.split("/")) else ""
             allowed = f"the name of a node or namespace with a mapping that ends in {ROS_KEY}"
-            raise InputError(f"{origin}: {name.strip('/')}", value, allowed, near)
-        rest = {inner: below for inner, below in value.items() if inner != ROS_KEY}
+            raise InputError(f"{origin}: {name.strip('/')}", value, allowed, remedy)
+        others = {inner: entry for inner, entry in value.items() if inner != ROS_KEY}
         if ROS_KEY in value:
             parameters = value[ROS_KEY]
             if not isinstance(parameters, Mapping | None):
                 raise InputError(f"{origin}: {name.strip('/')}.{ROS_KEY}", parameters, "names and values of parameters")
-            found.append((name, parameters or {}))
-        found += _sections(rest, name, origin)
-    return found
+            sections.append((name, parameters or {}))
+        sections += _sections(others, name, origin)
+    return sections
 
 
 class Setup(NamedTuple):
@@ -384,19 +386,19 @@ def read_setup(parameters: Parameters) -> Setup:
     return Setup(vehicle, topics, settings_for(parameters.settings(), topics))
 
 
-def changed_parameters(before: Parameters, given: Mapping[str, object], topics: Topics) -> Parameters:
+def changed_parameters(current: Parameters, values: Mapping[str, object], topics: Topics) -> Parameters:
     """The parameters after a change while running.
 
     Raises InputError for an unknown or bad value, one that cannot be changed while running, or one that the topics file
     decides.
     """
-    parameters = before.changed(given)
+    parameters = current.with_changes(values)
     fixed = settings_of(topics)
-    for name in given:
+    for name in values:
         if name in fixed and fixed[name] != parameters.values[name]:
             raise InputError(
                 f"parameter {name}",
-                given[name],
+                values[name],
                 f"{fixed[name]}, set by the topics file",
                 f"change {FIELDS.get(name, 'max_age_s')} in {topics.origin} and reconfigure the node",
             )
@@ -405,8 +407,8 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
 
 def _check_live(topics: Topics) -> None:
     """Refuse topics that a live node cannot use: a column of a table, a name that ROS does not allow, or no speed among them."""
-    for where, given, _ in topics.unused(of_topics=True):
-        raise InputError(where, given, "a topic with type and field", "use a topics file for each kind of source")
+    for place, value, _ in topics.unused(of_topics=True):
+        raise InputError(place, value, "a topic with type and field", "use a topics file for each kind of source")
     for role in topics:
         for source in topics[role].sources:
             if not TOPIC_NAME.fullmatch(source.topic):
@@ -432,8 +434,8 @@ class ParameterFile:
         self.path, self._node, self._namespace = path, node, namespace
         self._overruled = frozenset(overruled)
         self._applied: dict[str, Value] = dict(parameters.values)
-        self._read: Stamp | None = None
-        self._seen: Stamp | None = None
+        self._read_stamp: Stamp | None = None
+        self._last_stamp: Stamp | None = None
 
     def look(self, check: Callable[[Mapping[str, Value]], object]) -> tuple[Mapping[str, Value], list[InputError]]:
         """Names and values that differ from those applied last, and an error for each refused line; mostly neither.
@@ -441,65 +443,65 @@ class ParameterFile:
         `check` raises InputError for a change that the node refuses.
         """
         stamp = _stamp(self.path)
-        settled, self._seen = stamp == self._seen, stamp
-        if stamp is None or stamp == self._read or not settled:
+        is_settled, self._last_stamp = stamp == self._last_stamp, stamp
+        if stamp is None or stamp == self._read_stamp or not is_settled:
             return {}, []
-        self._read = stamp
+        self._read_stamp = stamp
         try:
-            given = read_entries(self.path, self._node, self._namespace)
+            entries = read_entries(self.path, self._node, self._namespace)
         except InputError as error:
             return {}, [error]
-        meant, refused = {name: parameter.default for name, parameter in PARAMETERS.items()}, []
-        for name, value in given.items():
+        meant, bad = {name: parameter.default for name, parameter in PARAMETERS.items()}, []
+        for name, value in entries.items():
             try:
-                meant[name] = known(name).checked(value)
+                meant[name] = node_parameter(name).check(value)
             except InputError as error:
                 meant.pop(name, None)
-                refused.append(error)
-        changed = {name: value for name, value in meant.items() if name not in self._overruled and value != self._applied[name]}
-        accepted, errors = _accepted(changed, check)
-        return accepted, refused + errors
+                bad.append(error)
+        changes = {name: value for name, value in meant.items() if name not in self._overruled and value != self._applied[name]}
+        valid, errors = _valid_changes(changes, check)
+        return valid, bad + errors
 
-    def applied(self, changed: Mapping[str, Value]) -> str:
+    def note_changes(self, changes: Mapping[str, Value]) -> str:
         """Record a change; return it as text."""
-        said = ", ".join(f"{name} {_shown(self._applied[name])} -> {_shown(value)}" for name, value in changed.items())
-        self._applied.update(changed)
-        return f"{self.path}: {said}"
+        text = ", ".join(f"{name} {_text_of(self._applied[name])} -> {_text_of(value)}" for name, value in changes.items())
+        self._applied.update(changes)
+        return f"{self.path}: {text}"
 
-    def refused(self, error: InputError) -> str:
+    def refusal_text(self, error: InputError) -> str:
         """Refused changes with reasons, as text."""
         return f"{self.path}: refused, and left as it was: {error}"
 
 
-def _accepted(
-    changed: Mapping[str, Value], check: Callable[[Mapping[str, Value]], object]
+def _valid_changes(
+    changes: Mapping[str, Value], check: Callable[[Mapping[str, Value]], object]
 ) -> tuple[dict[str, Value], list[InputError]]:
     """All valid changes, and the errors of the others. Two that depend on each other pass in either order."""
-    accepted: dict[str, Value] = {}
+    valid: dict[str, Value] = {}
     errors: dict[str, InputError] = {}
-    waiting = dict(changed)
+    waiting = dict(changes)
     while waiting:
         errors = {}
         for name, value in waiting.items():
             try:
-                check({**accepted, name: value})
+                check({**valid, name: value})
             except InputError as error:
                 errors[name] = error
             else:
-                accepted[name] = value
+                valid[name] = value
         if len(errors) == len(waiting):
             break
         waiting = {name: waiting[name] for name in errors}
-    return accepted, list(errors.values())
+    return valid, list(errors.values())
 
 
 def _stamp(path: Path) -> Stamp | None:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
-def _shown(value: Value) -> str:
+def _text_of(value: Value) -> str:
     return f"[{', '.join(value)}]" if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)

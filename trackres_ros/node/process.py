@@ -51,13 +51,13 @@ class SignalRequests:
 
     def listen(self) -> None:
         """Begin to listen; from then on no signal ends the process by itself. Under nohup a closed terminal ends nothing."""
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, WHAT)  # all at once: who sees the first taken may send another
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, WHAT)  # all at once: who sees the first taken may send another
         for number in WHAT:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._take)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+                signal.signal(number, self._note)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
-    def started(self) -> None:
+    def start(self) -> None:
         """Begin to carry out requests at once, as the node runs."""
         self._starting = False
 
@@ -66,7 +66,7 @@ class SignalRequests:
         while self._waiting:
             yield self._waiting.pop(0)
 
-    def _take(self, number: int, _frame: FrameType | None) -> None:
+    def _note(self, number: int, _frame: FrameType | None) -> None:
         if number in STOP:
             self.to_stop = True
         else:
@@ -92,30 +92,30 @@ class ServiceManager:
         path = os.environ.get("NOTIFY_SOCKET", "")
         self._address = f"\0{path[1:]}" if path.startswith("@") else path  # the first is of Linux's abstract ones
         self._ready = False
-        self._sent, self._told_ns, self._status = 0, 0, ""
+        self._sent_count, self._notified_ns, self._status = 0, 0, ""
 
-    def alive(self, sent: int, active: bool, steady: int) -> None:
+    def alive(self, count: int, active: bool, steady: int) -> None:
         """Report that the node is alive, if messages were sent since the last call that did, or it is inactive by request.
 
         `sent` is the number of messages passed to the middleware so far, `steady` is now by a steady clock [ns].
         """
-        if (active and sent == self._sent) or (self._ready and steady - self._told_ns < EVERY_NS):
+        if (active and count == self._sent_count) or (self._ready and steady - self._notified_ns < EVERY_NS):
             return
-        self._tell("WATCHDOG=1" if self._ready else "READY=1\nWATCHDOG=1")
-        self._ready, self._sent, self._told_ns = True, sent, steady
+        self._notify("WATCHDOG=1" if self._ready else "READY=1\nWATCHDOG=1")
+        self._ready, self._sent_count, self._notified_ns = True, count, steady
 
     def status(self, text: str) -> None:
         """Report the state in a line; `systemctl status` shows it."""
         line = " ".join(text.split())[:LONGEST_STATUS]
         if line != self._status:
-            self._tell(f"STATUS={line}")
+            self._notify(f"STATUS={line}")
             self._status = line
 
     def stopping(self) -> None:
         """Report that the process ends; the loop that runs the node does, as a lifecycle's cleanup ends no process."""
-        self._tell("STOPPING=1")
+        self._notify("STOPPING=1")
 
-    def _tell(self, text: str) -> None:
+    def _notify(self, text: str) -> None:
         if self._address:
             with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
                 sender.setblocking(False)
@@ -154,36 +154,36 @@ class ErrorLines:
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque(maxlen=MOST_LINES)
-        self._put = self._taken = 0
-        self._news, self._over = threading.Event(), False
+        self._put_count = self._taken_count = 0
+        self._news, self._is_over = threading.Event(), False
         self._thread = threading.Thread(target=self._run, name="log", daemon=True)
         self._thread.start()
 
     def put(self, line: str) -> None:
         """Have a line written soon."""
         self._lines.append(line)
-        self._put += 1
+        self._put_count += 1
         self._news.set()
 
     def close(self, patience_s: float) -> None:
         """Write the remaining lines, as far as they are read."""
-        self._over = True
+        self._is_over = True
         self._news.set()
         self._thread.join(patience_s)
         if self._thread.is_alive():  # output of the interpreter as it ends must not wait either
             _to_nowhere()
 
     def _run(self) -> None:
-        while not (self._over and not self._lines):
+        while not (self._is_over and not self._lines):
             self._news.wait()
             self._news.clear()
             while self._lines:
                 line = self._lines.popleft()
-                self._taken += 1
-                dropped = self._put - self._taken - len(self._lines)
-                if dropped > 0:
-                    self._taken += dropped
-                    line = f"[{dropped} lines of the log were dropped, because nothing read them]\n{line}"
+                self._taken_count += 1
+                lost = self._put_count - self._taken_count - len(self._lines)
+                if lost > 0:
+                    self._taken_count += lost
+                    line = f"[{lost} lines of the log were dropped, because nothing read them]\n{line}"
                 self._write(line)
 
     def _write(self, line: str) -> None:
@@ -204,9 +204,9 @@ def _write_to_error(text: str) -> None:
     except (AttributeError, OSError, ValueError):
         print(text, end="", file=sys.stderr, flush=True)
         return
-    left = text.encode(errors="backslashreplace")
-    while left:
-        left = left[os.write(number, left) :]
+    data = text.encode(errors="backslashreplace")
+    while data:
+        data = data[os.write(number, data) :]
 
 
 def _to_nowhere() -> None:

@@ -53,12 +53,12 @@ FILES_IN_LIMIT = 10  # where only the total limit is given
 STILL_WRITTEN_S = 60.0  # an unfinished file with a more recent change may belong to another process
 
 
-class Recorded(NamedTuple):
+class Origin(NamedTuple):
     """What is recorded of one application."""
 
     estimator: Estimator
     learner: Learner | None
-    given: list[tuple[InputTopic, str]]  # topics, and the texts that define their types
+    topics: list[tuple[InputTopic, str]]  # topics, and the texts that define their types
     jump_ns: int  # back in time, from which on the next file begins
 
     @property
@@ -69,7 +69,7 @@ class Recorded(NamedTuple):
 
 Published = tuple[list[float], Reasons]
 """Numbers and reasons of a message of `~/estimate`."""
-Item = tuple[int, bytes | list[float] | Published, int, int, Recorded]
+Item = tuple[int, bytes | list[float] | Published, int, int, Origin]
 """Topic (or `ESTIMATE`, `RESTORED`, `PUBLISHED`), message, row or file, stamp and arrival [ns], and what they belong to."""
 ESTIMATE, RESTORED, PUBLISHED = -1, -2, -3
 
@@ -94,18 +94,18 @@ class Recorder:
         self._files = RecordingFiles(path, self._limits)
         self._bag: OutputBag | None = None
         self._waiting: deque[Item] = deque()
-        self._put = self._taken = 0  # bytes; one thread counts each
-        self._dropped, self._dropped_ns = [0, 0], -SHOWN_NS  # messages and estimates
-        self._given_out, self._finished, self._not_written = [0, 0], [0, 0], [0, 0]
+        self._put_bytes = self._taken_bytes = 0  # bytes; one thread counts each
+        self._overflow, self._dropped_ns = [0, 0], -SHOWN_NS  # messages and estimates
+        self._given_out, self._finished, self._missing = [0, 0], [0, 0], [0, 0]
         self._counts: dict[str, int] = {}  # messages of each topic
         self._error, self._failed_ns, self._answered_ns = "", -SHOWN_NS, 0
         self._is_finished = False
-        self._done: list[str] = []
+        self._finished_files: list[str] = []
         self._starts: list[Path] = []  # files of restored states
         self._began_ns = self._latest_ns = 0
-        self._early: list[Item] = []
+        self._before_clock: list[Item] = []
         self._preview: ResultPreview | None = None
-        self._unseen: list[Steps] = []  # of the preview
+        self._preview_steps: list[Steps] = []  # of the preview
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
 
@@ -118,21 +118,21 @@ class Recorder:
         jump_ns = LAST_NS  # a real clock never goes back, though a message may be recorded late
         if application.parameters.sim_time:
             jump_ns = int(estimator.settings.clock_jump_s * SECOND_NS)
-        self._now = Recorded(estimator, learner, application.record(self._keep), jump_ns)
-        self._names = [input_name(given.name, "/") for given, _ in self._now.given]
+        self._current = Origin(estimator, learner, application.record(self._keep), jump_ns)
+        self._names = [input_name(topic.name, "/") for topic, _ in self._current.topics]
         self._counts = dict.fromkeys(self._names, 0) | self._counts
         unfinished: list[Path] = []
         if self._thread.ident is None:
             unfinished = self._files.left_unfinished()
-            self._of, self._last = self._now, [0] * len(self._now.given)
-            self._preview = ResultPreview(len(self._now.columns))
+            self._origin, self._last = self._current, [0] * len(self._current.topics)
+            self._preview = ResultPreview(len(self._current.columns))
             try:
                 self._open()
             except OSError as error:
                 raise InputError("--record", f"{self.path}: {error.strerror}", "a file that can be written") from error
             self._answered_ns = time.monotonic_ns()
             self._thread.start()
-        application.on_estimate, application.on_restored = self._take, self._start_from
+        application.on_estimate, application.on_restored = self._record_row, self._start_from
         application.on_published = self._take_published
         application.recording_notices = self.notices
         return [
@@ -149,11 +149,11 @@ class Recorder:
         if self._thread.is_alive():
             return [f"{self._part}: the disk does not respond, the file is unfinished; see trackres recover"]
         inputs = ", ".join(f"{number} of {name}" for name, number in self._counts.items())
-        written = self._written()[1]
-        estimates = f"{written} estimates as topics" if written else "no estimate was made"
-        lines = [f"{self._where()}: {estimates}; messages: {inputs}"]
-        if any(self._lost()):
-            lines.append(f"not recorded: {_counted(self._lost())}")
+        estimate_count = self._written_counts()[1]
+        estimates = f"{estimate_count} estimates as topics" if estimate_count else "no estimate was made"
+        lines = [f"{self._file_range()}: {estimates}; messages: {inputs}"]
+        if any(self._lost_counts()):
+            lines.append(f"not recorded: {_counts_text(self._lost_counts())}")
         if self._files.deleted:
             lines.append(f"{self._files.deleted} of the oldest files were deleted to stay within --record-limit-mb")
         if not self._is_finished:
@@ -168,97 +168,97 @@ class Recorder:
         """Time [s] and columns of the estimates for a picture, once the bag is finished; empty if there were none."""
         if self._preview is None or self._thread.is_alive() or not self._preview.steps:
             return {}
-        return {"time_s": self._preview.kept[:, 0], **picture_columns(self._of.columns, self._preview.kept)}
+        return {"time_s": self._preview.samples[:, 0], **picture_columns(self._origin.columns, self._preview.samples)}
 
     @property
     def title(self) -> str:
         """Title of the picture."""
-        return f"Live: {self._of.estimator.vehicle.title}"
+        return f"Live: {self._origin.estimator.vehicle.title}"
 
-    def _where(self) -> str:
-        first = self._done[0] if self._done else str(self._part)
-        return first if len(self._done) < 2 else f"{first} to {self._done[-1]}"
+    def _file_range(self) -> str:
+        first = self._finished_files[0] if self._finished_files else str(self._part)
+        return first if len(self._finished_files) < 2 else f"{first} to {self._finished_files[-1]}"
 
     def notices(self) -> list[Notice]:
         """Text that data are not recorded, with the file and the amount."""
         now = time.monotonic_ns()
         silent_s = (now - self._answered_ns) * 1e-9
         if silent_s * 1e9 > SHOWN_NS:
-            why = f"the disk has not responded for {silent_s:.0f} s"
+            cause = f"the disk has not responded for {silent_s:.0f} s"
         elif now - self._failed_ns < SHOWN_NS:
-            why = self._error
+            cause = self._error
         elif now - self._dropped_ns < SHOWN_NS:
-            why = "the disk is too slow for the data"
+            cause = "the disk is too slow for the data"
         else:
             return []
-        return [Notice("NOT_RECORDED", f"recording to {self._part}: {why}; lost so far: {_counted(self._lost())}")]
+        return [Notice("NOT_RECORDED", f"recording to {self._part}: {cause}; lost so far: {_counts_text(self._lost_counts())}")]
 
     # Called by the application, at almost no cost
 
     def _keep(self, index: int, raw: bytes, arrival_ns: int) -> None:
         self._counts[self._names[index]] += 1
-        self._wait((index, raw, 0, arrival_ns, self._now))
+        self._wait((index, raw, 0, arrival_ns, self._current))
 
-    def _take(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
-        self._wait((ESTIMATE, row, stamp_ns, arrival_ns, self._now))
+    def _record_row(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
+        self._wait((ESTIMATE, row, stamp_ns, arrival_ns, self._current))
 
     def _take_published(self, stamp_ns: int, numbers: list[float], reasons: Reasons, at_ns: int) -> None:
-        self._wait((PUBLISHED, (numbers, reasons), stamp_ns, at_ns, self._now))
+        self._wait((PUBLISHED, (numbers, reasons), stamp_ns, at_ns, self._current))
 
     def _start_from(self, state: bytes, arrival_ns: int) -> None:
-        self._wait((RESTORED, state, 0, arrival_ns, self._now))
+        self._wait((RESTORED, state, 0, arrival_ns, self._current))
 
     def _wait(self, item: Item) -> None:
-        if self._put - self._taken > MOST_WAITING_BYTES:
-            self._dropped[item[0] in (ESTIMATE, PUBLISHED)] += 1
+        if self._put_bytes - self._taken_bytes > MOST_WAITING_BYTES:
+            self._overflow[item[0] in (ESTIMATE, PUBLISHED)] += 1
             self._dropped_ns = time.monotonic_ns()
             return
-        self._put += _size(item)
+        self._put_bytes += _size(item)
         self._waiting.append(item)
 
     # Work of the thread
 
     def _run(self) -> None:
         while not self._stop.wait(WRITE_EVERY_S):
-            self._try(self._write)
-        self._try(self._write)
-        self._try(self._see)
-        self._is_finished = self._try(self._close)
+            self._attempt(self._write)
+        self._attempt(self._write)
+        self._attempt(self._feed_preview)
+        self._is_finished = self._attempt(self._close)
 
-    def _try(self, do: Callable[[], None]) -> bool:
-        done = False
+    def _attempt(self, do: Callable[[], None]) -> bool:
+        success = False
         try:
             do()
         except BaseException as error:  # whatever it is, it is reported, and tried again
             self._error = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
             self._failed_ns = time.monotonic_ns()
         else:
-            done = True
-        written = self._written()
-        self._not_written = [given - there for given, there in zip(self._given_out, written, strict=True)]
+            success = True
+        counts = self._written_counts()
+        self._missing = [handed - in_file for handed, in_file in zip(self._given_out, counts, strict=True)]
         self._answered_ns = time.monotonic_ns()
-        return done
+        return success
 
     def _drain(self) -> list[Item]:
         """Take the queue; messages from before the simulated clock keep waiting for it."""
-        items, self._early = self._early, []
+        items, self._before_clock = self._before_clock, []
         while self._waiting:
             items.append(self._waiting.popleft())
-            self._taken += _size(items[-1])
+            self._taken_bytes += _size(items[-1])
         if not any(item[3] > 0 for item in items) and not self._stop.is_set():
-            self._early = items[-MOST_EARLY:]
+            self._before_clock = items[-MOST_EARLY:]
             items = items[:-MOST_EARLY]
         return items
 
     def _write(self) -> None:
         rounds: list[list[Item]] = [[]]
-        of = self._of
+        origin = self._origin
         for item in self._drain():
             if item[0] not in (RESTORED, PUBLISHED):
                 self._given_out[item[0] == ESTIMATE] += 1
-            if item[4] is not of or 0 < item[3] < self._latest_ns - of.jump_ns:  # a simulated clock went back
+            if item[4] is not origin or 0 < item[3] < self._latest_ns - origin.jump_ns:  # a simulated clock went back
                 rounds.append([])
-                self._latest_ns, of = 0, item[4]
+                self._latest_ns, origin = 0, item[4]
             self._latest_ns = max(self._latest_ns, item[3])
             rounds[-1].append(item)
         for number, items in enumerate(rounds):
@@ -268,22 +268,22 @@ class Recorder:
             if items or len(rounds) == 1:
                 self._write_round(items)
 
-    def _turn_to(self, of: Recorded) -> None:
+    def _turn_to(self, origin: Origin) -> None:
         """Go on with the next file, perhaps of another application; where its columns differ the picture begins anew."""
-        self._see()
-        if of.columns != self._of.columns:
-            self._preview = ResultPreview(len(of.columns))
-        self._of, self._last = of, [0] * len(of.given)
+        self._feed_preview()
+        if origin.columns != self._origin.columns:
+            self._preview = ResultPreview(len(origin.columns))
+        self._origin, self._last = origin, [0] * len(origin.topics)
 
     def _write_round(self, items: Sequence[Item]) -> None:
         if self._bag is None:
             self._open()
         assert self._bag
         first_ns = next((item[3] for item in items if item[3] > 0), 0)
-        rows, states, published = [], list[bytes](), []
+        rows, states, outputs = [], list[bytes](), []
         for index, content, stamp_ns, arrival_ns, _ in items:
             if isinstance(content, tuple):
-                published.append((*content, stamp_ns, arrival_ns if arrival_ns > 0 else first_ns))
+                outputs.append((*content, stamp_ns, arrival_ns if arrival_ns > 0 else first_ns))
             elif not isinstance(content, bytes):
                 rows.append((content, stamp_ns, arrival_ns))
             elif index == RESTORED:
@@ -295,60 +295,62 @@ class Recorder:
         if rows:
             values, stamps, arrivals = zip(*rows, strict=True)
             steps = Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), np.array(values))
-            self._unseen.append(steps)
+            self._preview_steps.append(steps)
             self._bag.write(steps)
-        if published:
-            self._bag.write_published(published)
+        if outputs:
+            self._bag.write_published(outputs)
         self._bag.writer.flush()
         for state in states:
-            begun = start_of(self._bag.writer.part)
-            own_files.write(state_file(begun, "--record"), state)
-            self._starts.append(begun)
-        if sum(len(steps.rows) for steps in self._unseen) >= PREVIEW_ROWS:
-            self._see()
+            start = start_of(self._bag.writer.part)
+            own_files.write(state_file(start, "--record"), state)
+            self._starts.append(start)
+        if sum(len(steps.rows) for steps in self._preview_steps) >= PREVIEW_ROWS:
+            self._feed_preview()
         if items:
             self._began_ns = self._began_ns or first_ns
             if self._limits.due(self._bag.writer.size, items[-1][3] - self._began_ns):
                 self._close()
                 self._open()
 
-    def _see(self) -> None:
+    def _feed_preview(self) -> None:
         """Keep a preview for the picture; of many rows at a time, as each time it is copied."""
-        if self._unseen and self._preview:
-            seen, self._unseen = self._unseen, []
-            joined = (np.concatenate([getattr(steps, name) for steps in seen]) for name in ("stamp_ns", "arrival_ns", "rows"))
-            self._preview.take(Steps(*joined), None)
+        if self._preview_steps and self._preview:
+            parts, self._preview_steps = self._preview_steps, []
+            fields = (np.concatenate([getattr(steps, name) for steps in parts]) for name in ("stamp_ns", "arrival_ns", "rows"))
+            self._preview.take(Steps(*fields), None)
 
     def _open(self) -> None:
         self._files.make_room()
         path, self._part = self._files.next()
         _remove_start(self._part)  # of one that was removed or repaired
-        bag = OutputBag(path, self._of.estimator, self._of.learner, self._part, live=True)
+        bag = OutputBag(path, self._origin.estimator, self._origin.learner, self._part, live=True)
         bag.__enter__()
-        self._topics = [bag.writer.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._of.given]
+        self._topics = [
+            bag.writer.raw_topic(input_name(topic.name, "/"), topic.type, text) for topic, text in self._origin.topics
+        ]
         self._bag, self._began_ns = bag, 0
 
     def _close(self) -> None:
         """Finish a file; if that fails, it stays unfinished."""
-        bag, self._finished, self._bag = self._bag, self._written(), None
+        bag, self._finished, self._bag = self._bag, self._written_counts(), None
         if bag is not None:
             bag.__exit__(None, None, None)
-            self._done.append(str(bag.path))
-            begun, start = start_of(bag.writer.part), start_of(bag.path)
-            if _remove_start(bag.path) and begun in self._starts:  # that of a bag that was replaced
-                begun.replace(start)
-                self._starts[self._starts.index(begun)] = start
+            self._finished_files.append(str(bag.path))
+            part_start, start = start_of(bag.writer.part), start_of(bag.path)
+            if _remove_start(bag.path) and part_start in self._starts:  # that of a bag that was replaced
+                part_start.replace(start)
+                self._starts[self._starts.index(part_start)] = start
 
-    def _written(self) -> list[int]:
+    def _written_counts(self) -> list[int]:
         """Messages and estimates that are in a file."""
         messages, estimates = self._finished
         if self._bag is None:
             return [messages, estimates]
         return [messages + sum(topic.count for topic in self._topics), estimates + self._bag.estimates]
 
-    def _lost(self) -> list[int]:
+    def _lost_counts(self) -> list[int]:
         """Messages and estimates that are in no file, and will not be."""
-        return [lost + dropped for lost, dropped in zip(self._not_written, self._dropped, strict=True)]
+        return [missing + overflow for missing, overflow in zip(self._missing, self._overflow, strict=True)]
 
 
 def start_of(bag: Path) -> Path:
@@ -371,8 +373,8 @@ def _size(item: Item) -> int:
     return BYTES_BESIDES + (len(content) if isinstance(content, bytes) else BYTES_PER_NUMBER * len(content))
 
 
-def _counted(lost: list[int]) -> str:
-    return f"{lost[0]} messages and {lost[1]} estimates"
+def _counts_text(counts: list[int]) -> str:
+    return f"{counts[0]} messages and {counts[1]} estimates"
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,8 +390,10 @@ class RecordLimits:
 
     def __post_init__(self) -> None:
         if self.limit_mb and self.split_mb > 0.5 * self.limit_mb:
-            given = f"{self.limit_mb:g} MB, with files of {self.split_mb:g} MB"
-            raise InputError("--record-limit-mb", given, "at least twice --record-split-mb", "the oldest whole files are deleted")
+            limits = f"{self.limit_mb:g} MB, with files of {self.split_mb:g} MB"
+            raise InputError(
+                "--record-limit-mb", limits, "at least twice --record-split-mb", "the oldest whole files are deleted"
+            )
 
     @property
     def splits(self) -> bool:
@@ -419,15 +423,15 @@ class RecordingFiles:
         self._path, self._limits = path, limits
         self._name = re.compile(rf"{re.escape(path.stem)}_(\d{{4,}}){re.escape(path.suffix)}({re.escape(SUFFIX)})?")
         self.deleted = 0
-        self._begun = False  # the file without a number
+        self._has_begun = False  # the file without a number
 
     def next(self) -> tuple[Path, Path]:
         """The next file, and its name until it is finished."""
-        if self._limits.splits or self._begun:
-            number = 1 + max((number for number, _ in self._numbered()), default=0 if self._begun else -1)
+        if self._limits.splits or self._has_begun:
+            number = 1 + max((number for number, _ in self._numbered()), default=0 if self._has_begun else -1)
             path = self._path.with_name(f"{self._path.stem}_{number:04d}{self._path.suffix}")
             return path, path.with_name(path.name + SUFFIX)
-        self._begun = True
+        self._has_begun = True
         part, number = self._path.with_name(self._path.name + SUFFIX), 0
         while part.exists():
             number += 1
@@ -437,8 +441,8 @@ class RecordingFiles:
     def left_unfinished(self) -> list[Path]:
         """Unfinished files of earlier runs."""
         beginning = self._path.stem if self._limits.splits else self._path.name
-        found = self._path.parent.glob(f"*{SUFFIX}")
-        return sorted(path for path in found if path.name.startswith(beginning) and _is_ours(path))
+        parts = self._path.parent.glob(f"*{SUFFIX}")
+        return sorted(path for path in parts if path.name.startswith(beginning) and _is_ours(path))
 
     def make_room(self) -> None:
         """Delete the oldest files of this recording, by number, until the next one fits into the limit too."""
@@ -456,8 +460,8 @@ class RecordingFiles:
                 too_much -= size
 
     def _numbered(self) -> list[tuple[int, Path]]:
-        found = [(self._name.fullmatch(path.name), path) for path in self._path.parent.iterdir()]
-        return [(int(match[1]), path) for match, path in found if match]
+        matches = [(self._name.fullmatch(path.name), path) for path in self._path.parent.iterdir()]
+        return [(int(match[1]), path) for match, path in matches if match]
 
 
 def _is_ours(path: Path) -> bool:

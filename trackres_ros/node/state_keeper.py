@@ -70,8 +70,8 @@ def state_name(node: str, namespace: str, vehicle: str) -> str:
 
 def lock_of(path: Path) -> Path:
     """The file that locks a state file, by whatever name it is reached."""
-    there = Path(os.path.realpath(path))
-    return there.with_name(f".{there.name}.lock")
+    target = Path(os.path.realpath(path))
+    return target.with_name(f".{target.name}.lock")
 
 
 class StateKeeper:
@@ -83,8 +83,8 @@ class StateKeeper:
         self.saved_ns: int | None = None  # by the steady clock
         self.error = why_none
         self.unused = ""  # why the state file that was there could not be used
-        self._aside: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
-        self._taken: Path | None = None  # copy that this start went on with; it goes once a later state is saved
+        self._copy_path: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
+        self._used_copy: Path | None = None  # copy that this start went on with; it goes once a later state is saved
         self._lock = FileLock(lock_of(path)) if path else None
         self.shared_with = ""  # another process that keeps its state in this file
         self._writer = Background("state")
@@ -118,55 +118,55 @@ class StateKeeper:
                     return estimator.session(), self.unused
             self._keep_unused("; a start with its values uses it again")
             file = place_aside(file, key(estimator))  # that of an earlier start with these values
-            if self._aside in (None, file):  # then the state file itself may be the later one
+            if self._copy_path in (None, file):  # then the state file itself may be the later one
                 return estimator.session(), self.unused
             try:
                 session, since_s = after_time_off(estimator, file, self.holds_at)
             except InputError:
                 return estimator.session(), self.unused
-            self.unused, self._taken = "", file
+            self.unused, self._used_copy = "", file
         off_s = max(0.0, since_s)
         self.holds_at += off_s - since_s
-        what = "belts" if estimator.assemblies else "temperatures of the effects"
-        text = f"{what} restored from {file} and cooled for {off_s / 60.0:.1f} min"
+        subject = "belts" if estimator.assemblies else "temperatures of the effects"
+        text = f"{subject} restored from {file} and cooled for {off_s / 60.0:.1f} min"
         if not session.started:
-            text = f"no {what} in {file}: cold start{' in the last known air' if session.has_past else ''}"
+            text = f"no {subject} in {file}: cold start{' in the last known air' if session.has_past else ''}"
         try:
             learned = learning.go_on(session, read_learning(estimator, file), self.holds_at)
         except ValueError as error:
             self.unused = f"learning starts from the vehicle file: {error}"
             self._keep_unused("")
-            self._taken = None
+            self._used_copy = None
             return session, f"{text}; {self.unused}"
         return session, f"{text}; {learned}" if learned else text
 
-    def _keep_unused(self, how: str) -> None:
+    def _keep_unused(self, use: str) -> None:
         """Have the state file copied before it is replaced, and say where; `how` says how it is used again."""
         assert self.path is not None
-        self._aside = aside_of(self.path)
-        if self._aside is not None:
-            self.unused += f"; before it is replaced it is copied to {self._aside}{how}"
+        self._copy_path = aside_of(self.path)
+        if self._copy_path is not None:
+            self.unused += f"; before it is replaced it is copied to {self._copy_path}{use}"
 
     def _may_replace(self, session: Session) -> bool:
         """Whether there is anything to save in place of what is there: after a speed, and before it what was restored."""
-        return (self._aside is None and session.has_past) or session.memory.counters[at.SPEED, at.Count.ACCEPTED] > 0
+        return (self._copy_path is None and session.has_past) or session.memory.counters[at.SPEED, at.Count.ACCEPTED] > 0
 
     def notices(self) -> list[Notice]:
         """Text that the state file cannot be written, or that the existing one could not be used."""
-        found = []
+        notices = []
         waited_ns = time.monotonic_ns() - self._began_ns
         if self._writer.busy and waited_ns > SLOW_NS:
             text = f"the disk has not accepted the state file {self.path} for {waited_ns * 1e-9:.0f} s"
-            found.append(Notice("STATE_NOT_SAVED", text))
+            notices.append(Notice("STATE_NOT_SAVED", text))
         elif self.error:
-            where = f" in {self.path}" if self.path else ""
-            found.append(Notice("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.error}"))
+            place = f" in {self.path}" if self.path else ""
+            notices.append(Notice("STATE_NOT_SAVED", f"the state cannot be saved{place}: {self.error}"))
         if self.shared_with:
             text = f"{self.shared_with} keeps its state in {self.path} too: it is not written until that one has ended"
-            found.append(Notice("STATE_SHARED", f"{text}; give each node a name or a state_file of its own"))
+            notices.append(Notice("STATE_SHARED", f"{text}; give each node a name or a state_file of its own"))
         if self.unused:
-            found.append(Notice("STATE_NOT_USED", self.unused))
-        return found
+            notices.append(Notice("STATE_NOT_USED", self.unused))
+        return notices
 
     def _has_lock(self) -> bool:
         """Whether no other node has the file; where no lock can be made, saving will tell why."""
@@ -200,14 +200,14 @@ class StateKeeper:
             raise InputError("state file", "none", "the node's parameter state_file set to a path or to auto")
         if not self._may_replace(session):
             raise InputError(f"state file {self.path}", "no speed yet", "an accepted speed before it is written")
-        until = time.monotonic() + patience_s
+        end = time.monotonic() + patience_s
         if not self._writer.wait(patience_s):
             raise InputError(f"state file {self.path}", "an earlier save that is still running", "a disk that responds")
         self._begin(self.path, session, state_at, learning)
-        if not self._writer.wait(max(0.0, until - time.monotonic())):
-            given = f"a disk that does not respond within {patience_s:g} s"
+        if not self._writer.wait(max(0.0, end - time.monotonic())):
+            problem = f"a disk that does not respond within {patience_s:g} s"
             remedy = "the save continues; the status reports if it fails"
-            raise InputError(f"state file {self.path}", given, "a faster disk", remedy)
+            raise InputError(f"state file {self.path}", problem, "a faster disk", remedy)
         if self.error:
             raise InputError(f"state file {self.path}", self.error, "a file that can be written")
         return f"state saved in {self.path}"
@@ -223,15 +223,15 @@ class StateKeeper:
             if not self._has_lock():
                 self.error = f"it is in use by {self.shared_with}"
                 return
-            if self._aside is not None:
+            if self._copy_path is not None:
                 with suppress(FileNotFoundError):
-                    set_aside(path, self._aside)
-                self._aside = None
+                    set_aside(path, self._copy_path)
+                self._copy_path = None
             own_files.write(path, data)
-            if self._taken is not None:
+            if self._used_copy is not None:
                 with suppress(OSError):
-                    self._taken.unlink()
-                self._taken = None
+                    self._used_copy.unlink()
+                self._used_copy = None
         except Exception as error:  # of the disk, mostly
             self.error = getattr(error, "strerror", None) or str(error)
         else:

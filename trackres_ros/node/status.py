@@ -48,7 +48,7 @@ class InputState:
     age_s: float  # since the arrival of the last accepted one, by a monotonic clock [s]; nan if there was none
     value: float  # the last accepted one, in the unit of the role; nan if there was none
     counts: tuple[tuple[str, int], ...]  # counters that are not zero, by name
-    refused: str = ""  # numbers and kinds, where too many were rejected
+    refusals: str = ""  # numbers and kinds, where too many were rejected
     too_old: bool = False  # whether the last accepted value is not used any more
 
 
@@ -59,22 +59,22 @@ class Watch:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
-        self._roles = [(role, i) for i, given in enumerate(inputs) for role in given.valued if role in estimator.channels]
+        self._roles = [(role, i) for i, topic in enumerate(inputs) for role in topic.valued if role in estimator.channels]
         self._channel = {role: estimator.channels.index(role) for role, _ in self._roles}
         self._topics = inputs
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
         self._last: dict[str, IntArray] = {}  # counters at the last look, by name
-        self._overrun: list[tuple[str, int]] = []
+        self._drops: list[tuple[str, int]] = []
         self._looked_ns: int | None = None
         self._shown_reasons, self._second_reasons, self._last_reasons = 0, 0, 0
         self._steps = 0
-        self._old: bool | None = None
+        self._was_old: bool | None = None
         self._offset_ns = 0
         self._began_ns: int | None = None
-        self._awaited: set[int] = set()  # inputs whose message stands, and which have had none
+        self._missing_inputs: set[int] = set()  # inputs whose message stands, and which have had none
         self._logged: frozenset[str] | None = None
 
-    def accepted(self, reasons: int, offset_ns: int) -> bool:
+    def count_step(self, reasons: int, offset_ns: int) -> bool:
         """Record an estimate; return true if it has reasons that are not shown yet."""
         self._steps += 1
         self._offset_ns, self._last_reasons = offset_ns, reasons
@@ -90,8 +90,8 @@ class Watch:
     def look_at_age(self, age_s: float, max_age_s: float) -> bool:
         """True when the speed has just become too old, or fresh again."""
         old = age_s > max_age_s
-        turned, self._old = old is not self._old, old
-        return turned
+        is_new, self._was_old = old is not self._was_old, old
+        return is_new
 
     def inputs(self, steady: int) -> tuple[InputState, ...]:
         """Every role in the last second, with its present age."""
@@ -107,76 +107,78 @@ class Watch:
         """Work out rates and refusals since the last call, and begin a new second. `arrival` is that of a message now [ns]."""
         elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
         totals = {count.name.lower(): session.memory.counters[:, count] for count in at.Count} | reader.counts()
-        new = {name: self._since(name, counts) for name, counts in totals.items()}
-        received = self._since("received", reader.received)
-        self._overrun = [(given.name, int(n)) for given, n in zip(self._topics, new["dropped"], strict=True) if n]
+        new = {name: self._increase(name, counts) for name, counts in totals.items()}
+        counts_received = self._increase("received", reader.received)
+        self._drops = [(topic.name, int(n)) for topic, n in zip(self._topics, new["dropped"], strict=True) if n]
         states = []
         for role, i in self._roles:
             channel = self._channel[role]
             place = {name: i if name == "dropped" else channel for name in totals}
             latest = {name: int(counts[place[name]]) for name, counts in new.items()}
             messages = sum(latest[name] for name in ("accepted", *REFUSALS, "bad_stamp", "unused"))
-            messages = int(received[i]) if role in reader.sums else messages
-            refused = _refused(latest, messages, reader.lacks[channel])
+            messages = int(counts_received[i]) if role in reader.sums else messages
+            refusals = _refusal_text(latest, messages, reader.lacks[channel])
             messages += 0 if role in reader.sums else sum(latest[name] for name in ("absent", *COMPANIONS))
-            counts = tuple((name, int(n)) for name, every in totals.items() if (n := every[place[name]]))
+            counts = tuple((name, int(n)) for name, counter in totals.items() if (n := counter[place[name]]))
             value, old = float(session.memory.values[channel]), self._is_old(role, session, steady, arrival)
-            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, counts, refused, old))
+            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, counts, refusals, old))
         self._inputs = tuple(states)
-        still = self._last_reasons if not (self._steps or self._old) else 0  # of a slow speed, until its next step
+        pending = self._last_reasons if not (self._steps or self._was_old) else 0  # of a slow speed, until its next step
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
         self._peers, self._looked_ns = peers, steady
         self._began_ns = steady if self._began_ns is None else self._began_ns
-        late = steady - self._began_ns >= STARTING_NS
-        self._awaited = {i for i, given in enumerate(self._topics) if late and given.stands and not reader.received[i]}
-        self._shown_reasons, self._second_reasons = self._second_reasons | still, 0
+        is_late = steady - self._began_ns >= STARTING_NS
+        self._missing_inputs = {i for i, topic in enumerate(self._topics) if is_late and topic.stands and not reader.received[i]}
+        self._shown_reasons, self._second_reasons = self._second_reasons | pending, 0
 
     def _is_old(self, role: str, session: Session, steady: int, arrival: int) -> bool:
         """Whether the last accepted value of a role is not used any more."""
         channel, settings = self._channel[role], session.estimator.settings
-        since = steady - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
+        age_ns = steady - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
         if role != "speed":
-            since = arrival - int(session.memory.times[channel, at.Times.last_arrival])
+            age_ns = arrival - int(session.memory.times[channel, at.Times.last_arrival])
         allowed_s = longest_age_s(settings, role)
         if role in SLOW_ROLES:
             period_s = int(session.memory.times[channel, at.Times.period]) * NANOSECOND
             allowed_s = max(allowed_s, min(1.5 * period_s, settings.slow_input_max_age_s))
-        return since * NANOSECOND > allowed_s
+        return age_ns * NANOSECOND > allowed_s
 
-    def _since(self, name: str, counters: Sequence[int] | Sequence[Sequence[int]] | IntArray) -> IntArray:
+    def _increase(self, name: str, counters: Sequence[int] | Sequence[Sequence[int]] | IntArray) -> IntArray:
         """What was added to counters since the last look at them."""
-        now = np.array(counters, dtype=np.int64)
-        before, self._last[name] = self._last.get(name, np.zeros_like(now)), now
-        return now - before
+        latest = np.array(counters, dtype=np.int64)
+        last, self._last[name] = self._last.get(name, np.zeros_like(latest)), latest
+        return latest - last
 
     def notices(self, age_s: float, max_age_s: float, period_s: float, no_clock: str) -> list[Notice]:
         """All present notices of inputs and estimate; `period_s`: in which the speed comes; `no_clock`: why there is no time,
         empty if there is one.
         """
-        found: list[Notice] = []
+        notices: list[Notice] = []
         if no_clock:
-            found.append(Notice("NO_CLOCK", no_clock))
+            notices.append(Notice("NO_CLOCK", no_clock))
         if math.isinf(age_s):
-            found.append(Notice("NO_SPEED", "no speed yet"))
+            notices.append(Notice("NO_SPEED", "no speed yet"))
         elif age_s > max_age_s:
             fading = "the feed-forward fades to zero"
-            found.append(Notice("SPEED_OLD", f"no accepted speed for {age_s:.1f} s, at most {max_age_s:g} s allowed: {fading}"))
-        for name, number in self._overrun:
+            notices.append(Notice("SPEED_OLD", f"no accepted speed for {age_s:.1f} s, at most {max_age_s:g} s allowed: {fading}"))
+        for name, number in self._drops:
             text = f"{name}: {number} messages were dropped in the last second, as they arrived too fast"
-            found.append(Notice("OVERRUN", text))
-        refused = {state.role: state.refused for state in self._inputs if state.refused}
-        found += [Notice("REFUSED", f"{role}: rejected in the last second: {why}") for role, why in refused.items()]
-        found += [notice for given, peers in zip(self._topics, self._peers, strict=True) for notice in _of_peers(given, peers)]
-        found += [notice for i in sorted(self._awaited) for notice in _nothing_kept(self._topics[i], self._peers[i])]
+            notices.append(Notice("OVERRUN", text))
+        refusals = {state.role: state.refusals for state in self._inputs if state.refusals}
+        notices += [Notice("REFUSED", f"{role}: rejected in the last second: {text}") for role, text in refusals.items()]
+        notices += [
+            notice for topic, peers in zip(self._topics, self._peers, strict=True) for notice in _peer_notices(topic, peers)
+        ]
+        notices += [notice for i in sorted(self._missing_inputs) for notice in _latch_notices(self._topics[i], self._peers[i])]
         if abs(self._offset_ns) > CLOCK_OFFSET_NS and not no_clock:
             side = "behind" if self._offset_ns > 0 else "ahead of"
             text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's clock"
-            found.append(Notice("CLOCK_OFFSET", text))
+            notices.append(Notice("CLOCK_OFFSET", text))
         reasons = at.Reason(self._shown_reasons)
         if reasons & at.Reason.SPEED_SLOW:
             reasons &= ~at.Reason.SPEED_SLOW
-            found.append(_of_slow_speed(period_s, max_age_s))
-        return found + of_reasons(reasons)
+            notices.append(_slow_speed_notice(period_s, max_age_s))
+        return notices + of_reasons(reasons)
 
     def to_log(self, notices: Sequence[Notice], steady: int) -> tuple[Level, str] | None:
         """Level and text for the log, if the notices above OK have changed since the last call.
@@ -196,70 +198,72 @@ class Watch:
         return (level_of(wrong), text if wrong or not heavy else f"waiting for inputs: {text}")
 
 
-def _refused(latest: Mapping[str, int], messages: int, lack: str) -> str:
+def _refusal_text(latest: Mapping[str, int], messages: int, lack: str) -> str:
     """Numbers and kinds of the messages rejected in the last second, where they are many; `lack` is the last missing field."""
-    refused = {name: latest[name] for name in (*REFUSALS, "bad_stamp", "without_other_part", *COMPANIONS)}
+    refusals = {name: latest[name] for name in (*REFUSALS, "bad_stamp", "without_other_part", *COMPANIONS)}
     if not latest["accepted"]:  # else another publisher on the topic has the element
-        refused[f"absent (the messages do not have {lack})"] = latest["absent"]
-    many = sum(refused.values()) > REFUSED_SHARE * messages
-    return ", ".join(f"{number} {name}" for name, number in refused.items() if number and many)
+        refusals[f"absent (the messages do not have {lack})"] = latest["absent"]
+    is_many = sum(refusals.values()) > REFUSED_SHARE * messages
+    return ", ".join(f"{number} {name}" for name, number in refusals.items() if number and is_many)
 
 
-def _of_slow_speed(period_s: float, max_age_s: float) -> Notice:
+def _slow_speed_notice(period_s: float, max_age_s: float) -> Notice:
     """What a speed that comes rarely means; a period longer than the age is one of fading."""
-    meanwhile = (
+    effect = (
         f"it is trusted for {figures(max_age_s, 2)} s"
         if period_s <= max_age_s
         else f"the feed-forward fades after {figures(max_age_s, 2)} s"
     )
     rate = figures(1.0 / period_s, 2) if period_s > 0.0 else "?"
-    return Notice("SPEED_SLOW", f"your speed comes at {rate} Hz; {meanwhile}: send it at {ENOUGH_HZ} Hz or more")
+    return Notice("SPEED_SLOW", f"your speed comes at {rate} Hz; {effect}: send it at {ENOUGH_HZ} Hz or more")
 
 
-def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
-    roles = given.role_names
-    right = [peer for peer in peers if peer.type == given.type and not peer.misread]
-    found = []
+def _peer_notices(topic: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
+    roles = topic.role_names
+    publishers = [peer for peer in peers if peer.type == topic.type and not peer.misread]
+    notices = []
     if any(peer.misread for peer in peers):
-        text = f"{roles}: a publisher on {given.name} has another definition of {given.type}: no message of the topic is used"
-        found.append(Notice("WRONG_TYPE", text))
-    for kind in sorted({peer.type for peer in peers} - {given.type}):
-        found.append(Notice("WRONG_TYPE", f"{roles}: a publisher on {given.name} sends {kind} instead of {given.type}"))
-    if not right:
-        found.append(Notice("NO_PUBLISHER", f"{roles}: nobody publishes {given.type} on {given.name}"))
-    elif len(right) > 1:
-        found.append(Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name} ({_names(right)})"))
-    if apart := [peer for peer in right if not peer.compatible]:
-        why = "its quality of service is below what the input requests, or its type's definition differs"
-        found.append(Notice("INCOMPATIBLE_QOS", f"{roles}: {_names(apart)} on {given.name} never connects: {why}"))
-    return found
+        text = f"{roles}: a publisher on {topic.name} has another definition of {topic.type}: no message of the topic is used"
+        notices.append(Notice("WRONG_TYPE", text))
+    for kind in sorted({peer.type for peer in peers} - {topic.type}):
+        notices.append(Notice("WRONG_TYPE", f"{roles}: a publisher on {topic.name} sends {kind} instead of {topic.type}"))
+    if not publishers:
+        notices.append(Notice("NO_PUBLISHER", f"{roles}: nobody publishes {topic.type} on {topic.name}"))
+    elif len(publishers) > 1:
+        notices.append(
+            Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(publishers)} publishers on {topic.name} ({_names(publishers)})")
+        )
+    if incompatible := [peer for peer in publishers if not peer.compatible]:
+        cause = "its quality of service is below what the input requests, or its type's definition differs"
+        notices.append(Notice("INCOMPATIBLE_QOS", f"{roles}: {_names(incompatible)} on {topic.name} never connects: {cause}"))
+    return notices
 
 
-def _nothing_kept(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
+def _latch_notices(topic: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     """That publishers of an input have sent nothing so far, and keep nothing of what they sent before."""
-    there = [peer for peer in peers if peer.compatible and peer.type == given.type]
-    if not there or any(peer.latched for peer in there):
+    publishers = [peer for peer in peers if peer.compatible and peer.type == topic.type]
+    if not publishers or any(peer.latched for peer in publishers):
         return []
     text = (
-        f"{given.role_names}: nothing came from {_names(there)} on {given.name}, which keeps nothing for those who join later; "
-        "publish it again and again, or reliable and transient local"
+        f"{topic.role_names}: nothing came from {_names(publishers)} on {topic.name}, "
+        "which keeps nothing for those who join later; publish it again and again, or reliable and transient local"
     )
     return [Notice("NOT_LATCHED", text)]
 
 
-def contested(rivals: Sequence[str], opened: bool) -> Notice:
+def contested(rivals: Sequence[str], is_open: bool) -> Notice:
     """That others publish the feed-forward too, by the names of their nodes, and whether our topics are open."""
-    what = "the feed-forward goes to zero" if opened else "nothing is published but /diagnostics"
-    until = "until it is gone, which takes up to 20 s after a crash"
-    return Notice("TORQUE_CONTESTED", f"another publisher of the feed-forward: {', '.join(rivals)}: {what} {until}")
+    effect = "the feed-forward goes to zero" if is_open else "nothing is published but /diagnostics"
+    end = "until it is gone, which takes up to 20 s after a crash"
+    return Notice("TORQUE_CONTESTED", f"another publisher of the feed-forward: {', '.join(rivals)}: {effect} {end}")
 
 
-def two_speeds(topic: str, both: Sequence[tuple[int, float]], peers: Sequence[Peer]) -> Notice:
+def two_speeds(topic: str, pairs: Sequence[tuple[int, float]], peers: Sequence[Peer]) -> Notice:
     """That two publishers of the speed disagree, by their numbers and speeds [m/s]."""
-    named = {peer.source: peer.name for peer in peers if peer.source}
-    speeds = " and ".join(f"{speed:.2f} m/s{f' from {named[source]}' if source in named else ''}" for source, speed in both)
-    among = "" if any(source in named for source, _ in both) else f" from {_names(peers)}"
-    text = f"{speeds}{among} on {topic}: none of them is used, and the feed-forward goes to zero; a speed needs one publisher"
+    names = {peer.source: peer.name for peer in peers if peer.source}
+    speeds = " and ".join(f"{speed:.2f} m/s{f' from {names[source]}' if source in names else ''}" for source, speed in pairs)
+    origin = "" if any(source in names for source, _ in pairs) else f" from {_names(peers)}"
+    text = f"{speeds}{origin} on {topic}: none of them is used, and the feed-forward goes to zero; a speed needs one publisher"
     return Notice("TWO_SPEEDS", f"speed: publishers disagree: {text}")
 
 
@@ -356,45 +360,47 @@ def bare_status(notices: Sequence[Notice], node: str, vehicle: str) -> Status:
     return Status(level, f"{node}: estimate", "; ".join(notice.text for notice in notices), vehicle, values)
 
 
-def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
+def statuses(overview: Overview, node: str, vehicle: str) -> list[Status]:
     """The statuses of /diagnostics; the first is the node's own."""
-    found = [(seen.level, "estimate", seen.message, _estimate_values(seen))]
-    for given in seen.inputs:
-        counts = tuple((name, str(number)) for name, number in given.counts)
-        values = _values(("topic", "rate_hz", "age_s", "value"), given) + counts
-        level, text = _input_level(given)
-        found.append((level, f"input {given.role}", text, values))
-    if any(given.role == "torque" for given in seen.inputs):
-        level = Level.WARN if seen.mismatch.parted else Level.OK
-        found.append((level, "comparison", seen.mismatch.text, _values(COMPARISON_KEYS, seen.mismatch)))
-    if (belief := seen.disturbance) is not None:
-        since = math.nan if belief.since_ns is None else belief.since_ns * NANOSECOND
-        found.append((Level.OK, "disturbance", belief.text, _values(DISTURBANCE_KEYS, belief, since=since)))
-    kept = _values(STATE_KEYS, seen, file=seen.state_file, error=seen.state_error)
-    text = "; ".join(filter(None, (seen.state_error, seen.state_unused))) or ("kept" if seen.state_file else "not kept")
-    found.append((Level.WARN if seen.state_error else Level.OK, "state", text, kept))
-    return [Status(level, f"{node}: {name}", text, vehicle, values) for level, name, text, values in found]
+    rows = [(overview.level, "estimate", overview.message, _estimate_values(overview))]
+    for state in overview.inputs:
+        counts = tuple((name, str(number)) for name, number in state.counts)
+        values = _values(("topic", "rate_hz", "age_s", "value"), state) + counts
+        level, text = _input_level(state)
+        rows.append((level, f"input {state.role}", text, values))
+    if any(state.role == "torque" for state in overview.inputs):
+        level = Level.WARN if overview.mismatch.parted else Level.OK
+        rows.append((level, "comparison", overview.mismatch.text, _values(COMPARISON_KEYS, overview.mismatch)))
+    if (belief := overview.disturbance) is not None:
+        since_s = math.nan if belief.since_ns is None else belief.since_ns * NANOSECOND
+        rows.append((Level.OK, "disturbance", belief.text, _values(DISTURBANCE_KEYS, belief, since=since_s)))
+    state_values = _values(STATE_KEYS, overview, file=overview.state_file, error=overview.state_error)
+    text = "; ".join(filter(None, (overview.state_error, overview.state_unused))) or (
+        "kept" if overview.state_file else "not kept"
+    )
+    rows.append((Level.WARN if overview.state_error else Level.OK, "state", text, state_values))
+    return [Status(level, f"{node}: {name}", text, vehicle, values) for level, name, text, values in rows]
 
 
-def _estimate_values(seen: Overview) -> Values:
-    stamp = math.nan if seen.stamp_ns is None else seen.stamp_ns * 1e-9
-    remarks = " ".join(notice.name for notice in seen.notices)
+def _estimate_values(overview: Overview) -> Values:
+    stamp = math.nan if overview.stamp_ns is None else overview.stamp_ns * 1e-9
+    remarks = " ".join(notice.name for notice in overview.notices)
     head = ("level", "remarks", "stamp", "age_s", "rate_hz", "published", "feedforward_left")
-    derived = {"level": seen.level.name.lower(), "remarks": remarks, "stamp": stamp, "rate_hz": seen.steps_hz}
-    known = _values(head, seen, **derived, feedforward_left=seen.left)
-    if not seen.values:
-        return known
-    numbers = {f"resistance_torque/{part}": seen.values[name] * sign_of(name) + 0.0 for part, name in TOTALS.items()}
-    numbers |= {name: seen.values[name] for name in ("resistance_std_nm", "speed_mps", "weight_n", "ambient_degc")}
-    numbers["feedforward_torque_nm"] = seen.feedforward_nm
-    belts = [f"{name}/{assembly}" for assembly in seen.assemblies for name in ("belt_degc", "belt_std_k")]
-    numbers |= {name: seen.values[name] for name in belts}
-    return known + tuple((name, _text(value, 3)) for name, value in numbers.items())
+    derived = {"level": overview.level.name.lower(), "remarks": remarks, "stamp": stamp, "rate_hz": overview.steps_hz}
+    head_values = _values(head, overview, **derived, feedforward_left=overview.left)
+    if not overview.values:
+        return head_values
+    numbers = {f"resistance_torque/{part}": overview.values[name] * sign_of(name) + 0.0 for part, name in TOTALS.items()}
+    numbers |= {name: overview.values[name] for name in ("resistance_std_nm", "speed_mps", "weight_n", "ambient_degc")}
+    numbers["feedforward_torque_nm"] = overview.feedforward_nm
+    belts = [f"{name}/{assembly}" for assembly in overview.assemblies for name in ("belt_degc", "belt_std_k")]
+    numbers |= {name: overview.values[name] for name in belts}
+    return head_values + tuple((name, _text(value, 3)) for name, value in numbers.items())
 
 
-def _values(keys: Iterable[str], seen: object, **derived: object) -> Values:
+def _values(keys: Iterable[str], source: object, **derived: object) -> Values:
     """Keys of a status with their texts, of values derived or by that name."""
-    values = {key: derived[key] if key in derived else getattr(seen, key) for key in keys}
+    values = {key: derived[key] if key in derived else getattr(source, key) for key in keys}
     return tuple((key, _text(value, DIGITS.get(key, 1))) for key, value in values.items())
 
 
@@ -404,12 +410,12 @@ def _text(value: object, digits: int) -> str:
     return str(value).lower() if isinstance(value, bool | np.bool_) else str(value)
 
 
-def _input_level(given: InputState) -> tuple[Level, str]:
-    why = [f"rejected in the last second: {given.refused}"] if given.refused else []
-    if math.isnan(given.age_s):
-        return Level.STALE, "; ".join(["no accepted message yet", *why])
-    if given.too_old:
-        return Level.STALE, "; ".join([f"no accepted message for {given.age_s:.1f} s", *why])
-    if why:
-        return Level.WARN, why[0]
-    return Level.OK, f"{given.rate_hz:.1f} Hz" if given.rate_hz else "no message in the last second"
+def _input_level(state: InputState) -> tuple[Level, str]:
+    causes = [f"rejected in the last second: {state.refusals}"] if state.refusals else []
+    if math.isnan(state.age_s):
+        return Level.STALE, "; ".join(["no accepted message yet", *causes])
+    if state.too_old:
+        return Level.STALE, "; ".join([f"no accepted message for {state.age_s:.1f} s", *causes])
+    if causes:
+        return Level.WARN, causes[0]
+    return Level.OK, f"{state.rate_hz:.1f} Hz" if state.rate_hz else "no message in the last second"

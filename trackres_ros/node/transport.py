@@ -73,14 +73,14 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
     are needed only for the axles and assemblies in `channels`. Where messages wait on several topics, a transport passes them on
     in this order: inputs of a step come before its speed.
     """
-    needed = [
+    roles = [
         role
         for role in topics
         if (role in channels if base_role(role) == WHEELS else base_role(role) in (*CHANNELS, DIRECTION))
         and (on_route or role not in POSITION)
         and ("torque" in topics or role not in GROUND)
     ]
-    return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.valued))
+    return tuple(sorted(_by_topic(topics, roles), key=lambda topic: "speed" in topic.valued))
 
 
 def without_effect(topics: Topics, channels: Collection[str], belts: bool) -> list[str]:
@@ -94,9 +94,9 @@ def without_effect(topics: Topics, channels: Collection[str], belts: bool) -> li
 
 def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTopic, ...]:
     """Topics of a topics file that the estimate does not need, but a replay or diagnosis of the recording may."""
-    needed = {given.name for given in inputs}
-    others = [role for role in topics if topics[role].of_topics]
-    return tuple(given for given in _by_topic(topics, others) if given.name not in needed)
+    names = {topic.name for topic in inputs}
+    roles = [role for role in topics if topics[role].of_topics]
+    return tuple(topic for topic in _by_topic(topics, roles) if topic.name not in names)
 
 
 def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
@@ -108,10 +108,10 @@ def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
 
 def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
     """All topics to publish, most urgent first; the residual and learned values only with a measured torque."""
-    measured = "torque" in topics
-    given = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or measured)
-    learned = (PARAMETERS_TOPIC,) if measured else ()
-    return (*given, *learned, DIAGNOSTICS)
+    has_torque = "torque" in topics
+    outputs = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or has_torque)
+    learned = (PARAMETERS_TOPIC,) if has_torque else ()
+    return (*outputs, *learned, DIAGNOSTICS)
 
 
 def full_name(name: str, node: str, namespace: str) -> str:
@@ -213,7 +213,7 @@ class Transport(Protocol):
     def open_outputs(self) -> None:
         """Open the topics below the node's own name; others see it as a publisher of the feed-forward from then on."""
 
-    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+    def record(self, other_inputs: Sequence[InputTopic]) -> Sequence[str | None]:
         """Pass the bytes of every message too: of an input with its values, of other topics to `Inputs.keep`.
 
         Returns the texts that define the types of all inputs and of the other topics; None for an unknown type.

@@ -66,10 +66,10 @@ class OutputBag:
         self.writer.__enter__()
         parameters = () if self._learner is None else (PARAMETERS_TOPIC,)
         for topic in (*output_topics(self._estimator.vehicle), *parameters):
-            given: tuple[Any, Sequence[str]] = (None, ())
+            template: tuple[Any, Sequence[str]] = (None, ())
             if topic.kind not in ("status", "estimate"):
-                given = template_message(topic, self.writer.typestore, BASE_FRAME), number_fields(topic)
-            self._topics.append((topic, self.writer.topic(f"/{DEFAULT_NODE}/{topic.name}", topic.type, *given)))
+                template = template_message(topic, self.writer.typestore, BASE_FRAME), number_fields(topic)
+            self._topics.append((topic, self.writer.topic(f"/{DEFAULT_NODE}/{topic.name}", topic.type, *template)))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -95,26 +95,26 @@ class OutputBag:
                     self._write_steps(topic, bag_topic, steps)
                 continue
             values = values_of(topic, steps.rows, self._estimator.column_index)
-            known = np.isfinite(values).all(axis=1)
-            self.writer.write_block(bag_topic, steps.stamp_ns[known], steps.arrival_ns[known], values[known])
+            finite = np.isfinite(values).all(axis=1)
+            self.writer.write_block(bag_topic, steps.stamp_ns[finite], steps.arrival_ns[finite], values[finite])
 
-    def write_published(self, published: Sequence[tuple[Sequence[float], Sequence[tuple[str, int]], int, int]]) -> None:
+    def write_published(self, estimates: Sequence[tuple[Sequence[float], Sequence[tuple[str, int]], int, int]]) -> None:
         """Write estimates as the node published them: numbers and reasons of each, its stamp, and when it left [ns]."""
         topic, bag_topic = next(pair for pair in self._topics if pair[0] is ESTIMATE_TOPIC)
-        numbers, reasons, stamps, left_ns = zip(*published, strict=True)
+        numbers, reasons, stamps, left_ns = zip(*estimates, strict=True)
         times = np.array(stamps, dtype=np.int64), np.array(left_ns, dtype=np.int64)
-        for named in dict.fromkeys(reasons):
-            rows = np.array([of == named for of in reasons])
-            self._write_estimates(topic, bag_topic, named, times[0][rows], times[1][rows], np.array(numbers)[rows])
+        for names in dict.fromkeys(reasons):
+            rows = np.array([reason_names == names for reason_names in reasons])
+            self._write_estimates(topic, bag_topic, names, times[0][rows], times[1][rows], np.array(numbers)[rows])
 
     def _write_steps(self, topic: OutputTopic, bag_topic: BagTopic, steps: Steps) -> None:
         """Estimates of steps under their own reasons."""
         values = values_of(topic, steps.rows, self._estimator.column_index)
-        known = np.isfinite(values).all(axis=1)
+        finite = np.isfinite(values).all(axis=1)
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
-        for of in np.unique(reasons[known]).tolist():
-            rows = known & (reasons == of)
-            self._write_estimates(topic, bag_topic, reasons_of(of), steps.stamp_ns[rows], steps.arrival_ns[rows], values[rows])
+        for bits in np.unique(reasons[finite]).tolist():
+            rows = finite & (reasons == bits)
+            self._write_estimates(topic, bag_topic, reasons_of(bits), steps.stamp_ns[rows], steps.arrival_ns[rows], values[rows])
 
     def _write_estimates(
         self,
@@ -134,8 +134,8 @@ class OutputBag:
 
     def _write_status(self, topic: BagTopic, steps: Steps) -> None:
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
-        before = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
-        for i in self._due(steps.arrival_ns, reasons != before):
+        last = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
+        for i in self._due(steps.arrival_ns, reasons != last):
             estimate = Estimate(steps.rows[i], self._estimator.column_index)
             level, text = int(estimate.status == "warn"), "; ".join(estimate.reason_texts()) or "ok"
             message = self._diagnostics([(level, "estimate", text, ())])
@@ -149,23 +149,23 @@ class OutputBag:
         for i, second in enumerate((steps.arrival_ns // SECOND_NS).tolist()):
             if second != self._last_learned_ns:
                 self._last_learned_ns = second
-                found = [(0, name, message, known) for name, message, known in lines(self._learner, steps.rows[i].tolist())]
-                self.writer.write(topic, self._diagnostics(found), int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
+                statuses = [(0, name, message, values) for name, message, values in lines(self._learner, steps.rows[i].tolist())]
+                self.writer.write(topic, self._diagnostics(statuses), int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
 
-    def _due(self, arrival_ns: NDArray[np.int64], changed: NDArray[np.bool_]) -> list[int]:
+    def _due(self, arrival_ns: NDArray[np.int64], changes: NDArray[np.bool_]) -> list[int]:
         """Rows at which a status is due: at each change, and once a second."""
         if not len(arrival_ns):
             return []
         period = arrival_ns // SECOND_NS
         new_second = np.concatenate([[period[0] != self._last_status_ns], np.diff(period) != 0])
         self._last_status_ns = int(period[-1])
-        return [int(i) for i in np.flatnonzero(changed | new_second)]
+        return [int(i) for i in np.flatnonzero(changes | new_second)]
 
     def _diagnostics(self, statuses: Iterable[tuple[int, str, str, Values]]) -> Any:
         """A message of some statuses, each with level, name, text and values."""
         vehicle = self._estimator.vehicle.name
-        named = ((level, f"{DEFAULT_NODE}: {name}", text, vehicle, of) for level, name, text, of in statuses)
-        return diagnostic_array(self.writer.typestore, named, BASE_FRAME)
+        rows = ((level, f"{DEFAULT_NODE}: {name}", text, vehicle, values) for level, name, text, values in statuses)
+        return diagnostic_array(self.writer.typestore, rows, BASE_FRAME)
 
 
 def number_fields(topic: OutputTopic) -> Sequence[str]:
@@ -181,22 +181,22 @@ def diagnostic_array(
     """A DiagnosticArray of some statuses, each with level, name, text, hardware and values."""
     types = typestore.types
     status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
-    listed = [
-        status(level=level, name=name, message=text, hardware_id=hardware, values=[pair(key=k, value=v) for k, v in of])
-        for level, name, text, hardware, of in statuses
+    messages = [
+        status(level=level, name=name, message=text, hardware_id=hardware, values=[pair(key=k, value=v) for k, v in values])
+        for level, name, text, hardware, values in statuses
     ]
-    return types[DIAGNOSTICS](header=header(typestore, frame_id, stamp_ns), status=listed)
+    return types[DIAGNOSTICS](header=header(typestore, frame_id, stamp_ns), status=messages)
 
 
 def estimate_message(typestore: Typestore, frame_id: str, reasons: Sequence[tuple[str, int]]) -> Any:
     """A message of `topics.ESTIMATE_TOPIC` with the reasons and the level of each, and zeros for its numbers and its stamp."""
     types, names = typestore.types, list(ESTIMATE_TOPIC.names)
     group = types["control_msgs/msg/InterfaceValue"]
-    named = group(interface_names=[name for name, _ in reasons], values=np.array([float(level) for _, level in reasons]))
+    reason_values = group(interface_names=[name for name, _ in reasons], values=np.array([float(level) for _, level in reasons]))
     return types[ESTIMATE_TOPIC.type](
         header=header(typestore, frame_id),
         interface_groups=[VEHICLE_GROUP, REASONS_GROUP],
-        interface_values=[group(interface_names=names, values=np.zeros(len(names))), named],
+        interface_values=[group(interface_names=names, values=np.zeros(len(names))), reason_values],
     )
 
 
@@ -204,9 +204,9 @@ def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) ->
     """A message of a topic with all its strings, and zeros for its numbers and its stamp."""
     types, blank = typestore.types, header(typestore, frame_id)
     if topic.kind == "joints":
-        none = np.zeros(0)
+        empty = np.zeros(0)
         efforts = np.zeros(len(topic.names))
-        return types[topic.type](header=blank, name=list(topic.names), position=none, velocity=none, effort=efforts)
+        return types[topic.type](header=blank, name=list(topic.names), position=empty, velocity=empty, effort=efforts)
     if topic.kind == "wrench":
         vector = types["geometry_msgs/msg/Vector3"]
         wrench = types["geometry_msgs/msg/Wrench"](force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))

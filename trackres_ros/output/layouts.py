@@ -59,13 +59,15 @@ def _plots(vehicle: AnyVehicle, base: str) -> tuple[LayoutPlot, ...]:
     wrench = f"{base}/feedforward_torque"
 
     def joints(topic: OutputTopic, names: Sequence[str]) -> tuple[LayoutCurve, ...]:
-        full = f"{base}/{topic.name}"
-        return tuple(LayoutCurve(name, f"{full}/{name}/effort", f"{full}.effort[{topic.names.index(name)}]") for name in names)
+        topic_path = f"{base}/{topic.name}"
+        return tuple(
+            LayoutCurve(name, f"{topic_path}/{name}/effort", f"{topic_path}.effort[{topic.names.index(name)}]") for name in names
+        )
 
     def estimate(name: str) -> LayoutCurve:
-        number, full = ESTIMATE_TOPIC.names.index(name), f"{base}/{ESTIMATE_TOPIC.name}"
+        number, topic_path = ESTIMATE_TOPIC.names.index(name), f"{base}/{ESTIMATE_TOPIC.name}"
         plotjuggler, foxglove = (f"interface_values[0]{slash}values[{number}]" for slash in "/.")
-        return LayoutCurve(name, f"{full}/{plotjuggler}", f"{full}.{foxglove}")
+        return LayoutCurve(name, f"{topic_path}/{plotjuggler}", f"{topic_path}.{foxglove}")
 
     temperatures = tuple(
         LayoutCurve(name, f"{topic}/temperature", f"{topic}.temperature")
@@ -95,19 +97,19 @@ def plotjuggler(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
     widget = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     everything = _plots(vehicle, base)
     tabs = (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:]))
-    for title, shown in tabs if vehicle.assemblies else (("torque", everything),):
+    for title, plots in tabs if vehicle.assemblies else (("torque", everything),):
         tab = ET.SubElement(widget, "Tab", tab_name=title, containers="1")
-        share = ";".join(f"{1 / len(shown):.6f}" for _ in shown)
+        share = ";".join(f"{1 / len(plots):.6f}" for _ in plots)
         splitter = ET.SubElement(
-            ET.SubElement(tab, "Container"), "DockSplitter", orientation="-", count=str(len(shown)), sizes=share
+            ET.SubElement(tab, "Container"), "DockSplitter", orientation="-", count=str(len(plots)), sizes=share
         )
-        for plot in shown:
+        for plot in plots:
             area = ET.SubElement(splitter, "DockArea", name=plot.title)
-            drawn = ET.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
-            ET.SubElement(drawn, "range", left="0", right=f"{SHOWN_S:g}", bottom="0", top="1")
-            ET.SubElement(drawn, "limitY")
+            element = ET.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
+            ET.SubElement(element, "range", left="0", right=f"{SHOWN_S:g}", bottom="0", top="1")
+            ET.SubElement(element, "limitY")
             for curve, colour in zip(plot.curves, COLOURS * 4, strict=False):
-                ET.SubElement(drawn, "curve", name=curve.plotjuggler, color=colour)
+                ET.SubElement(element, "curve", name=curve.plotjuggler, color=colour)
     ET.SubElement(widget, "currentTabIndex", index="0")
     ET.SubElement(root, "use_relative_time_offset", enabled="1")
     ET.indent(root, " ")

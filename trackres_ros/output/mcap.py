@@ -85,9 +85,9 @@ class BagWriter:
         self._new = b""
         self._pending: list[tuple[int, IntArray, NDArray[np.uint8]]] = []
         self._waiting: set[int] = set()
-        self._held = 0
+        self._pending_bytes = 0
         self._chunks: list[Chunk] = []
-        self._at = 0
+        self._file_end = 0
 
     def __enter__(self) -> Self:
         """Begin a temporary file in the same folder."""
@@ -107,7 +107,7 @@ class BagWriter:
                 self.flush()
                 schemas, channels = [list(map(make, self._topics)) for make in (self._schema, self._channel)]
                 counts = {topic.number: topic.count for topic in self._topics}
-                self._append(ending(self._at, schemas, channels, self._chunks, counts))
+                self._append(ending(self._file_end, schemas, channels, self._chunks, counts))
                 if self._stays:
                     os.fsync(self._file.fileno())
                 self._file.close()
@@ -126,7 +126,7 @@ class BagWriter:
     @property
     def size(self) -> int:
         """Bytes written so far."""
-        return self._at
+        return self._file_end
 
     def topic(self, name: str, msgtype: str, template: object = None, fields: Sequence[str] = ()) -> BagTopic:
         """Announce a topic.
@@ -174,8 +174,8 @@ class BagWriter:
     def write(self, topic: BagTopic, message: object, stamp_ns: int, log_ns: int) -> None:
         """Write one message of its own form; its header, if any, gets the stamp [ns]."""
         raw = bytes(self.typestore.serialize_cdr(message, topic.msgtype))
-        one = Template(raw, topic.types, topic.msgtype, ())
-        self._write(topic, one, np.array([stamp_ns]), np.array([log_ns]), np.empty((1, 0)))
+        template = Template(raw, topic.types, topic.msgtype, ())
+        self._write(topic, template, np.array([stamp_ns]), np.array([log_ns]), np.empty((1, 0)))
 
     def write_raw(self, topic: BagTopic, raw: bytes, log_ns: int) -> None:
         """Write one serialised message unchanged."""
@@ -196,18 +196,18 @@ class BagWriter:
         size = RECORD.size + len(template.raw)
         rows = np.empty((len(log_ns), size), np.uint8)
         rows[:, : RECORD.size] = np.frombuffer(RECORD.pack(MESSAGE, size - 9, topic.number, 0, 0, 0), np.uint8)
-        for at in (RECORD.size - 16, RECORD.size - 8):
-            np.ndarray((len(rows),), "<u8", rows, at, rows.strides[:1])[:] = log_ns
+        for offset in (RECORD.size - 16, RECORD.size - 8):
+            np.ndarray((len(rows),), "<u8", rows, offset, rows.strides[:1])[:] = log_ns
         template.fill(rows, RECORD.size, stamp_ns, values)
         self._hold(topic, log_ns, rows)
 
     def _hold(self, topic: BagTopic, log_ns: IntArray, rows: NDArray[np.uint8]) -> None:
         """Keep records of a topic until a chunk is full."""
-        if topic.number in self._waiting and self._held > CHUNK_BYTES:
+        if topic.number in self._waiting and self._pending_bytes > CHUNK_BYTES:
             self.flush()
         self._pending.append((topic.number, log_ns, rows))
         self._waiting.add(topic.number)
-        self._held += rows.size
+        self._pending_bytes += rows.size
 
     def flush(self) -> None:
         """Write pending messages in the order of log time; a program that is killed afterwards does not lose them.
@@ -222,21 +222,21 @@ class BagWriter:
         finally:
             self._pending.clear()
             self._waiting.clear()
-            self._held = 0
+            self._pending_bytes = 0
 
     def _write_pending(self) -> None:
         log_ns = np.concatenate([log for _, log, _ in self._pending])
         order = np.argsort(log_ns, kind="stable")
         channel = np.repeat([number for number, _, _ in self._pending], [len(log) for _, log, _ in self._pending])
         blocks = [(rows.tobytes(), rows.shape[1]) for _, _, rows in self._pending]
-        records = [data[at : at + size] for data, size in blocks for at in range(0, len(data), size)]
+        records = [data[start_byte : start_byte + size] for data, size in blocks for start_byte in range(0, len(data), size)]
         ends = np.cumsum([len(records[row]) for row in order])
         start = 0
         while start < len(order):
-            before = int(ends[start - 1]) if start else 0
-            stop = max(start + 1, int(np.searchsorted(ends, before + CHUNK_BYTES, side="right")))
+            begin = int(ends[start - 1]) if start else 0
+            stop = max(start + 1, int(np.searchsorted(ends, begin + CHUNK_BYTES, side="right")))
             rows = order[start:stop]
-            offset = np.concatenate(([0], ends[start : stop - 1] - before))
+            offset = np.concatenate(([0], ends[start : stop - 1] - begin))
             self._chunk(b"".join([records[row] for row in rows]), channel[rows], log_ns[rows], offset)
             start = stop
 
@@ -245,7 +245,7 @@ class BagWriter:
         first, last = int(log_ns[0]), int(log_ns[-1])
         head = struct.pack("<QQQI", first, last, len(data), zlib.crc32(data))
         chunk = record(CHUNK, head + text("") + struct.pack("<Q", len(data)) + data)
-        indices, offsets = message_indices(channel, log_ns, offset, self._at + len(chunk))
+        indices, offsets = message_indices(channel, log_ns, offset, self._file_end + len(chunk))
         place = self._append(chunk + indices)
         self._chunks.append(Chunk(first, last, place, len(chunk), offsets, len(indices), "", len(data), len(data)))
         for number, count in zip(*np.unique(channel, return_counts=True), strict=True):
@@ -253,16 +253,16 @@ class BagWriter:
 
     def _append(self, data: bytes) -> int:
         """Append all of it to the file, or nothing; return its position."""
-        left = memoryview(data)
+        rest = memoryview(data)
         try:
-            while left:
-                left = left[self._file.write(left) :]
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError:
-            self._file.seek(self._at)
+            self._file.seek(self._file_end)
             with suppress(OSError):
                 self._file.truncate()
             raise
-        place, self._at = self._at, self._at + len(data)
+        place, self._file_end = self._file_end, self._file_end + len(data)
         return place
 
     def _schema(self, topic: BagTopic) -> bytes:

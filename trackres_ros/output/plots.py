@@ -64,7 +64,7 @@ class TimeAxis:
     values: Array
     gaps: NDArray[np.intp]
 
-    def broken(self, rows: NDArray[np.intp], *series: Array) -> list[Array]:
+    def with_gaps(self, rows: NDArray[np.intp], *series: Array) -> list[Array]:
         """Times and values of some rows, in their order, with nan where a gap is, so that no line crosses it."""
         place = np.searchsorted(rows, self.gaps)
         return [np.insert(values, place, np.nan) for values in (self.values[rows], *series)]
@@ -118,7 +118,7 @@ def _draw_estimate(
     step = np.diff(time)
     gaps = np.flatnonzero((step > longest_step(time)) | (step < 0.0)) + 1
     x = TimeAxis(time / 3600.0 if in_hours else time, gaps)
-    drawn: FigureBase = figure
+    upper: FigureBase = figure
     has_belts, learned = any(name.startswith("belt_degc") for name in columns), _learned(columns)
     if learned:
         figure.set_size_inches(
@@ -126,10 +126,10 @@ def _draw_estimate(
         )
         if coverage is not None:
             heights = (ESTIMATE_INCHES[1] + LEARNED_INCHES, MAP_INCHES)
-            drawn, below = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
-            _draw_coverage(below.subplots(), coverage, has_belts)
+            upper, lower = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
+            _draw_coverage(lower.subplots(), coverage, has_belts)
     count = 3 + bool(learned)
-    parts = drawn.subplots(count, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[:count])
+    parts = upper.subplots(count, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[:count])
     speed, torque, belt = parts[:3]
     figure.suptitle(shortened(title, TITLE_LETTERS), x=0.01, ha="left", fontsize=11)
     _line(speed, x, np.asarray(columns["speed_mps"], float) * KMH_PER_MPS, "speed", BLACK)
@@ -142,7 +142,7 @@ def _draw_estimate(
     for axes in parts:
         axes.margins(x=0.01)
         legend_beside(axes)
-    drawn.align_ylabels()
+    upper.align_ylabels()
 
 
 def _draw_torque(axes: Axes, x: TimeAxis, columns: Mapping[str, Array], has_belts: bool) -> None:
@@ -195,8 +195,8 @@ def _draw_belt(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
 
 def _line(axes: Axes, x: TimeAxis, y: ArrayLike, label: str, colour: str, **look: Any) -> None:
     """Draw a line; `look` are keywords of `Axes.plot`."""
-    rows, shown = thinned(np.arange(len(x.values)), y)
-    axes.plot(*x.broken(rows.astype(int), shown), label=label, color=colour, **{"linewidth": 1.5, **look})
+    rows, values = thinned(np.arange(len(x.values)), y)
+    axes.plot(*x.with_gaps(rows.astype(int), values), label=label, color=colour, **{"linewidth": 1.5, **look})
 
 
 def _band(axes: Axes, x: TimeAxis, middle: Array, std: Array, colour: str) -> None:
@@ -205,8 +205,8 @@ def _band(axes: Axes, x: TimeAxis, middle: Array, std: Array, colour: str) -> No
     starts = np.union1d(np.arange(0, count, max(1, -(-count // (MOST_POINTS // 2)))), x.gaps)
     low = np.fmin.reduceat(np.asarray(middle) - np.asarray(std), starts)
     high = np.fmax.reduceat(np.asarray(middle) + np.asarray(std), starts)
-    at, low, high = x.broken(starts, low, high)
-    axes.fill_between(at, low, high, color=colour, alpha=0.15, linewidth=0.0, label="± 1 std")
+    times, low, high = x.with_gaps(starts, low, high)
+    axes.fill_between(times, low, high, color=colour, alpha=0.15, linewidth=0.0, label="± 1 std")
 
 
 def _learned(columns: Mapping[str, Array]) -> list[tuple[Array, Array, str, str]]:
@@ -223,10 +223,10 @@ def _draw_values(axes: Axes, x: TimeAxis, learned: Sequence[tuple[Array, Array, 
     """Values relative to the first, with one standard deviation to either side."""
     for value, std, label, colour in learned:
         first = value[0] if value[0] else 1.0
-        every = np.arange(len(value))
-        axes.plot(*x.broken(every, value / first), color=colour, label=label)
-        at, low, high = x.broken(every, (value - std) / first, (value + std) / first)
-        axes.fill_between(at, low, high, color=colour, alpha=0.12, linewidth=0.0)
+        rows = np.arange(len(value))
+        axes.plot(*x.with_gaps(rows, value / first), color=colour, label=label)
+        times, low, high = x.with_gaps(rows, (value - std) / first, (value + std) / first)
+        axes.fill_between(times, low, high, color=colour, alpha=0.12, linewidth=0.0)
     axes.set_ylabel("learned, over the first")
 
 
@@ -235,16 +235,16 @@ def _draw_coverage(axes: Axes, seconds: Array, has_belts: bool) -> None:
 
     `seconds`: shape (speeds, belt temperatures, loads), as `learning.gate` counts them.
     """
-    shown = np.asarray(seconds.sum(axis=2 if has_belts else 1))
+    cells = np.asarray(seconds.sum(axis=2 if has_belts else 1))
     edges, label = (BELT_DEGC, "belt [°C]") if has_belts else (_percent(LOAD_SHARES), "load [% of nominal]")
-    most = max(float(shown.max()), FILLED_S)
-    axes.imshow(shown, cmap="Blues", vmin=0.0, vmax=most, aspect="auto", origin="lower")
-    for i, row in enumerate(shown.tolist()):
+    longest = max(float(cells.max()), FILLED_S)
+    axes.imshow(cells, cmap="Blues", vmin=0.0, vmax=longest, aspect="auto", origin="lower")
+    for i, row in enumerate(cells.tolist()):
         for j, count in enumerate(row):
-            colour = "white" if count > LETTERS_FROM * most else "black"
+            colour = "white" if count > LETTERS_FROM * longest else "black"
             axes.text(j, i, f"{count:.0f} s", ha="center", va="center", fontsize=7.0, color=colour)
-    axes.set_xticks(range(shown.shape[1]), _between(edges))
-    axes.set_yticks(range(shown.shape[0]), _between(_percent(SPEED_SHARES)))
+    axes.set_xticks(range(cells.shape[1]), _interval_labels(edges))
+    axes.set_yticks(range(cells.shape[0]), _interval_labels(_percent(SPEED_SHARES)))
     axes.set_xlabel(f"learned from: {label}")
     axes.set_ylabel("speed [% of greatest]")
     axes.grid(visible=False)
@@ -254,6 +254,6 @@ def _percent(shares: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(100.0 * share for share in shares)
 
 
-def _between(edges: tuple[float, ...]) -> list[str]:
+def _interval_labels(edges: tuple[float, ...]) -> list[str]:
     inner = [f"{a:.0f}-{b:.0f}" for a, b in pairwise(edges)]
     return [f"< {edges[0]:.0f}", *inner, f"> {edges[-1]:.0f}"]

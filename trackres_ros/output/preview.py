@@ -36,7 +36,7 @@ class ResultPreview:
     def __init__(self, columns: int) -> None:
         self.steps, self.first_ns = 0, 0
         self.last = np.empty(0)
-        self.kept = np.empty((0, HEAD + columns))
+        self.samples = np.empty((0, HEAD + columns))
         self._stride = 1
 
     def take(self, steps: Steps, write: Callable[[Steps], None] | None) -> None:
@@ -46,11 +46,11 @@ class ResultPreview:
             return
         if not self.steps:
             self.first_ns = int(steps.stamp_ns[0])
-        chosen = np.arange(-self.steps % self._stride, number, self._stride)
-        time_s = (steps.stamp_ns[chosen] - self.first_ns) * NANOSECOND
-        self.kept = np.concatenate([self.kept, np.column_stack([time_s, steps.rows[chosen]])])
-        while len(self.kept) > 2 * PICTURE_SAMPLES:
-            self.kept, self._stride = self.kept[::2], 2 * self._stride
+        rows = np.arange(-self.steps % self._stride, number, self._stride)
+        time_s = (steps.stamp_ns[rows] - self.first_ns) * NANOSECOND
+        self.samples = np.concatenate([self.samples, np.column_stack([time_s, steps.rows[rows]])])
+        while len(self.samples) > 2 * PICTURE_SAMPLES:
+            self.samples, self._stride = self.samples[::2], 2 * self._stride
         self.steps += number
         self.last = steps.rows[-1].copy()
         if write:

@@ -118,10 +118,10 @@ def png_of(figure: Figure) -> bytes:
     """A figure of this module as PNG: the same figure gives the same bytes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    drawn = io.BytesIO()
+    buffer = io.BytesIO()
     with _look():  # `savefig` would draw it twice
-        FigureCanvasAgg(figure).print_png(drawn, metadata={"Software": None})  # type: ignore[no-untyped-call]
-    return drawn.getvalue()
+        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    return buffer.getvalue()
 
 
 def svg_of(figure: Figure) -> bytes:
@@ -131,12 +131,12 @@ def svg_of(figure: Figure) -> bytes:
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    drawn = io.BytesIO()
+    buffer = io.BytesIO()
     with _look():
         FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
-            drawn, metadata={"Date": None, "Creator": None}
+            buffer, metadata={"Date": None, "Creator": None}
         )
-    return drawn.getvalue()
+    return buffer.getvalue()
 
 
 def write_figure(figure: Figure, path: Path) -> None:
@@ -170,12 +170,12 @@ def picture_with_legend(path: Path, width: float, height: float, rows: int = 1) 
             )
 
 
-def shortened(text: str, most: int) -> str:
+def shortened(text: str, length: int) -> str:
     """Shorten a text to so many characters, in its middle."""
-    if len(text) <= most:
+    if len(text) <= length:
         return text
-    kept = most - 3
-    return f"{text[: kept - kept // 2]}...{text[len(text) - kept // 2 :]}"
+    letters = length - 3
+    return f"{text[: letters - letters // 2]}...{text[len(text) - letters // 2 :]}"
 
 
 def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array, Array]:
@@ -194,8 +194,8 @@ def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array,
     starts = count * np.arange(len(stretches))
     least = starts + np.where(empty, np.inf, stretches).argmin(axis=1)
     greatest = starts + np.where(empty, -np.inf, stretches).argmax(axis=1)
-    kept = np.unique(np.concatenate([least, greatest]))
-    return x[kept], y[kept]
+    rows = np.unique(np.concatenate([least, greatest]))
+    return x[rows], y[rows]
 
 
 def legend_beside(axes: Axes, title: str | None = None) -> None:

@@ -61,18 +61,18 @@ class TableWriter:
         self._estimates = estimates
         self._suffix = path.suffix.lower()
         self._files = ExitStack()
-        self._out: Any = None
+        self._target: Any = None
 
     def __enter__(self) -> Self:
         """Begin a temporary file in the same folder."""
         if self._suffix in BY_COLUMN:
-            self._out = self._files.enter_context(BY_COLUMN[self._suffix](self._part, self.names))
+            self._target = self._files.enter_context(BY_COLUMN[self._suffix](self._part, self.names))
         else:
             raw: Any = self._files.enter_context(self._part.open("wb"))
             if self.path.name.lower().endswith(".gz"):
                 raw = self._files.enter_context(gzip.GzipFile("", "wb", 6, raw, mtime=0))
-            self._out = self._files.enter_context(io.TextIOWrapper(raw, encoding="utf-8", newline=""))
-            csv.writer(self._out, lineterminator="\n").writerow(self.names)
+            self._target = self._files.enter_context(io.TextIOWrapper(raw, encoding="utf-8", newline=""))
+            csv.writer(self._target, lineterminator="\n").writerow(self.names)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -95,18 +95,18 @@ class TableWriter:
         """Write n rows given as k columns, each of shape (n,): numbers or texts."""
         if self._suffix in BY_COLUMN:
             single = self._single(columns)
-            self._out.write([c.astype(np.float32) if n in single else c for n, c in zip(self.names, columns, strict=True)])
+            self._target.write([c.astype(np.float32) if n in single else c for n, c in zip(self.names, columns, strict=True)])
             return
         for start in range(0, len(columns[0]), CHUNK_ROWS):
-            known: dict[tuple[str, bytes], list[str]] = {}  # belts with the same load have the same values
+            cache: dict[tuple[str, bytes], list[str]] = {}  # belts with the same load have the same values
             texts = []
             for column in columns:
                 cells = column[start : start + CHUNK_ROWS]
                 key = cells.dtype.str, cells.tobytes()  # a whole 0 and a real 0.0 have the same bytes
-                if key not in known:
-                    known[key] = _texts(cells)
-                texts.append(known[key])
-            self._out.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
+                if key not in cache:
+                    cache[key] = _texts(cells)
+                texts.append(cache[key])
+            self._target.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
 
     def _single(self, columns: Sequence[NDArray[Any]]) -> set[str]:
         """Names of the columns that are kept in single precision."""
@@ -164,7 +164,7 @@ class ParquetTable(AbstractContextManager["ParquetTable"]):
                 np.copyto(group[self._rows : self._rows + end - start], column[start:end], casting="same_kind")
             self._rows += end - start
             if self._rows == GROUP_ROWS:
-                self._put()
+                self._write_group()
 
     def _parts(self, count: int) -> Iterator[tuple[int, int]]:
         """Bounds of the rows that go into one group, of `count` further ones."""
@@ -174,7 +174,7 @@ class ParquetTable(AbstractContextManager["ParquetTable"]):
             yield start, end
             start = end
 
-    def _put(self) -> None:
+    def _write_group(self) -> None:
         """Write the group, and begin the next one."""
         import pyarrow as pa
         from pyarrow import parquet
@@ -183,9 +183,9 @@ class ParquetTable(AbstractContextManager["ParquetTable"]):
         if self._writer is None:
             # Bytes of equal weight are grouped: smooth values differ in the last ones alone.
             real = [name for name, column in zip(self._names, self._group, strict=True) if column.dtype.kind == "f"]
-            others: Any = [name for name in self._names if name not in real]
+            coarse: Any = [name for name in self._names if name not in real]
             writer = parquet.ParquetWriter(
-                self._file, table.schema, write_page_checksum=True, compression="zstd", use_dictionary=others,
+                self._file, table.schema, write_page_checksum=True, compression="zstd", use_dictionary=coarse,
                 use_byte_stream_split=real,
             )  # fmt: skip
             self._writer = self._files.enter_context(writer)
@@ -198,7 +198,7 @@ class ParquetTable(AbstractContextManager["ParquetTable"]):
             if kind is None and (self._rows or self._writer is None):
                 if not self._group:
                     self.write([np.empty(0)] * len(self._names))
-                self._put()
+                self._write_group()
 
 
 class MdfTable(AbstractContextManager["MdfTable"]):
@@ -213,14 +213,14 @@ class MdfTable(AbstractContextManager["MdfTable"]):
         self._path, self._names = path, names
         self._mdf = MDF(version="4.10")
         self._mdf.header.start_time = EPOCH
-        self._begun = False
+        self._has_begun = False
 
     def write(self, columns: Sequence[NDArray[Any]]) -> None:
         """Write some rows, the time first."""
         from asammdf import Signal
 
         arrays = [column if column.dtype.kind in "fiu" else np.asarray(column, np.bytes_) for column in columns]
-        if self._begun:
+        if self._has_begun:
             self._mdf.extend(0, [(array, None) for array in arrays])
             return
         if "stamp_ns" in self._names and len(arrays[0]):
@@ -230,7 +230,7 @@ class MdfTable(AbstractContextManager["MdfTable"]):
             self._mdf.header.start_time = EPOCH + timedelta(microseconds=begin_ns // 1000)
         signals = [Signal(a, arrays[0], name=n, unit=unit_of(n)) for n, a in zip(self._names[1:], arrays[1:], strict=True)]
         self._mdf.append(signals, acq_name="trackres", comment="written by trackres", common_timebase=True)
-        self._begun = True
+        self._has_begun = True
 
     def __enter__(self) -> Self:
         """Begin."""
@@ -240,7 +240,7 @@ class MdfTable(AbstractContextManager["MdfTable"]):
         """Save the blocks, compressed; nothing after an exception."""
         try:
             if kind is None:
-                if not self._begun:
+                if not self._has_begun:
                     self.write([np.empty(0)] * len(self._names))
                 self._mdf.save(self._path, overwrite=True, compression=2)
         finally:

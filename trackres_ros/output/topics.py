@@ -78,8 +78,8 @@ ESTIMATE_TOPIC = OutputTopic(
 @cache
 def reasons_of(reasons: int) -> tuple[tuple[str, int], ...]:
     """Names of the reasons of a step, most severe first, with the level of each: 0 is OK, 1 is WARN."""
-    found = [(str(one.name), int(not one & at.HARMLESS)) for one in at.REASON_TEXT if one & reasons]
-    return tuple(sorted(found, key=lambda pair: -pair[1]))
+    pairs = [(str(reason.name), int(not reason & at.HARMLESS)) for reason in at.REASON_TEXT if reason & reasons]
+    return tuple(sorted(pairs, key=lambda pair: -pair[1]))
 
 
 def sign_of(column: str) -> float:

@@ -341,7 +341,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
     line = _with_column(line, where)
     is_direction = role == "direction"
     own, special = (OWN_KEYS, ("values", *PARTS_OF_A_LINE)) if is_direction else ((*OWN_KEYS, "values"), PARTS_OF_A_LINE)
-    written: TopicBinding = _reader(where).part(TopicBinding, line, only=own, others=special)
+    written: TopicBinding = _reader(where).part(TopicBinding, line, only=own, other_keys=special)
     _check_keys(role, line, where)
     derivative, is_sum = written.derivative, "sum" in line
     if not is_sum and not written.column:

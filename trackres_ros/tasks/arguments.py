@@ -43,20 +43,20 @@ def limited(**limits: Limits) -> Callable[[Callable[Given, Result]], Callable[Gi
 
     def decorate(function: Callable[Given, Result]) -> Callable[Given, Result]:
         LIMITS[function.__name__] = limits
-        optional = {name for name, about in signature(function).parameters.items() if about.default is None}
+        optional = {name for name, parameter in signature(function).parameters.items() if parameter.default is None}
 
         @wraps(function)
-        def checked(*args: Given.args, **named: Given.kwargs) -> Result:
+        def check_and_call(*args: Given.args, **kwargs: Given.kwargs) -> Result:
             for name, (low, high, unit) in limits.items():
-                if name not in named or (named[name] is None and name in optional):
+                if name not in kwargs or (kwargs[name] is None and name in optional):
                     continue
                 if isinstance(low, int) and isinstance(high, int):
-                    checks.whole(named[name], name, low, high, unit)
+                    checks.whole(kwargs[name], name, low, high, unit)
                 else:
-                    checks.number(named[name], name, low, high, unit)
-            return function(*args, **named)
+                    checks.number(kwargs[name], name, low, high, unit)
+            return function(*args, **kwargs)
 
-        return checked
+        return check_and_call
 
     return decorate
 
@@ -118,32 +118,32 @@ def as_track_vehicle(vehicle: VehicleGiven) -> Vehicle:
     """The same, of a vehicle on tracks."""
     from trackres_ros.vehicle import Vehicle
 
-    described = as_vehicle(vehicle)
-    if not isinstance(described, Vehicle):
-        raise InputError("vehicle", f"{described.name} of the base model road_load, which has no belts", "a track vehicle")
-    return described
+    track_vehicle = as_vehicle(vehicle)
+    if not isinstance(track_vehicle, Vehicle):
+        raise InputError("vehicle", f"{track_vehicle.name} of the base model road_load, which has no belts", "a track vehicle")
+    return track_vehicle
 
 
 def check_weight(vehicle: AnyVehicle, weight_kn: float | None, least: float, largest: float) -> None:
     """Check a weight [kN] by shares of the vehicle's own."""
-    low, own, high = (share * vehicle.weight / 1e3 for share in (least, 1.0, largest))
+    low, nominal, high = (share * vehicle.weight / 1e3 for share in (least, 1.0, largest))
     if weight_kn is not None and not low <= weight_kn <= high:
-        raise InputError("weight_kn", weight_kn, f"{figures(low)} to {figures(high)} kN for a vehicle of {figures(own)} kN")
+        raise InputError("weight_kn", weight_kn, f"{figures(low)} to {figures(high)} kN for a vehicle of {figures(nominal)} kN")
 
 
-def as_path(given: Any, where: str, allowed: str = "a path, or what read gave") -> Path:
+def as_path(value: Any, argument: str, allowed: str = "a path, or what read gave") -> Path:
     """The path of a recording; the error for data in memory says how to give them."""
-    if _is_data(given):
+    if _is_data(value):
         remedy = "write the data to a file first, such as a DataFrame with to_csv or to_parquet"
-        raise InputError(where, f"a {type(given).__name__}", allowed, remedy)
-    return checks.path(given, where, allowed)
+        raise InputError(argument, f"a {type(value).__name__}", allowed, remedy)
+    return checks.path(value, argument, allowed)
 
 
 def as_paths(recording: Any) -> list[Path]:
     """One path or several."""
-    several = _holds_paths(recording) or (isinstance(recording, Sequence) and not isinstance(recording, str | bytes))
+    is_list = _holds_paths(recording) or (isinstance(recording, Sequence) and not isinstance(recording, str | bytes))
     return [
-        as_path(path, "recording", "a path, several paths, or what read gave") for path in (recording if several else [recording])
+        as_path(path, "recording", "a path, several paths, or what read gave") for path in (recording if is_list else [recording])
     ]
 
 
@@ -151,46 +151,46 @@ def as_recordings(recordings: Any) -> list[Any]:
     """One recording or several, each read or a path."""
     from trackres_ros.recording.recording import Recording
 
-    listed = [recordings] if _is_data(recordings) else _listed(recordings)
-    if not listed:
+    items = [recordings] if _is_data(recordings) else _as_list(recordings)
+    if not items:
         raise InputError("recordings", "none", "at least one")
-    return [r if isinstance(r, Recording) else as_path(r, "recordings", "paths, and what read gave") for r in listed]
+    return [item if isinstance(item, Recording) else as_path(item, "recordings", "paths, and what read gave") for item in items]
 
 
-def _is_data(given: object) -> bool:
+def _is_data(value: object) -> bool:
     """Whether it is a table, an array, or columns by name."""
-    if isinstance(given, str | PathLike) or _holds_paths(given):
+    if isinstance(value, str | PathLike) or _holds_paths(value):
         return False
-    return hasattr(given, "__array__") or isinstance(given, Mapping)
+    return hasattr(value, "__array__") or isinstance(value, Mapping)
 
 
-def _holds_paths(given: Any) -> bool:
+def _holds_paths(value: Any) -> bool:
     """Whether it is an array or a column of paths."""
-    shape: tuple[int, ...] = getattr(given, "shape", ())
-    return len(shape) == 1 and shape[0] > 0 and all(isinstance(one, str | PathLike) for one in given)
+    shape: tuple[int, ...] = getattr(value, "shape", ())
+    return len(shape) == 1 and shape[0] > 0 and all(isinstance(item, str | PathLike) for item in value)
 
 
-def as_names(names: object, where: str) -> tuple[str, ...]:
+def as_names(names: object, argument: str) -> tuple[str, ...]:
     """One name or several."""
-    listed = _listed(names)
-    if not all(isinstance(name, str) and name for name in listed):
-        raise InputError(where, names, "a name, or several")
-    return tuple(listed)
+    items = _as_list(names)
+    if not all(isinstance(name, str) and name for name in items):
+        raise InputError(argument, names, "a name, or several")
+    return tuple(items)
 
 
-def _listed(given: Any) -> list[Any]:
-    return list(given) if isinstance(given, Iterable) and not isinstance(given, str | bytes) else [given]
+def _as_list(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else [value]
 
 
 def paths_of(recordings: Sequence[Recording]) -> list[Path]:
     """Paths of recordings, or their names where they were made in memory."""
-    return [path for one in recordings for path in (one.paths or (Path(one.name),))]
+    return [path for recording in recordings for path in (recording.paths or (Path(recording.name),))]
 
 
-def input_files(topics: Topics | None, *others: object) -> list[Path]:
+def input_files(topics: Topics | None, *arguments: object) -> list[Path]:
     """The files of topics, and all paths among other arguments: no output may replace them."""
     of_topics = [] if topics is None else [Path(topics.origin), *(file for _, file in topics.dbc)]
-    return [*of_topics, *(Path(one) for one in others if isinstance(one, str | PathLike))]
+    return [*of_topics, *(Path(argument) for argument in arguments if isinstance(argument, str | PathLike))]
 
 
 def as_topics(topics: TopicsGiven | None) -> Topics | None:

@@ -151,10 +151,10 @@ def diagnose(
     from trackres_ros.diagnosis.prepare.checks import each_usable
     from trackres_ros.diagnosis.prepare.gate import in_order
 
-    begun = time.monotonic()
+    start_s = time.monotonic()
     checks.function(on_stage, "on_stage")
-    hidden = as_names(hide, "hide")
-    for channel in hidden:
+    channels = as_names(hide, "hide")
+    for channel in channels:
         checks.one_of(base_role(channel), "hide", ROLES)
     checks.seed(seed)
     if isinstance(holdout, Iterable):
@@ -164,22 +164,24 @@ def diagnose(
     if isinstance(effects, str) and not effects:
         raise InputError("effects", "", "a folder with Python files, or None")
     folder = None if effects is None else checks.path(effects, "effects")
-    listed = as_recordings(recordings)
+    items = as_recordings(recordings)
     mapping = as_topics(topics)
     if mapping is None:
-        mapping = next((r.topics for r in listed if isinstance(r, Recording) and r.topics), None)
-    loaded = load_base(vehicle, method, thermal, surroundings)
-    for path in (path for r in listed if not isinstance(r, Recording) for path in as_paths(r)):
+        mapping = next((item.topics for item in items if isinstance(item, Recording) and item.topics), None)
+    base = load_base(vehicle, method, thermal, surroundings)
+    for path in (path for item in items if not isinstance(item, Recording) for path in as_paths(item)):
         check_there(path)
-    refused: list[Refusal] = []
-    sessions = in_order(each_usable(listed, lambda r: r if isinstance(r, Recording) else read(r, topics=mapping), refused, _name))
-    loaded = loaded.with_topics(topics_in_use(sessions))
-    asked = DiagnosisOptions(hidden, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
-    found = run(sessions, loaded, asked)
-    used = {session.name for session in found.sessions}
-    paths = paths_of([session for session in sessions if session.name in used])
-    inputs = input_files(mapping, *paths, loaded.source, surroundings)
-    return DiagnosisResult(found, loaded, paths, time.monotonic() - begun, inputs)
+    refusals: list[Refusal] = []
+    sessions = in_order(
+        each_usable(items, lambda item: item if isinstance(item, Recording) else read(item, topics=mapping), refusals, _name)
+    )
+    base = base.with_topics(topics_in_use(sessions))
+    run_options = DiagnosisOptions(channels, holdout, seed, quick, folder, keep_suspected, on_stage, refusals)
+    diagnosis = run(sessions, base, run_options)
+    names = {session.name for session in diagnosis.sessions}
+    paths = paths_of([session for session in sessions if session.name in names])
+    inputs = input_files(mapping, *paths, base.source, surroundings)
+    return DiagnosisResult(diagnosis, base, paths, time.monotonic() - start_s, inputs)
 
 
 def _name(recording: StrPath | Recording) -> str:
@@ -201,21 +203,21 @@ class DiagnosisResult:
 
     def __init__(
         self,
-        found: Diagnosis,
-        loaded: LoadedBase,
+        diagnosis: Diagnosis,
+        base: LoadedBase,
         recordings: Sequence[Path],
         seconds: float | None = None,
         inputs: Sequence[Path] = (),
     ) -> None:
         from trackres_ros.diagnosis.report.content import report
 
-        self.diagnosis = found
+        self.diagnosis = diagnosis
         self.recordings = tuple(recordings)
         self.written: tuple[Path, ...] = ()
-        self._loaded = loaded
+        self._base_file = base
         self._seconds = seconds
         self._inputs = inputs
-        self._content = report(found, self.recordings)
+        self._content = report(diagnosis, self.recordings)
 
     @property
     def sentence(self) -> str:
@@ -267,12 +269,12 @@ class DiagnosisResult:
         folder = Path(tempfile.mkdtemp(prefix="trackres-"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         self._write_vehicle(folder)
-        return replace(load_any(folder / VEHICLE_FILE), surroundings=self._loaded.surroundings, route=self._loaded.route)
+        return replace(load_any(folder / VEHICLE_FILE), surroundings=self._base_file.surroundings, route=self._base_file.route)
 
     def _write_vehicle(self, folder: Path) -> list[Path]:
         names = ", ".join(path.name for path in self.recordings)
         text = f"{self.sentence}\nWritten by trackres diagnose from {names}."
-        return self._loaded.base.write(folder / VEHICLE_FILE, self.diagnosis.kept, text)
+        return self._base_file.base.write(folder / VEHICLE_FILE, self.diagnosis.kept, text)
 
     def report(self, folder: str | PathLike[str], page: bool = True) -> Path:
         """Write the files of `trackres diagnose -o`: report.json, report.html with pictures, vehicle.yaml, and
@@ -300,24 +302,24 @@ class DiagnosisResult:
         OSError
             If the files cannot be written, as on a full disk; those of an earlier report are then unchanged.
         """
-        place = output_folder(folder, where="folder")
+        place = output_folder(folder, argument="folder")
         for name in DATA_FILES:
             not_an_input(place / name, self._inputs, "folder")
         with file_set():
             file = place / REPORT_FILE
             write(file, (json.dumps(self._content, indent=2, allow_nan=False) + "\n").encode())
-            written = (file, *self._write_vehicle(place), *self._write_settings(place))
+            files = (file, *self._write_vehicle(place), *self._write_settings(place))
             if page:
                 try:
-                    written += self._write_page(place)
+                    files += self._write_page(place)
                 except MissingExtraError as error:
                     warnings.warn(f"no page: {error}", stacklevel=2)
-            earlier = place / PAGE_FILE
-            if earlier.is_file() and "<title>Diagnosis of " in earlier.read_text(encoding="utf-8", errors="replace"):
+            page_file = place / PAGE_FILE
+            if page_file.is_file() and "<title>Diagnosis of " in page_file.read_text(encoding="utf-8", errors="replace"):
                 pictures = (picture for name in PICTURES for picture in place.glob(name))
-                for old in {earlier, *place.glob(SETTINGS_FILE), *pictures}.difference(written):
+                for old in {page_file, *place.glob(SETTINGS_FILE), *pictures}.difference(files):
                     remove(old)
-        self.written = written
+        self.written = files
         return place
 
     @property
@@ -347,9 +349,9 @@ class DiagnosisResult:
         from trackres_ros.diagnosis.report.pictures import draw_all
 
         pictures = draw_all(self.diagnosis, place)
-        vehicle = [self._loaded.source] if self._loaded.source else []
+        vehicle = [self._base_file.source] if self._base_file.source else []
         made_of = provenance([*self.recordings, *vehicle], self._seconds)
-        path, title = place / PAGE_FILE, f"Diagnosis of {self._loaded.title}"
+        path, title = place / PAGE_FILE, f"Diagnosis of {self._base_file.title}"
         first = glance(self.diagnosis, self._content["topics_lines"])
         write_page(path, self._content, first, pictures, title, _plots(self.diagnosis), made_of)
         return path, *(picture.path for picture in pictures)
@@ -365,11 +367,11 @@ class DiagnosisResult:
         return dict(self._content)
 
     def __repr__(self) -> str:
-        why = self.diagnosis.kept.text
-        warned = [f"Warning: {text}" for text in self.warnings[:MOST_WARNINGS]]
+        reason = self.diagnosis.kept.text
+        lines = [f"Warning: {text}" for text in self.warnings[:MOST_WARNINGS]]
         if len(self.warnings) > MOST_WARNINGS:
-            warned.append(f"{len(self.warnings) - MOST_WARNINGS} more warnings are in {REPORT_FILE}.")
-        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self._worse_in_replay(), *warned, *self.to_do])
+            lines.append(f"{len(self.warnings) - MOST_WARNINGS} more warnings are in {REPORT_FILE}.")
+        return "\n".join([self.sentence, f"{reason[0].upper()}{reason[1:]}.", *self._worse_in_replay(), *lines, *self.to_do])
 
     def _worse_in_replay(self) -> list[str]:
         """Sentence on the inputs that the diagnosis computes from others, but a replay does not."""
@@ -380,34 +382,34 @@ class DiagnosisResult:
         if not isinstance(d.base, TrackBase | RoadBase):
             return []
         acting = (*d.base.vehicle.active, *d.kept.effects)
-        needed = {"accel", "grade", *(need for active in acting for need in active.effect.needs)}
-        less = [text for c, text in REPLAYED.items() if c in needed and any(c in s.computed for s in d.gated.sessions)]
-        if not less:
+        inputs = {"accel", "grade", *(need for active in acting for need in active.effect.needs)}
+        texts = [text for c, text in REPLAYED.items() if c in inputs and any(c in s.computed for s in d.gated.sessions)]
+        if not texts:
             return []
         settings = f"--params {SETTINGS_FILE} fits its filter to these speeds; " if self.live_filter else ""
-        advice = f" For the acceleration, {settings}--both-sides uses all speeds, as here." if REPLAYED["accel"] in less else ""
+        advice = f" For the acceleration, {settings}--both-sides uses all speeds, as here." if REPLAYED["accel"] in texts else ""
         return [
-            f"Not all inputs were recorded. A replay computes {', '.join(less)}, so its error is larger than this one.{advice}"
+            f"Not all inputs were recorded. A replay computes {', '.join(texts)}, so its error is larger than this one.{advice}"
         ]
 
     def _repr_html_(self) -> str:
         from trackres_ros.diagnosis.report.series import stages
 
         rows = []
-        for found in self.effects:
-            units = {q.name: "" if q.unit == "1" else q.unit for q in found.effect.parameters}
-            of = found.name if len(found.members) <= 1 else " or ".join(found.members)
-            for name, value in found.values.items():
-                interval = found.intervals[name]
-                shown, *ends = alike((value, interval.low, interval.high), interval.high - interval.low)
-                between = "only a bound" if interval.bound_only else " to ".join(ends)
-                rows.append((of, name, shown, between, units[name], found.grade))
+        for effect in self.effects:
+            units = {q.name: "" if q.unit == "1" else q.unit for q in effect.effect.parameters}
+            names = effect.name if len(effect.members) <= 1 else " or ".join(effect.members)
+            for name, value in effect.values.items():
+                interval = effect.intervals[name]
+                value_text, *ends = alike((value, interval.low, interval.high), interval.high - interval.low)
+                interval_text = "only a bound" if interval.bound_only else " to ".join(ends)
+                rows.append((names, name, value_text, interval_text, units[name], effect.grade))
         held_out = self.diagnosis.held_out
         errors = [
             (stage.label, figures(held_out.mae[stage.key]), figures(held_out.bias[stage.key])) for stage in stages(self.diagnosis)
         ]
         return panel(
-            f"Diagnosis of {self._loaded.title}",
+            f"Diagnosis of {self._base_file.title}",
             paragraph(self.sentence),
             html_table(("effect", "parameter", "value", "95 % interval", "unit", "laps left out"), rows),
             html_table(("on hold-out laps", "mean error", "bias"), errors, ("", "Nm", "Nm")),
@@ -430,12 +432,12 @@ class DiagnosisResult:
         return f'<img src="data:image/png;base64,{data}" alt="{escape(picture.alternative)}" style="max-width: 100%">'
 
 
-def _plots(found: Diagnosis) -> Interactive | str:
+def _plots(diagnosis: Diagnosis) -> Interactive | str:
     """The page's interactive plots, or the reason for their absence."""
     from trackres_ros.diagnosis.report.interactive import interactive
 
     try:
-        return interactive(found)
+        return interactive(diagnosis)
     except MissingExtraError as error:
         return str(error)
 
@@ -452,7 +454,7 @@ def _plots(found: Diagnosis) -> Interactive | str:
     help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
 )
 @options.methods
-@options.of(diagnose, "seed", "Seed of all random draws.", options.SEEDS)
+@options.argument_option(diagnose, "seed", "Seed of all random draws.", options.SEEDS)
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that laps left out do not confirm.")
 @click.option("--effects", type=options.PATH, metavar="DIR", help="Folder with your own effects, one Python file each.")
@@ -460,7 +462,7 @@ def _plots(found: Diagnosis) -> Interactive | str:
 @options.folder("Folder for the report; created if needed.")
 @options.json
 def diagnose_command(
-    recordings: tuple[Path, ...], holdout: str | None, no_page: bool, output: Path, as_json: bool, **asked: Any
+    recordings: tuple[Path, ...], holdout: str | None, no_page: bool, output: Path, as_json: bool, **arguments: Any
 ) -> None:
     """Find where measurement and simulation differ and which physics is missing; write a vehicle file with it.
 
@@ -476,16 +478,18 @@ def diagnose_command(
     """
     output_folder(output, names=DATA_FILES)  # before hours of work
     for name in DATA_FILES:
-        not_an_input(output / name, [*recordings, asked["vehicle"], asked["surroundings"]], "output")
+        not_an_input(output / name, [*recordings, arguments["vehicle"], arguments["surroundings"]], "output")
     watch(output)
-    held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
+    holdout_value = (
+        None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
+    )
     with stage_progress() as on_stage:
-        found = diagnose(recordings, holdout=held, on_stage=on_stage, **asked)
+        result = diagnose(recordings, holdout=holdout_value, on_stage=on_stage, **arguments)
         on_stage("report")
         with print_warnings():
-            found.report(output, page=not no_page)
+            result.report(output, page=not no_page)
     emit(
-        found.as_dict(),
+        result.as_dict(),
         as_json,
-        lambda: f"{found!r}\n{output}: {', '.join(str(path.relative_to(output)) for path in found.written)}",
+        lambda: f"{result!r}\n{output}: {', '.join(str(path.relative_to(output)) for path in result.written)}",
     )

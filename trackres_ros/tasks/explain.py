@@ -74,17 +74,17 @@ def explain(
     >>> {part: round(torque) for part, torque in point["torque_nm"].items()}
     {'hysteresis': 2604, 'bearing': 734, 'wind': 255, 'effects': 0, 'inertia': 0, 'resistance': 3593}
     """
-    described = as_vehicle(vehicle)
-    check_weight(described, weight_kn, LEAST_SHARE, LARGEST_SHARE)
+    machine = as_vehicle(vehicle)
+    check_weight(machine, weight_kn, LEAST_SHARE, LARGEST_SHARE)
     weight = None if weight_kn is None else weight_kn * 1e3
     speed = speed_kmh / KMH_PER_MPS
-    if isinstance(described, RoadVehicle):
+    if isinstance(machine, RoadVehicle):
         if belt_degc is not None:
-            raise InputError("belt_degc", belt_degc, f"none for {described.name}: the base model road_load has no belts")
-        return OperatingPoint(operating_point.explain_road(described, speed, ambient_degc, weight))
+            raise InputError("belt_degc", belt_degc, f"none for {machine.name}: the base model road_load has no belts")
+        return OperatingPoint(operating_point.explain_road(machine, speed, ambient_degc, weight))
     if belt_degc is None:
         raise InputError("belt_degc", "nothing", "the mean temperature of the belts [degC]")
-    return OperatingPoint(operating_point.explain(described, speed, belt_degc, ambient_degc, weight))
+    return OperatingPoint(operating_point.explain(machine, speed, belt_degc, ambient_degc, weight))
 
 
 class OperatingPoint(Content):
@@ -104,10 +104,10 @@ class OperatingPoint(Content):
     def _sentences(self) -> list[str]:
         torques = ", ".join(f"{k} {decimals(v)}" for k, v in self["torque_nm"].items())
         left_out = self["effects_left_out"]
-        without = [f"{', '.join(left_out)}: {operating_point.INACTIVE}"] if left_out else []
+        inactive = [f"{', '.join(left_out)}: {operating_point.INACTIVE}"] if left_out else []
         if "belt_degc" not in self:
             power = decimals(self["power_w"] / 1e3, 2)
-            return [f"Torque at the wheels [Nm]: {torques}", f"Power to overcome the resistance {power} kW", *without]
+            return [f"Torque at the wheels [Nm]: {torques}", f"Power to overcome the resistance {power} kW", *inactive]
         lines = [
             f"Belt tension {self['tension_n']:.0f} N; film coefficient {self['film_coefficient_w_m2k']:.1f} W/m2K",
             f"Loss per metre of travel, per assembly, of {self['assemblies'][0]} [N]: "
@@ -116,7 +116,7 @@ class OperatingPoint(Content):
             "",
             f"Torque at the sprockets, whole vehicle [Nm]: {torques}",
         ]
-        return [*lines, *without]
+        return [*lines, *inactive]
 
     def _wheels(self) -> list[tuple[str, ...]]:
         """Of each road wheel of the first assembly its number, and a text for each of `WHEEL_HEAD`."""
@@ -156,10 +156,10 @@ class OperatingPoint(Content):
 
 @click.command("explain", cls=Command)
 @options.vehicle
-@options.of(explain, "speed_kmh", "Speed [km/h]; negative in reverse.")
-@options.of(explain, "belt_degc", "Belt temperature [degC]; of a vehicle without belts none.")
-@options.of(explain, "ambient_degc", options.AMBIENT)
-@options.of(explain, "weight_kn", options.WEIGHT)
+@options.argument_option(explain, "speed_kmh", "Speed [km/h]; negative in reverse.")
+@options.argument_option(explain, "belt_degc", "Belt temperature [degC]; of a vehicle without belts none.")
+@options.argument_option(explain, "ambient_degc", options.AMBIENT)
+@options.argument_option(explain, "weight_kn", options.WEIGHT)
 @click.option("--method", type=options.METHODS, help="Way from strain to heat; default the vehicle file's.")
 @options.json
 def explain_command(vehicle: str, method: str | None, as_json: bool, **point: Any) -> None:

@@ -28,9 +28,7 @@ def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_js
     plotjuggler --layout layouts/plotjuggler.xml
     """
     options.check_names(name, namespace)
-    written = write_layouts(load_vehicle(vehicle), output, f"{namespace.rstrip('/')}/{name}")
+    paths = write_layouts(load_vehicle(vehicle), output, f"{namespace.rstrip('/')}/{name}")
 
-    text = (
-        f"Written: {written[0]}, {written[1]}\nNext: plotjuggler --layout {written[0]}; in Foxglove: Layouts, import from file, "
-    )
-    emit({"written": [str(path) for path in written]}, as_json, lambda: f"{text}{written[1]}")
+    text = f"Written: {paths[0]}, {paths[1]}\nNext: plotjuggler --layout {paths[0]}; in Foxglove: Layouts, import from file, "
+    emit({"written": [str(path) for path in paths]}, as_json, lambda: f"{text}{paths[1]}")

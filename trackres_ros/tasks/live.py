@@ -75,7 +75,7 @@ def live_command(
     record_limit_mb: float | None,
     quiet: bool,
     as_json: bool,
-    **named: str | None,
+    **values: str | None,
 ) -> int:
     """Run the live estimate until interrupted.
 
@@ -91,47 +91,49 @@ def live_command(
         raise InputError("--record", "not given", "a file to record into, with --record-split-... and --record-limit-mb")
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record"), limits) if record else None
     watch(record)
-    given, of_qos = read_with_overrides(params_file, name, namespace)
-    overruled = dict(_single(text) for text in single) | {key: value for key, value in named.items() if value is not None}
-    parameters = make_parameters(given | overruled)
+    entries, of_qos = read_with_overrides(params_file, name, namespace)
+    overruled = dict(_single(text) for text in single) | {key: value for key, value in values.items() if value is not None}
+    parameters = make_parameters(entries | overruled)
     REQUESTS.listen()
-    shown: list[LiveDisplay] = []
-    running: list[Application] = []  # one at a time: a lifecycle's cleanup and configure make the next
+    displays: list[LiveDisplay] = []
+    applications: list[Application] = []  # one at a time: a lifecycle's cleanup and configure make the next
 
     def overview() -> Overview:
-        return running[0].overview()
+        return applications[0].overview()
 
-    def started(application: Application) -> None:
-        running[:] = [application]
+    def on_start(application: Application) -> None:
+        applications[:] = [application]
         for text in recorder.begin(application) if recorder else ():
             click.echo(f"trackres: {text}", err=True)
-        if shown or (quiet and not as_json):
+        if displays or (quiet and not as_json):
             return
-        shown.append(LiveJson(overview) if as_json else LiveTable(lambda: f"{name}: {running[0].vehicle.title}", overview))
-        shown[0].start()
+        displays.append(
+            LiveJson(overview) if as_json else LiveTable(lambda: f"{name}: {applications[0].vehicle.title}", overview)
+        )
+        displays[0].start()
 
     code = 1
     try:
         if transport == "ros" or (transport == "auto" and _rclpy_imports()):
             from trackres_ros.node.ros.estimator import run as run_on_ros
 
-            code = run_on_ros(parameters, name, namespace, REQUESTS, started, of_qos)
+            code = run_on_ros(parameters, name, namespace, REQUESTS, on_start, of_qos)
             return code
         from trackres_ros.node.dds.node import run as run_on_dds
 
         if of_qos:
             allowed = "no override of a quality of service, which needs --transport ros"
             raise InputError(str(params_file), ", ".join(of_qos), allowed, "input_* and output_* set that of all topics")
-        watched = ParameterFile(params_file, name, namespace, parameters, overruled) if params_file else None
-        code = run_on_dds(parameters, name, namespace, REQUESTS, started, watched)
+        parameter_file = ParameterFile(params_file, name, namespace, parameters, overruled) if params_file else None
+        code = run_on_dds(parameters, name, namespace, REQUESTS, on_start, parameter_file)
         return code
     finally:
-        ended = [display.stop() for display in shown]
+        outcomes = [display.stop() for display in displays]
         if recorder:
             for text in (*recorder.end(), *recording_picture(recorder)):
                 with suppress(OSError):  # the same disk may be that of the terminal's file
-                    click.echo(text, err=as_json or not all(ended))
-        if not all(ended):  # the output has no reader, and the end of the interpreter would wait for its buffer
+                    click.echo(text, err=as_json or not all(outcomes))
+        if not all(outcomes):  # the output has no reader, and the end of the interpreter would wait for its buffer
             os._exit(code)
 
 

@@ -61,11 +61,11 @@ class LiveJson(LiveDisplay):
     """Prints an overview once a second, and at the end with `"final": true`."""
 
     def _run(self) -> None:
-        over = False
-        while not over:
-            over = self._stop.wait(JSON_PERIOD_S)
+        final = False
+        while not final:
+            final = self._stop.wait(JSON_PERIOD_S)
             try:
-                print(json.dumps(as_dict(self._overview(), over), allow_nan=False), flush=True)
+                print(json.dumps(as_dict(self._overview(), final), allow_nan=False), flush=True)
             except BrokenPipeError:  # the output has no reader any more, which does not end the node
                 to_nowhere()
                 return
@@ -73,40 +73,40 @@ class LiveJson(LiveDisplay):
                 continue
 
 
-def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
+def as_dict(overview: Overview, final: bool) -> dict[str, Any]:
     """The overview ready for JSON; torques [Nm] positive where they resist forward travel, unknown numbers are null."""
-    comparison, disturbance = seen.mismatch, seen.disturbance
+    comparison, disturbance = overview.mismatch, overview.disturbance
     return {
         "final": final,
-        "level": seen.level.name.lower(),
-        "remarks": [{"name": r.name, "level": r.level.name.lower(), "text": r.text} for r in seen.notices],
-        "stamp_ns": seen.stamp_ns,
-        "age_s": _known(seen.age_s),
-        "rate_hz": _known(seen.steps_hz),
-        "published": seen.published,
-        "feedforward_published_nm": seen.feedforward_nm,
-        "estimate": {name: _known(value) for name, value in seen.values.items() if name != "reasons"},
+        "level": overview.level.name.lower(),
+        "remarks": [{"name": r.name, "level": r.level.name.lower(), "text": r.text} for r in overview.notices],
+        "stamp_ns": overview.stamp_ns,
+        "age_s": _finite(overview.age_s),
+        "rate_hz": _finite(overview.steps_hz),
+        "published": overview.published,
+        "feedforward_published_nm": overview.feedforward_nm,
+        "estimate": {name: _finite(value) for name, value in overview.values.items() if name != "reasons"},
         "inputs": [
             {
-                "role": given.role, "topic": given.topic, "value": _known(given.value), "rate_hz": _known(given.rate_hz),
-                "age_s": _known(given.age_s), "counts": dict(given.counts),
+                "role": state.role, "topic": state.topic, "value": _finite(state.value), "rate_hz": _finite(state.rate_hz),
+                "age_s": _finite(state.age_s), "counts": dict(state.counts),
             }
-            for given in seen.inputs
+            for state in overview.inputs
         ],
         "comparison": {
-            "parted": comparison.parted, "settled": comparison.settled, "mean_nm": _known(comparison.mean_nm),
+            "parted": comparison.parted, "settled": comparison.settled, "mean_nm": _finite(comparison.mean_nm),
             "text": comparison.text,
         },
-        "learning": seen.learning or None,
+        "learning": overview.learning or None,
         "disturbance": disturbance and {
-            "form": disturbance.form, "there": _known(disturbance.there), "present": disturbance.present,
-            "torque_nm": _known(disturbance.torque_nm), "text": disturbance.text,
+            "form": disturbance.form, "there": _finite(disturbance.there), "present": disturbance.present,
+            "torque_nm": _finite(disturbance.torque_nm), "text": disturbance.text,
         },
-        "state": {"file": seen.state_file, "saved_s_ago": _known(seen.saved_s_ago), "error": seen.state_error},
+        "state": {"file": overview.state_file, "saved_s_ago": _finite(overview.saved_s_ago), "error": overview.state_error},
     }  # fmt: skip
 
 
-def _known(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
@@ -121,111 +121,114 @@ class LiveTable(LiveDisplay):
         console = Console()
         if not console.is_terminal:
             while True:
-                over = self._stop.wait(PLAIN_PERIOD_S)
+                final = self._stop.wait(PLAIN_PERIOD_S)
                 with suppress(OSError):  # a full disk: the next line may fit again
                     console.print(line(self._overview()), soft_wrap=True, markup=False, highlight=False)
-                if over:
+                if final:
                     return
         with Live(console=console, auto_refresh=False) as live:
-            over = False
-            while not over:
+            final = False
+            while not final:
                 live.update(table(self._title(), self._overview()), refresh=True)
-                over = self._stop.wait(REFRESH_S)
+                final = self._stop.wait(REFRESH_S)
             live.update(table(self._title(), self._overview()), refresh=True)
 
 
-def table(title: str, seen: Overview) -> Panel:
+def table(title: str, overview: Overview) -> Panel:
     """The overview as a table for the terminal."""
-    colour = COLOURS[seen.level]
-    status = Text.assemble((f" {seen.level.name} ", f"bold reverse {colour}"), f"  {seen.message}")
-    parts: list[RenderableType] = [status, Text(""), _inputs(seen)]
-    if seen.values:
+    colour = COLOURS[overview.level]
+    status = Text.assemble((f" {overview.level.name} ", f"bold reverse {colour}"), f"  {overview.message}")
+    parts: list[RenderableType] = [status, Text(""), _inputs(overview)]
+    if overview.values:
         side_by_side = Table.grid(padding=(0, 2))
-        side_by_side.add_row(_torques(seen), *([_belts(seen)] if seen.assemblies else []))
+        side_by_side.add_row(_torques(overview), *([_belts(overview)] if overview.assemblies else []))
         parts += [Text(""), side_by_side, Text("")]
-    if any(given.role == "torque" for given in seen.inputs):
-        parts.append(Text(f"measured torque: {seen.mismatch.text}"))
-    if seen.disturbance is not None:
-        parts.append(Text(f"disturbance: {seen.disturbance.text}"))
-    if seen.learning:
-        parts.append(Text(f"learning: {seen.learning}"))
-    parts.append(Text(_foot(seen), style="dim"))
+    if any(state.role == "torque" for state in overview.inputs):
+        parts.append(Text(f"measured torque: {overview.mismatch.text}"))
+    if overview.disturbance is not None:
+        parts.append(Text(f"disturbance: {overview.disturbance.text}"))
+    if overview.learning:
+        parts.append(Text(f"learning: {overview.learning}"))
+    parts.append(Text(_foot(overview), style="dim"))
     return Panel(Group(*parts), title=title, border_style=colour)
 
 
-def line(seen: Overview) -> str:
+def line(overview: Overview) -> str:
     """The overview in one line."""
-    if not seen.values:
-        return f"{seen.level.name}: {seen.message}"
-    value = seen.values
-    belts = [value[f"belt_degc/{name}"] for name in seen.assemblies]
-    shown = f"belts {decimals(min(belts), 1)} to {decimals(max(belts), 1)} degC  " if belts else ""
+    if not overview.values:
+        return f"{overview.level.name}: {overview.message}"
+    value = overview.values
+    belts = [value[f"belt_degc/{name}"] for name in overview.assemblies]
+    belts_text = f"belts {decimals(min(belts), 1)} to {decimals(max(belts), 1)} degC  " if belts else ""
     return (
-        f"{_time(seen)}  {decimals(value['speed_mps'] * KMH_PER_MPS, 1):>5} km/h  "
+        f"{_time(overview)}  {decimals(value['speed_mps'] * KMH_PER_MPS, 1):>5} km/h  "
         f"resistance {decimals(value['resistance_torque_nm']):>6} +- {decimals(value['resistance_std_nm'])} Nm  "
-        f"feed-forward {decimals(seen.feedforward_nm):>6} Nm  "
-        f"{shown}{seen.level.name}: {seen.message}"
+        f"feed-forward {decimals(overview.feedforward_nm):>6} Nm  "
+        f"{belts_text}{overview.level.name}: {overview.message}"
     )
 
 
-def _inputs(seen: Overview) -> Group:
+def _inputs(overview: Overview) -> Group:
     parts: list[Text] = []  # other counters have a separate line: their number is unknown
-    shown = Table(expand=True, box=None, pad_edge=False, header_style="dim")
-    shown.add_column("input", no_wrap=True)
-    shown.add_column("topic", overflow="fold", ratio=1)
+    grid = Table(expand=True, box=None, pad_edge=False, header_style="dim")
+    grid.add_column("input", no_wrap=True)
+    grid.add_column("topic", overflow="fold", ratio=1)
     for name in ("value", "Hz", "age s", "accepted"):
-        shown.add_column(name, justify="right", no_wrap=True)
-    for given in seen.inputs:
-        counts = dict(given.counts)
-        accepted = counts.pop("accepted", 0)
-        unit = ROLES[base_role(given.role)].unit
-        value = "" if math.isnan(given.value) else f"{figures(given.value, 5)} {unit}".removesuffix(" 1")
-        rate = "" if math.isnan(given.rate_hz) else f"{given.rate_hz:.1f}"
-        shown.add_row(given.role, given.topic, value, rate, _age(given.age_s), str(accepted))
+        grid.add_column(name, justify="right", no_wrap=True)
+    for state in overview.inputs:
+        counts = dict(state.counts)
+        accepted_count = counts.pop("accepted", 0)
+        unit = ROLES[base_role(state.role)].unit
+        value = "" if math.isnan(state.value) else f"{figures(state.value, 5)} {unit}".removesuffix(" 1")
+        rate = "" if math.isnan(state.rate_hz) else f"{state.rate_hz:.1f}"
+        grid.add_row(state.role, state.topic, value, rate, _age(state.age_s), str(accepted_count))
         if counts:
-            listed = ", ".join(f"{name} {number}" for name, number in counts.items())
-            parts.append(Text(f"  {given.role}: {listed}", style="yellow"))
-    return Group(shown, *parts)
+            counts_text = ", ".join(f"{name} {number}" for name, number in counts.items())
+            parts.append(Text(f"  {state.role}: {counts_text}", style="yellow"))
+    return Group(grid, *parts)
 
 
-def _torques(seen: Overview) -> Table:
-    shown = Table(box=None, pad_edge=False, header_style="dim")
-    shown.add_column("at sprockets" if seen.assemblies else "at wheels", no_wrap=True)
-    shown.add_column("Nm", justify="right", no_wrap=True)
-    values, std = seen.values, seen.values["resistance_std_nm"]
-    for name, column in resistance_parts(bool(seen.assemblies)).items():
-        shown.add_row(f"  {name}", decimals(values[column]))
-    shown.add_row("[b]resistance[/b] (sum)", f"[b]{decimals(values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
-    shown.add_row("grade", decimals(values["grade_nm"]))
-    shown.add_row("inertia", decimals(values["inertia_nm"]))
-    shown.add_row("[b]feed-forward[/b]", f"[b]{decimals(seen.feedforward_nm)}[/b]")
-    return shown
+def _torques(overview: Overview) -> Table:
+    grid = Table(box=None, pad_edge=False, header_style="dim")
+    grid.add_column("at sprockets" if overview.assemblies else "at wheels", no_wrap=True)
+    grid.add_column("Nm", justify="right", no_wrap=True)
+    values, std = overview.values, overview.values["resistance_std_nm"]
+    for name, column in resistance_parts(bool(overview.assemblies)).items():
+        grid.add_row(f"  {name}", decimals(values[column]))
+    grid.add_row("[b]resistance[/b] (sum)", f"[b]{decimals(values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
+    grid.add_row("grade", decimals(values["grade_nm"]))
+    grid.add_row("inertia", decimals(values["inertia_nm"]))
+    grid.add_row("[b]feed-forward[/b]", f"[b]{decimals(overview.feedforward_nm)}[/b]")
+    return grid
 
 
-def _belts(seen: Overview) -> Table:
-    shown = Table(box=None, pad_edge=False, header_style="dim")
-    shown.add_column("assembly", overflow="fold")
+def _belts(overview: Overview) -> Table:
+    grid = Table(box=None, pad_edge=False, header_style="dim")
+    grid.add_column("assembly", overflow="fold")
     for name in ("belt degC", "kN", "Nm"):
-        shown.add_column(name, justify="right", no_wrap=True)
-    for name in seen.assemblies:
-        of = {column: seen.values[f"{column}/{name}"] for column in ("belt_degc", "belt_std_k", "load_n", "resistance_torque_nm")}
-        belt = f"{decimals(of['belt_degc'], 1)} +- {decimals(of['belt_std_k'], 1)}"
-        shown.add_row(name, belt, decimals(of["load_n"] / 1e3, 1), decimals(of["resistance_torque_nm"]))
-    return shown
+        grid.add_column(name, justify="right", no_wrap=True)
+    for name in overview.assemblies:
+        values = {
+            column: overview.values[f"{column}/{name}"]
+            for column in ("belt_degc", "belt_std_k", "load_n", "resistance_torque_nm")
+        }
+        belt = f"{decimals(values['belt_degc'], 1)} +- {decimals(values['belt_std_k'], 1)}"
+        grid.add_row(name, belt, decimals(values["load_n"] / 1e3, 1), decimals(values["resistance_torque_nm"]))
+    return grid
 
 
-def _foot(seen: Overview) -> str:
-    speed = f"{decimals(seen.values['speed_mps'] * KMH_PER_MPS, 1)} km/h, " if seen.values else ""
-    kept = f"state in {seen.state_file}" if seen.state_file else "no state saved"
-    if not math.isnan(seen.saved_s_ago):
-        kept += f", saved {seen.saved_s_ago:.0f} s ago"
-    return f"{_time(seen)}: {speed}age {_age(seen.age_s) or 'none'} s, {seen.steps_hz:.1f} estimates/s, {kept}"
+def _foot(overview: Overview) -> str:
+    speed = f"{decimals(overview.values['speed_mps'] * KMH_PER_MPS, 1)} km/h, " if overview.values else ""
+    state = f"state in {overview.state_file}" if overview.state_file else "no state saved"
+    if not math.isnan(overview.saved_s_ago):
+        state += f", saved {overview.saved_s_ago:.0f} s ago"
+    return f"{_time(overview)}: {speed}age {_age(overview.age_s) or 'none'} s, {overview.steps_hz:.1f} estimates/s, {state}"
 
 
-def _time(seen: Overview) -> str:
-    if seen.stamp_ns is None:
+def _time(overview: Overview) -> str:
+    if overview.stamp_ns is None:
         return "no estimate yet"
-    return datetime.fromtimestamp(seen.stamp_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    return datetime.fromtimestamp(overview.stamp_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _age(value: float) -> str:

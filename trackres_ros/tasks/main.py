@@ -67,20 +67,20 @@ class Program(Commands):
                 self.add_command(point.load(), cmd_name)
         return super().get_command(ctx, cmd_name)
 
-    def _listed(self, ctx: click.Context) -> dict[str, click.Command]:
+    def _command_table(self, ctx: click.Context) -> dict[str, click.Command]:
         """What a list shows of each command."""
-        own = {name: click.Command(name, help=sentence) for name, (_, sentence) in COMMANDS.items()}
-        others = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx) if name not in own)
-        return own | {name: command for name, command in others if command}
+        commands = {name: click.Command(name, help=sentence) for name, (_, sentence) in COMMANDS.items()}
+        plugins = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx) if name not in commands)
+        return commands | {name: command for name, command in plugins if command}
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """See `click.Group`."""
-        click.Group(commands=self._listed(ctx)).format_commands(ctx, formatter)
+        click.Group(commands=self._command_table(ctx)).format_commands(ctx, formatter)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """See `click.Group`."""
-        shown = sorted((name, command) for name, command in self._listed(ctx).items() if name.startswith(incomplete))
-        items = [CompletionItem(name, help=command.get_short_help_str()) for name, command in shown]
+        entries = sorted((name, command) for name, command in self._command_table(ctx).items() if name.startswith(incomplete))
+        items = [CompletionItem(name, help=command.get_short_help_str()) for name, command in entries]
         return [*items, *click.Command.shell_complete(self, ctx, incomplete)]
 
 
@@ -105,11 +105,11 @@ def main(arguments: Sequence[str] | None = None, commands: click.Group = cli, pr
         if getattr(sys, name) is None:  # closed by the caller; progress bars and libraries expect a stream
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
     terminal.begin_command()
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    as_json = "--json" in given
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in words
     try:
-        _refuse_empty(given)
-        result = commands.main(args=given, prog_name=program, standalone_mode=False)
+        _refuse_empty(words)
+        result = commands.main(args=words, prog_name=program, standalone_mode=False)
     except click.ClickException as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: the help is the message
             click.echo(error.format_message())
@@ -117,17 +117,17 @@ def main(arguments: Sequence[str] | None = None, commands: click.Group = cli, pr
         context = getattr(error, "ctx", None)
         path = context.command_path if context else program
         text = " ".join(error.format_message().split())
-        _fail(InputError(path, " ".join(given), text, f"see {path} --help"), f"{text} (see {path} --help)", as_json)
+        _fail(InputError(path, " ".join(words), text, f"see {path} --help"), f"{text} (see {path} --help)", as_json)
     except InputError as error:
         _fail(error, str(error), as_json)
-    except SystemExit as ended:  # click ends with 1 where a pipe is closed, such as one to head
-        if ended.code == 1 and _nobody_reads():
+    except SystemExit as end:  # click ends with 1 where a pipe is closed, such as one to head
+        if end.code == 1 and _nobody_reads():
             to_nowhere()
             sys.exit(0)
         raise
     except OSError as error:
-        where, why = str(error.filename or terminal.places() or "system"), str(error.strerror or error)
-        _fail(InputError(where, why, "a usable file or device"), one_line(f"{where}: {why}"), as_json)
+        place, cause = str(error.filename or terminal.places() or "system"), str(error.strerror or error)
+        _fail(InputError(place, cause, "a usable file or device"), one_line(f"{place}: {cause}"), as_json)
     except (click.Abort, KeyboardInterrupt):
         interrupt_handled()
         click.echo(f"trackres: interrupted; {terminal.written_so_far()}", err=True)
@@ -135,20 +135,20 @@ def main(arguments: Sequence[str] | None = None, commands: click.Group = cli, pr
     sys.exit(result if isinstance(result, int) else 0)
 
 
-def _refuse_empty(given: Sequence[str]) -> None:
+def _refuse_empty(words: Sequence[str]) -> None:
     """Refuse an empty text: as a path it would mean the current folder. Raises InputError for an empty text, with its option."""
-    for before, argument in zip(["trackres", *given], given, strict=False):
+    for last_word, argument in zip(["trackres", *words], words, strict=False):
         option, equals, value = argument.partition("=")
         if not argument.strip() or (equals and not value.strip() and option.startswith("--")):
-            where = option or (before if before.startswith("-") else "trackres")
-            raise InputError(where, "", "a text that is not empty", "if it comes from a shell variable, that variable is not set")
+            place = option or (last_word if last_word.startswith("-") else "trackres")
+            raise InputError(place, "", "a text that is not empty", "if it comes from a shell variable, that variable is not set")
 
 
 def _nobody_reads() -> bool:
     """Whether standard output is a pipe whose reader has closed it."""
-    watched = select.poll()
-    watched.register(sys.stdout.fileno(), 0)  # errors alone
-    return bool(watched.poll(0))
+    poll = select.poll()
+    poll.register(sys.stdout.fileno(), 0)  # errors alone
+    return bool(poll.poll(0))
 
 
 def _fail(error: InputError, text: str, as_json: bool) -> None:

@@ -44,21 +44,21 @@ class Number(click.FloatRange):
         return converted
 
 
-def vehicles_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
+def vehicles_to_complete(_context: click.Context, _option: click.Parameter, beginning: str) -> list[CompletionItem]:
     """Shipped vehicles and files, for the shell."""
-    return _to_complete([*shipped_vehicles(), *shipped_road_vehicles()], begun)
+    return _to_complete([*shipped_vehicles(), *shipped_road_vehicles()], beginning)
 
 
-def topics_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
+def topics_to_complete(_context: click.Context, _option: click.Parameter, beginning: str) -> list[CompletionItem]:
     """Shipped topics files and files, for the shell."""
-    return _to_complete(SHIPPED_TOPICS, begun)
+    return _to_complete(SHIPPED_TOPICS, beginning)
 
 
-def _to_complete(names: Iterable[str], begun: str) -> list[CompletionItem]:
-    return [*(CompletionItem(name) for name in names if name.startswith(begun)), CompletionItem(begun, type="file")]
+def _to_complete(names: Iterable[str], beginning: str) -> list[CompletionItem]:
+    return [*(CompletionItem(name) for name in names if name.startswith(beginning)), CompletionItem(beginning, type="file")]
 
 
-def of(
+def argument_option(
     function: Callable[..., Any], argument: str, text: str, kind: Any = None, metavar: str | None = None
 ) -> Callable[[Decorated], Decorated]:
     """The option of a function's argument, with its default; without a kind, a number within its limits."""
@@ -66,9 +66,11 @@ def of(
         low, high, _ = LIMITS[function.__name__][argument]
         kind = click.IntRange(low, high) if isinstance(low, int) and isinstance(high, int) else Number(low, high)
     default = inspect.signature(function).parameters[argument].default
-    needed = default is inspect.Parameter.empty
+    is_required = default is inspect.Parameter.empty
     name = f"--{argument.replace('_', '-')}"
-    return click.option(name, type=kind, default=None if needed else default, required=needed, metavar=metavar, help=text)
+    return click.option(
+        name, type=kind, default=None if is_required else default, required=is_required, metavar=metavar, help=text
+    )
 
 
 def folder(text: str) -> Callable[[Decorated], Decorated]:
@@ -104,8 +106,8 @@ def with_databases(context: click.Context, _option: click.Parameter | None, topi
         return topics
     from trackres_ros.recording.bindings import Topics
 
-    loaded = Topics({}, "--dbc") if topics is None else Topics.load(topics)
-    return loaded.with_databases(files)
+    bindings = Topics({}, "--dbc") if topics is None else Topics.load(topics)
+    return bindings.with_databases(files)
 
 
 dbc = click.option(

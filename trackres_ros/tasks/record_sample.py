@@ -104,44 +104,44 @@ def write_sample(
     random = np.random.default_rng(SEED)
     noisy = drive.speed + random.normal(0.0, SPEED_NOISE, len(drive.speed)) * (drive.speed > 0)
     speed = np.maximum(np.round(noisy / SPEED_STEP), 0.0) * SPEED_STEP
-    every_load, every_ambient = LAP_HZ // LOAD_HZ, LAP_HZ // AMBIENT_HZ
+    load_stride, ambient_stride = LAP_HZ // LOAD_HZ, LAP_HZ // AMBIENT_HZ
     stamps = START_NS + np.round(drive.time_s * 1e9).astype(np.int64)
-    load_kn = vehicle.weight * (1.0 + random.normal(0.0, LOAD_NOISE_SHARE, len(stamps[::every_load]))) / 1e3
-    ambient = np.full(len(stamps[::every_ambient]), ambient_degc)
+    load_kn = vehicle.weight * (1.0 + random.normal(0.0, LOAD_NOISE_SHARE, len(stamps[::load_stride]))) / 1e3
+    ambient = np.full(len(stamps[::ambient_stride]), ambient_degc)
     with BagWriter(path) as bag:
         types = bag.typestore.types
         vector, header = types["geometry_msgs/msg/Vector3"], types["std_msgs/msg/Header"]
         time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-        still = vector(x=0.0, y=0.0, z=0.0)
+        zero = vector(x=0.0, y=0.0, z=0.0)
         twist = types["geometry_msgs/msg/TwistStamped"](
-            header=header(stamp=time, frame_id="base_link"), twist=types["geometry_msgs/msg/Twist"](linear=still, angular=still)
+            header=header(stamp=time, frame_id="base_link"), twist=types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
         )
         air = types["sensor_msgs/msg/Temperature"](header=header(stamp=time, frame_id="outside"), temperature=0.0, variance=0.25)
         speeds = bag.topic("/vehicle/speed", "geometry_msgs/msg/TwistStamped", twist, ("twist.linear.x",))
         loads = bag.topic("/vehicle/weight_kn", "std_msgs/msg/Float64", types["std_msgs/msg/Float64"](data=0.0), ("data",))
         airs = bag.topic("/vehicle/ambient", "sensor_msgs/msg/Temperature", air, ("temperature",))
 
-        def write(topic: object, when: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-            bag.write_block(topic, when, when, values[:, np.newaxis])  # type: ignore[arg-type]
+        def write(topic: object, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+            bag.write_block(topic, times, times, values[:, np.newaxis])  # type: ignore[arg-type]
 
         for start in range(0, len(stamps), 4096):  # in runs, so that the file is in the order of time
             block = slice(start, start + 4096)
-            write(airs, stamps[::every_ambient][_share(block, every_ambient)], ambient[_share(block, every_ambient)])
-            write(loads, stamps[::every_load][_share(block, every_load)], load_kn[_share(block, every_load)])
+            write(airs, stamps[::ambient_stride][_share(block, ambient_stride)], ambient[_share(block, ambient_stride)])
+            write(loads, stamps[::load_stride][_share(block, load_stride)], load_kn[_share(block, load_stride)])
             write(speeds, stamps[block], speed[block])
     return drive
 
 
-def _share(block: slice, every: int) -> slice:
+def _share(block: slice, stride: int) -> slice:
     """The samples of a slower series that fall into a block of the fastest."""
-    return slice(-(-block.start // every), -(-block.stop // every))
+    return slice(-(-block.start // stride), -(-block.stop // stride))
 
 
 @click.command("record-sample", cls=Command)
-@options.of(record_sample, "vehicle", "Vehicle whose weight is recorded.", click.STRING, metavar="FILE|NAME")
-@options.of(record_sample, "speed_kmh", "Speed on the lap [km/h].")
-@options.of(record_sample, "laps", "Laps of a circle of 100 m radius, with a stop after each.")
-@options.of(record_sample, "ambient_degc", "Air temperature [degC].")
+@options.argument_option(record_sample, "vehicle", "Vehicle whose weight is recorded.", click.STRING, metavar="FILE|NAME")
+@options.argument_option(record_sample, "speed_kmh", "Speed on the lap [km/h].")
+@options.argument_option(record_sample, "laps", "Laps of a circle of 100 m radius, with a stop after each.")
+@options.argument_option(record_sample, "ambient_degc", "Air temperature [degC].")
 @click.option("-o", "--output", "path", type=options.PATH, required=True, help="File to write, .mcap.")
 @options.json
 def record_sample_command(vehicle: str, path: Path, as_json: bool, **drive: Any) -> None:

@@ -63,8 +63,8 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     """
     paths, mapping = as_paths(recording), as_topics(topics)
     source = open_source(paths, mapping)
-    found = Recording.from_source(source)
-    return replace(found, paths=tuple(paths), bindings=source.bindings, topics=source.topics)
+    content = Recording.from_source(source)
+    return replace(content, paths=tuple(paths), bindings=source.bindings, topics=source.topics)
 
 
 def recover(recording: StrPath, *, output: StrPath) -> Recovered:
@@ -119,15 +119,15 @@ def recover_command(recording: Path, output: Path, as_json: bool) -> None:
     trackres recover drive.mcap.part -o drive.mcap
     """
     watch(output)
-    found = recover(recording, output=output)
+    repair = recover(recording, output=output)
     result = {
-        "written": str(found.path),
-        "messages": found.messages,
-        "duration_s": found.duration_s,
-        "lost_bytes": found.lost_bytes,
+        "written": str(repair.path),
+        "messages": repair.messages,
+        "duration_s": repair.duration_s,
+        "lost_bytes": repair.lost_bytes,
     }
-    lost = f"; the last {found.lost_bytes} bytes of {recording} are incomplete and dropped" if found.lost_bytes else ""
-    emit(result, as_json, lambda: f"{output}: {found.messages} messages, {found.duration_s:.1f} s{lost}")
+    note = f"; the last {repair.lost_bytes} bytes of {recording} are incomplete and dropped" if repair.lost_bytes else ""
+    emit(result, as_json, lambda: f"{output}: {repair.messages} messages, {repair.duration_s:.1f} s{note}")
 
 
 @click.group("topics", cls=Commands)
@@ -139,8 +139,8 @@ def topics_command() -> None:
 @options.json
 def list_command(as_json: bool) -> None:
     """List the shipped topics files; commands accept their names instead of a path."""
-    found = shipped()
-    emit({"topics": found}, as_json, lambda: shipped_text(found))
+    files = shipped()
+    emit({"topics": files}, as_json, lambda: shipped_text(files))
 
 
 @topics_command.command("guess", cls=Command)

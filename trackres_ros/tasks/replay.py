@@ -140,58 +140,60 @@ def replay(
     if progress is not None:
         checks.function(progress, "progress")
     file = None if output is None else output_file(output)
-    before = None if resume is None else checks.path(resume, "resume")
+    resume_file = None if resume is None else checks.path(resume, "resume")
     state = None if save_state is None else state_file(save_state, "save_state")
     in_memory = recording if isinstance(recording, Recording) else None
     paths = in_memory.paths if in_memory else as_paths(recording)
     if in_memory and topics is not None:
         raise InputError("topics", "with a recording that is read", "topics with a path", "pass them to read")
     mapping = in_memory.topics if in_memory else as_topics(topics)
-    given = params if isinstance(params, Mapping) else read_parameters(None if params is None else checks.path(params, "params"))
-    opened = in_memory or open_source(paths, mapping)
-    described, comparison = as_vehicle(vehicle), None
-    source = in_memory or KeptSource(opened, keep=file is None or file.suffix.lower() != BAG_SUFFIX)
+    entries = (
+        params if isinstance(params, Mapping) else read_parameters(None if params is None else checks.path(params, "params"))
+    )
+    source_file = in_memory or open_source(paths, mapping)
+    machine, comparison = as_vehicle(vehicle), None
+    source = in_memory or KeptSource(source_file, keep=file is None or file.suffix.lower() != BAG_SUFFIX)
     if both_sides:
         from trackres_ros.tasks.both_sides import with_both_sides
 
-        source, comparison = with_both_sides(in_memory or Recording.from_source(opened), described)
-    settings = settings_for(make_parameters(given).settings(), opened.topics, source.roles)
+        source, comparison = with_both_sides(in_memory or Recording.from_source(source_file), machine)
+    settings = settings_for(make_parameters(entries).settings(), source_file.topics, source.roles)
     learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
-    inputs = input_files(mapping, *paths, *files_of(described), params)
+    inputs = input_files(mapping, *paths, *files_of(machine), params)
     not_an_input(state, inputs, "save_state")  # it may replace the state to resume
-    for where, place in (("output", file), ("save_vehicle", learned_file)):
-        not_an_input(place, [*inputs, before], where)
+    for argument, place in (("output", file), ("save_vehicle", learned_file)):
+        not_an_input(place, [*inputs, resume_file], argument)
     no_two_alike({"output": file, "save_state": state, "save_vehicle": learned_file})
     learns = checks.one_of(learning, "learning", MODES) != OFF
     if learned_file is not None and not learns:
         raise InputError("save_vehicle", str(save_vehicle), "only with learning watch or on")
-    kept: list[Steps] = []
+    blocks: list[Steps] = []
     with ExitStack() as stack:
         stack.enter_context(file_set())
-        estimator = Estimator(described, settings)
+        estimator = Estimator(machine, settings)
         learner = Learner(estimator, learning) if learns else None
         session = learned_before = off_s = None
-        if before is not None:
-            session, off_s, learned_before, unlearned_s = resumed(source, estimator, before)
-            go_on_from(before, session, learner, learned_before, unlearned_s)
-        write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
-        done = run(source, estimator, write if comparison is None else comparison.writer(write), session, progress, learner)
-        done = done if comparison is None else replace(done, comparison=comparison.as_dict())
-        written = [one for one in (file, state) if one is not None]
+        if resume_file is not None:
+            session, off_s, learned_before, unlearned_s = resumed(source, estimator, resume_file)
+            go_on_from(resume_file, session, learner, learned_before, unlearned_s)
+        write = blocks.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
+        run_result = run(source, estimator, write if comparison is None else comparison.writer(write), session, progress, learner)
+        run_result = run_result if comparison is None else replace(run_result, comparison=comparison.as_dict())
+        outputs = [finding for finding in (file, state) if finding is not None]
         if state is not None:
-            saved_at = int(done.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
-            save(done.session, state, saved_at, learned_before if learner is None else stored(learner))
+            saved_at = int(run_result.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
+            save(run_result.session, state, saved_at, learned_before if learner is None else stored(learner))
         if learned_file is not None and learner is not None:
-            saved = write_learned(learner, estimator.vehicle, learned_file)
-            done = replace(done, learned_file=saved)
-            written += saved.written
+            learned = write_learned(learner, estimator.vehicle, learned_file)
+            run_result = replace(run_result, learned_file=learned)
+            outputs += learned.written
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
-    findings = tuple(replace(one, first_time_s=one.first_time_s - done.late_s) for one in findings)
-    rows = kept if file is None else None
+    findings = tuple(replace(finding, first_time_s=finding.first_time_s - run_result.late_s) for finding in findings)
+    rows = blocks if file is None else None
     notes = source.notes if off_s is None else (*source.notes, AFTER_TIME_OFF.format(off_s))
-    result = ReplayResult(done, rows, title, source.name, notes, findings, file, [*inputs, before])
-    result.written = tuple(written)
+    result = ReplayResult(run_result, rows, title, source.name, notes, findings, file, [*inputs, resume_file])
+    result.written = tuple(outputs)
     return result
 
 
@@ -217,7 +219,7 @@ class ReplayResult(SeriesResult):
     def __init__(
         self,
         replayed: Replayed,
-        kept: Sequence[Steps] | None,
+        blocks: Sequence[Steps] | None,
         title: str,
         name: str,
         notes: Sequence[str],
@@ -229,7 +231,7 @@ class ReplayResult(SeriesResult):
         self.session: Session = replayed.session
         self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.totals.duration_s
         self.written: tuple[Path, ...] = ()
-        self._replayed, self._kept, self._inputs = replayed, kept, inputs
+        self._replayed, self._stored_blocks, self._inputs = replayed, blocks, inputs
 
     @property
     def estimator(self) -> Estimator:
@@ -266,11 +268,11 @@ class ReplayResult(SeriesResult):
         return np.concatenate([steps.stamp_ns for steps in self._blocks()])
 
     @cached_property
-    def _watched(self) -> dict[str, Array]:
+    def _disturbance_columns(self) -> dict[str, Array]:
         """Watched disturbance, by column."""
-        watched = DisturbanceColumns(self.vehicle)
-        blocks = [watched.of(steps) for steps in self._blocks()]
-        return {name: np.concatenate([block[i] for block in blocks]) for i, name in enumerate(watched.names)}
+        disturbance = DisturbanceColumns(self.vehicle)
+        blocks = [disturbance.of(steps) for steps in self._blocks()]
+        return {name: np.concatenate([block[i] for block in blocks]) for i, name in enumerate(disturbance.names)}
 
     def __getitem__(self, name: str) -> Array:
         if name == "stamp_ns":
@@ -278,7 +280,7 @@ class ReplayResult(SeriesResult):
         if name == "time_s":
             return np.asarray((self._stamps - self._stamps[0]) * NANOSECOND)
         if name in DisturbanceColumns(self.vehicle).names:
-            return self._watched[name].copy()
+            return self._disturbance_columns[name].copy()
         if name not in self._of_rows:
             raise KeyError(name)
         column = self._of_rows.index(name)
@@ -286,12 +288,12 @@ class ReplayResult(SeriesResult):
         return values.astype(np.int64) if name == "reasons" else values
 
     def _blocks(self) -> Sequence[Steps]:
-        if self._kept is None:
+        if self._stored_blocks is None:
             allowed = "a replay without output, which holds its rows in memory"
             raise InputError("replay", f"output={str(self.output)!r}", allowed, "or read that file")
-        return self._kept
+        return self._stored_blocks
 
-    def _drawn(self) -> Mapping[str, Array]:
+    def _picture_series(self) -> Mapping[str, Array]:
         picture = self._replayed.picture
         return {"time_s": picture[:, 0], **picture_columns(self._of_rows, picture)}
 
@@ -320,7 +322,7 @@ class ReplayResult(SeriesResult):
         InputError
             Another suffix, no such folder, an input of the replay, or rows that were not kept, as they went into an `output`.
         """
-        file = output_file(path, where="path")
+        file = output_file(path, argument="path")
         not_an_input(file, self._inputs, "path")
         blocks = self._blocks()
         with result_writer(file, self.estimator, self.learner) as write:
@@ -342,18 +344,18 @@ class ReplayResult(SeriesResult):
         return summary_text(self.as_dict())
 
     def _repr_html_(self) -> str:
-        first, *others = repr(self).splitlines()
-        about = [line.strip() for line in others if line.startswith("  ")]
-        end = [line for line in others if not line.startswith("  ")]
-        found = listed("Inputs and findings", about, folded=len(about) > MOST_UNFOLDED)
-        return panel(self.title, paragraph(first), self._table(), *map(paragraph, end), found)
+        first, *lines = repr(self).splitlines()
+        details = [line.strip() for line in lines if line.startswith("  ")]
+        end = [line for line in lines if not line.startswith("  ")]
+        details_html = listed("Inputs and findings", details, folded=len(details) > MOST_UNFOLDED)
+        return panel(self.title, paragraph(first), self._table(), *map(paragraph, end), details_html)
 
 
 def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequence[Finding]) -> dict[str, Any]:
     """The report as a dict ready for JSON: the recording's name, the notes of its reading, and its defects."""
     estimator = result.session.estimator
     last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
-    learned = {} if result.learner is None else {"learning": {**_learned(result.learner), **_saved(result.learned_file)}}
+    learned = {} if result.learner is None else {"learning": {**_learned(result.learner), **_file_report(result.learned_file)}}
     torque = at.Results.resistance_torque_nm
     first_nm, last_nm = float(result.picture[0, HEAD + torque]), float(result.last[torque])
     drive = result.totals.as_dict()
@@ -388,15 +390,15 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
 def _remarks(result: Replayed) -> list[str]:
     """Speeds that no such vehicle has, belts outside of the rubber data, loads outside of the table; of the picture's samples."""
     estimator = result.session.estimator
-    return [*_too_fast(result), *beyond(estimator.vehicle, picture_columns(estimator.columns, result.picture))]
+    return [*_speed_remarks(result), *beyond(estimator.vehicle, picture_columns(estimator.columns, result.picture))]
 
 
-def _too_fast(result: Replayed) -> Iterator[str]:
+def _speed_remarks(result: Replayed) -> Iterator[str]:
     counts = {count: number for channel, count, number in result.counts if channel == "speed"}
-    refused = sum(counts.get(count, 0) for count in (at.Count.OUT_OF_RANGE, at.Count.IMPLAUSIBLE))
-    every = sum(counts.get(count, 0) for count in (at.Count.ACCEPTED, *at.REFUSALS))
-    if refused > MANY_REFUSED * every:
-        yield f"{refused} of {every} speeds refused as too fast for this vehicle: wrong unit?"
+    refusals = sum(counts.get(count, 0) for count in (at.Count.OUT_OF_RANGE, at.Count.IMPLAUSIBLE))
+    total = sum(counts.get(count, 0) for count in (at.Count.ACCEPTED, *at.REFUSALS))
+    if refusals > MANY_REFUSED * total:
+        yield f"{refusals} of {total} speeds refused as too fast for this vehicle: wrong unit?"
 
 
 def summary_text(report: dict[str, Any]) -> str:
@@ -405,14 +407,14 @@ def summary_text(report: dict[str, Any]) -> str:
     belts = {name.partition("/")[2]: value for name, value in last.items() if name.startswith("belt_degc/")}
     long_gaps = sum(item["steps"] for item in report["reasons"] if item["reason"] == "gap_unknown")
     left_out = f"; {number_of(long_gaps, 'long gap')} left out" if long_gaps else ""
-    over = f"{number_of(report['steps'], 'step')} over {report['duration_s']:.1f} s{left_out}"
-    lines = [f"{number_of(report['messages'], 'message')}, {over}"]
+    span = f"{number_of(report['steps'], 'step')} over {report['duration_s']:.1f} s{left_out}"
+    lines = [f"{number_of(report['messages'], 'message')}, {span}"]
     lines += [f"  note: {note}" for note in report["notes"]]
     lines += [f"  found: {item['role'] and item['role'] + ': '}{item['text']}" for item in report["findings"]]
     for channel, counts in report["counters"].items():
-        refused = {name: number for name, number in counts.items() if name != "accepted"}
-        if refused:
-            lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
+        refusals = {name: number for name, number in counts.items() if name != "accepted"}
+        if refusals:
+            lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refusals.items()))
     lines += [f"  status: {item['text']} ({number_of(item['steps'], 'step')})" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
     stood = not report["drive"]["under_way_s"] and set(report["counters"].get("speed", ())) - {"accepted"}
@@ -432,7 +434,7 @@ def summary_text(report: dict[str, Any]) -> str:
     if "learning" in report:
         lines.append(f"Learning ({report['learning']['mode']}): {report['learning']['text']}")
         lines += [f"  {item['text']}" for item in report["learning"]["parameters"]]
-        lines += _saved_lines(report["learning"].get("vehicle_file"))
+        lines += _file_lines(report["learning"].get("vehicle_file"))
     if belts:
         lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
     return "\n".join(map(one_line, lines))
@@ -441,33 +443,33 @@ def summary_text(report: dict[str, Any]) -> str:
 def _learned(learner: Learner) -> dict[str, Any]:
     """Learned parameters at the end."""
     values = shown(learner)
-    each = lines_of(learner, values)
+    texts = lines_of(learner, values)
     return {
         "mode": learner.mode,
         "text": learner.text,
         "acts": learner.acts,
         "coverage": values[0],
-        "parameters": [{"name": name, "text": text, **dict(known)} for name, text, known in each],
+        "parameters": [{"name": name, "text": text, **dict(fields)} for name, text, fields in texts],
     }
 
 
-def _saved(file: LearnedFile | None) -> dict[str, Any]:
+def _file_report(file: LearnedFile | None) -> dict[str, Any]:
     """What the vehicle file got that the replay was asked to write."""
     if file is None:
         return {}
-    changed = {name: {"before": before, "written": value} for name, (before, value) in file.changed.items()}
-    return {"vehicle_file": {"path": str(file.path), "changed": changed, "kept": dict(file.kept), "why_not": file.why_not}}
+    changes = {name: {"before": old, "written": value} for name, (old, value) in file.changed.items()}
+    return {"vehicle_file": {"path": str(file.path), "changed": changes, "kept": dict(file.kept), "why_not": file.why_not}}
 
 
-def _saved_lines(file: dict[str, Any] | None) -> list[str]:
+def _file_lines(file: dict[str, Any] | None) -> list[str]:
     if file is None:
         return []
     if file["why_not"]:
         return [f"Not written: {file['path']}: {file['why_not']}"]
     lines = [f"In {file['path']}"]
-    for name, of in file["changed"].items():
-        before, value = (figures(x, 4) for x in (of["before"], of["written"]))
-        lines.append(f"  {name} {before} -> {value}")
+    for name, change in file["changed"].items():
+        old, value = (figures(x, 4) for x in (change["before"], change["written"]))
+        lines.append(f"  {name} {old} -> {value}")
     return lines + [f"  {name} {figures(value, 4)} as before: not known well enough" for name, value in file["kept"].items()]
 
 
@@ -512,7 +514,7 @@ def replay_command(
     thermal: str | None,
     output: Path | None,
     as_json: bool,
-    **asked: Any,
+    **arguments: Any,
 ) -> None:
     """Compute resistance torque and belt temperature over a recording.
 
@@ -529,20 +531,20 @@ def replay_command(
     """
     output = output or _table_of(recording[0])
     picture = picture_beside(output)
-    no_two_alike({"output": picture, "save_state": asked["save_state"]})
-    watch(output, picture, asked["save_state"], asked["save_vehicle"])
-    described = load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
+    no_two_alike({"output": picture, "save_state": arguments["save_state"]})
+    watch(output, picture, arguments["save_state"], arguments["save_vehicle"])
+    machine = load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with file_set():
         with progress("replaying", None) as advance:
-            result = replay(recording, described, output=output, progress=advance, **asked)
-        written = [str(path) for path in result.written]
+            result = replay(recording, machine, output=output, progress=advance, **arguments)
+        outputs = [str(path) for path in result.written]
         with picture_if_possible(picture):
             result.plot(picture)
-            written.append(str(picture))
+            outputs.append(str(picture))
     emit(
-        {**result.as_dict(), "written": written},
+        {**result.as_dict(), "written": outputs},
         as_json,
-        lambda: "\n".join([repr(result), one_line(f"Written: {', '.join(written)}")]),
+        lambda: "\n".join([repr(result), one_line(f"Written: {', '.join(outputs)}")]),
     )
 
 

@@ -61,8 +61,8 @@ class KeptSource:
 
     def __init__(self, source: Source, keep: bool) -> None:
         self._source, self._keep = source, keep
-        self._kept: list[SampleBlock] = []
-        self._dropped = False
+        self._stored_blocks: list[SampleBlock] = []
+        self._over_limit = False
         self.name, self.roles = source.name, source.roles
         self.zero_is_unset = source.zero_is_unset
         self.torque_candidates = source.torque_candidates
@@ -75,27 +75,27 @@ class KeptSource:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings of reading itself."""
-        if not self._dropped:
+        if not self._over_limit:
             return self._source.findings
         text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not searched"
         return (*self._source.findings, Finding("", "too_long", 1, float("nan"), text))
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Blocks of the source."""
-        self._kept.clear()
+        self._stored_blocks.clear()
         samples = 0
         for block in self._source.blocks(max_rows):
             samples += len(block)
             if self._keep and samples > MOST_KEPT:
-                self._kept.clear()
-                self._keep, self._dropped = False, True
+                self._stored_blocks.clear()
+                self._keep, self._over_limit = False, True
             if self._keep:
-                self._kept.append(block)
+                self._stored_blocks.append(block)
             yield block
 
     def all_findings(self) -> tuple[Finding, ...]:
         """Defects of the samples; only those of reading if the blocks were not kept."""
-        return (*self.findings, *defects_of(self._kept, self._source)) if self._keep else self.findings
+        return (*self.findings, *defects_of(self._stored_blocks, self._source)) if self._keep else self.findings
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +122,12 @@ def channel_indices(session: Session, roles: Sequence[str], learns: bool = False
     Raises InputError for a role of an axle or assembly that the vehicle does not have.
     """
     channels = session.estimator.channels
-    unknown = [role for role in roles if role not in channels and base_role(role) in at.CHANNELS]
-    if unknown:
-        raise at.not_of_vehicle(unknown[0], channels)
+    foreign = [role for role in roles if role not in channels and base_role(role) in at.CHANNELS]
+    if foreign:
+        raise at.not_of_vehicle(foreign[0], channels)
     idle = {*(() if session.estimator.vehicle.route else POSITION), *(() if learns else GROUND)}
-    needed = [role in channels and role not in idle for role in roles]
-    return np.array([session.channel(r) if n else -1 for r, n in zip(roles, needed, strict=True)], dtype=np.int16)
+    in_use = [role in channels and role not in idle for role in roles]
+    return np.array([session.channel(r) if n else -1 for r, n in zip(roles, in_use, strict=True)], dtype=np.int16)
 
 
 class Resumed(NamedTuple):
@@ -147,18 +147,18 @@ def resumed(source: Source, estimator: Estimator, path: Path) -> Resumed:
     InputError
         As `snapshot.resume`; if the source cannot be read, or its standing time is negative.
     """
-    session, first, saved = resume(estimator, path), next(source.blocks(BLOCK_ROWS), None), read_learning(estimator, path)
+    session, first, learned = resume(estimator, path), next(source.blocks(BLOCK_ROWS), None), read_learning(estimator, path)
     last, jump = at.Times(session.memory.times[at.SPEED]), estimator.constants.number.clock_jump_ns
     if first is None or not last.seen:
-        return Resumed(session, None, saved, None)
-    off = None
+        return Resumed(session, None, learned, None)
+    off_s = None
     if min(last.last_stamp - first.stamp_ns[0], last.last_arrival - first.arrival_ns[0]) > jump:
         of_stood = [role == "stood" for role in source.roles]
-        off = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
-        off = 0.0 if math.isnan(off) else off
-        session = rested(session, off)
-    ended, begins = int(last.last_arrival) * NANOSECOND, int(first.arrival_ns[0]) * NANOSECOND
-    return Resumed(session, off, *since_saved(path, saved, ended, begins, off))
+        off_s = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
+        off_s = 0.0 if math.isnan(off_s) else off_s
+        session = rested(session, off_s)
+    end_s, begin_s = int(last.last_arrival) * NANOSECOND, int(first.arrival_ns[0]) * NANOSECOND
+    return Resumed(session, off_s, *since_saved(path, learned, end_s, begin_s, off_s))
 
 
 def replay(
@@ -191,7 +191,7 @@ def replay(
     channel_of = channel_indices(session, source.roles, learner is not None)
     not_needed = bool((channel_of < 0).any())
     names = () if learner is None else column_names(learner.learnables)
-    seen, totals = ResultPreview(len(estimator.columns) + len(names)), DriveTotals(estimator.vehicle)
+    preview, totals = ResultPreview(len(estimator.columns) + len(names)), DriveTotals(estimator.vehicle)
     times = StepTimes(estimator.settings)
     counters, reasons = session.memory.counters.copy(), session.memory.reasons.copy()  # of earlier recordings
     handle_block = session.handle_block if learner is None else LearningSteps(session, learner).handle_block
@@ -199,11 +199,11 @@ def replay(
     def take(steps: Steps) -> None:
         if len(steps):
             totals.add(times.of(steps), by_column(estimator, steps.rows))
-        seen.take(steps, write)
+        preview.take(steps, write)
 
     messages, start = 0, None
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel releases the interpreter: reading continues meanwhile
-        running: Future[Steps] | None = None
+        pending: Future[Steps] | None = None
         for block in source.blocks(BLOCK_ROWS):
             messages += len(block)
             start = start or first_valid(block, block.role == source.roles.index("speed"), source.zero_is_unset)
@@ -212,25 +212,27 @@ def replay(
                 rows = channel >= 0
                 channel = channel[rows]
                 block = SampleBlock(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
-            before, running = running, worker.submit(handle_block, channel, block.stamp_ns, block.arrival_ns, block.value)
-            if before:
-                take(before.result())
+            last, pending = pending, worker.submit(handle_block, channel, block.stamp_ns, block.arrival_ns, block.value)
+            if last:
+                take(last.result())
             if progress:
                 progress(len(block))
-        if running:
-            take(running.result())
+        if pending:
+            take(pending.result())
     counts = tuple(session.counts(counters))
-    if not seen.steps:
-        refused = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in counts)
+    if not preview.steps:
+        refusals = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in counts)
         raise InputError(
             source.name,
-            f"{messages} messages, but no usable speed ({refused or 'no message'})",
+            f"{messages} messages, but no usable speed ({refusals or 'no message'})",
             "at least one finite, plausible speed",
             "check topic, field, scale and unit of the speed",
         )
-    found = session.reason_counts(reasons)
-    late_s = (seen.first_ns - start[0]) * NANOSECOND if start else 0.0
-    return Replayed(session, messages, seen.steps, totals, counts, found, seen.kept, seen.last, late_s, learner)
+    reason_counts = session.reason_counts(reasons)
+    late_s = (preview.first_ns - start[0]) * NANOSECOND if start else 0.0
+    return Replayed(
+        session, messages, preview.steps, totals, counts, reason_counts, preview.samples, preview.last, late_s, learner
+    )
 
 
 class LearningSteps:
@@ -273,7 +275,7 @@ class DisturbanceColumns:
         watch = self._watch
         if watch is None:
             return []
-        found = np.empty((len(self.names), len(steps)))
+        columns = np.empty((len(self.names), len(steps)))
         times, rows = (steps.stamp_ns.tolist(), steps.arrival_ns.tolist()), steps.rows[:, LOOKED_AT].tolist()
         for i, (stamp, arrival, (residual, speed, accel, reasons)) in enumerate(zip(*times, rows, strict=True)):
             if int(reasons) & TIME_RESET:
@@ -281,8 +283,8 @@ class DisturbanceColumns:
             counts = abs(speed) >= STEADY_MPS and abs(accel) <= STEADY_MPS2
             jumped = bool(int(reasons) & CLOCK_JUMPED)
             belief = watch.take(stamp, residual if counts else math.nan, speed, stamp - arrival, jumped)
-            found[:, i] = belief.there, belief.torque_nm
-        return list(found)
+            columns[:, i] = belief.there, belief.torque_nm
+        return list(columns)
 
 
 @contextmanager
@@ -292,15 +294,15 @@ def result_writer(path: Path, estimator: Estimator, learner: Learner | None = No
         with OutputBag(path, estimator, learner) as bag:
             yield bag.write
         return
-    added = DisturbanceColumns(estimator.vehicle)
+    disturbance = DisturbanceColumns(estimator.vehicle)
     learned = () if learner is None else column_names(learner.learnables)
-    names = ["time_s", "stamp_ns", *estimator.columns, *learned, *added.names]
+    names = ["time_s", "stamp_ns", *estimator.columns, *learned, *disturbance.names]
     with TableWriter(path, names, estimates=True) as table:
         first: list[int] = []
 
         def write(steps: Steps) -> None:
             first[:] = first or [int(steps.stamp_ns[0])]
             columns = [(steps.stamp_ns - first[0]) * NANOSECOND, steps.stamp_ns]
-            table.write_columns([*columns, *(steps.rows[:, i] for i in range(steps.rows.shape[1])), *added.of(steps)])
+            table.write_columns([*columns, *(steps.rows[:, i] for i in range(steps.rows.shape[1])), *disturbance.of(steps)])
 
         yield write

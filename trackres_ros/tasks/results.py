@@ -80,7 +80,7 @@ class SeriesResult(Mapping[str, Array]):
         """Write to a file: `.csv`, `.csv.gz`, `.parquet` or `.mf4` as a table, `.mcap` as the topics of the live node."""
 
     @abstractmethod
-    def _drawn(self) -> Mapping[str, Array]:
+    def _picture_series(self) -> Mapping[str, Array]:
         """The columns of the picture, which may be thinned."""
 
     def _coverage(self) -> Array | None:
@@ -155,8 +155,8 @@ class SeriesResult(Mapping[str, Array]):
             if not slash:
                 variables[name] = ("time_s", self[name], attributes)
             elif (key := f"assembly_{base}" if base in names else base) not in variables:
-                stacked = np.stack([self[f"{base}/{of}"] for of in assemblies], axis=1)
-                variables[key] = (("time_s", "assembly"), stacked, attributes)
+                values = np.stack([self[f"{base}/{assembly}"] for assembly in assemblies], axis=1)
+                variables[key] = (("time_s", "assembly"), values, attributes)
         coordinates: dict[str, Any] = {"time_s": ("time_s", self.time_s, {"units": "s"})}
         if assemblies:
             coordinates["assembly"] = assemblies
@@ -184,29 +184,29 @@ class SeriesResult(Mapping[str, Array]):
         """
         from trackres_ros.output.plots import estimate_figure
 
-        drawn = self._drawn()
-        columns = {name: drawn[name] for name in drawn if name not in ("time_s", "stamp_ns")}
+        series = self._picture_series()
+        columns = {name: series[name] for name in series if name not in ("time_s", "stamp_ns")}
         picture = None if path is None else picture_file(path)
-        return estimate_figure(drawn["time_s"], columns, self.title, self._coverage(), picture)
+        return estimate_figure(series["time_s"], columns, self.title, self._coverage(), picture)
 
     def _table(self) -> str:
         """A few rows as HTML, evenly apart."""
-        drawn = self._drawn()
-        count = len(drawn["time_s"])
+        series = self._picture_series()
+        count = len(series["time_s"])
         rows = sorted(set(np.linspace(0, count - 1, min(SHOWN_ROWS, count)).astype(int).tolist()))
-        belts = [name for name in drawn if name.partition("/")[0] == "belt_degc"]
+        belts = [name for name in series if name.partition("/")[0] == "belt_degc"]
         torques = {"resistance": "resistance_torque_nm", "std": "resistance_std_nm", **resistance_parts(bool(belts))}
-        torques = {name: column for name, column in torques.items() if column in drawn}
+        torques = {name: column for name, column in torques.items() if column in series}
 
         def line(i: int) -> list[str]:
-            degc = [float(drawn[name][i]) for name in belts]
+            degc = [float(series[name][i]) for name in belts]
             ends = [decimals(v, 1) for v in (min(degc), max(degc))] if degc else []
-            shown = list(dict.fromkeys(ends))
+            bounds = list(dict.fromkeys(ends))
             return [
-                decimals(float(drawn["time_s"][i]), 1),
-                decimals(float(drawn["speed_mps"][i]) * KMH_PER_MPS, 1),
-                *(decimals(float(drawn[column][i])) for column in torques.values()),
-                *([" to ".join(shown)] if shown else []),
+                decimals(float(series["time_s"][i]), 1),
+                decimals(float(series["speed_mps"][i]) * KMH_PER_MPS, 1),
+                *(decimals(float(series[column][i])) for column in torques.values()),
+                *([" to ".join(bounds)] if bounds else []),
             ]
 
         units = ("s", "km/h", *("Nm" for _ in torques), *(["degC"] if belts else []))

@@ -132,34 +132,34 @@ def simulate(
         if profile is not None and seconds is not None:
             raise InputError(name, seconds, "only with a speed; a profile has its own duration and ramps")
     file = None if output is None else output_file(output)
-    described = as_vehicle(vehicle)
-    check_weight(described, weight_kn, LEAST_LOAD_SHARE, LARGEST_LOAD_SHARE)
+    machine = as_vehicle(vehicle)
+    check_weight(machine, weight_kn, LEAST_LOAD_SHARE, LARGEST_LOAD_SHARE)
     paths = profile.paths if isinstance(profile, Recording) else [profile]
-    inputs = input_files(None, *paths, *files_of(described))
+    inputs = input_files(None, *paths, *files_of(machine))
     not_an_input(file, inputs, "output")
-    known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
-    given: dict[str, Any] = {role: value for role, value in known if value is not None}
-    if initial_degc is not None and not described.assemblies:
-        raise InputError("initial_degc", initial_degc, f"none for {described.name}: the base model road_load has no belts")
+    pairs = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
+    inputs_by_role: dict[str, Any] = {role: value for role, value in pairs if value is not None}
+    if initial_degc is not None and not machine.assemblies:
+        raise InputError("initial_degc", initial_degc, f"none for {machine.name}: the base model road_load has no belts")
     notes: tuple[str, ...] = ()
     if speed_kmh is not None:
-        check_speed(described, speed_kmh / KMH_PER_MPS)
+        check_speed(machine, speed_kmh / KMH_PER_MPS)
         ramp_s = USUAL_RAMP_S if ramp_s is None else ramp_s
         duration_s = USUAL_DURATION_S if duration_s is None else duration_s
         drive = ramp_and_hold(speed_kmh / KMH_PER_MPS, ramp_s, duration_s, dt)
     else:
         assert profile is not None
-        recording = read_profile(profile, bool(described.route))
+        recording = read_profile(profile, bool(machine.route))
         notes = tuple(f"{recording.name}: {note}" for note in recording.notes if note.startswith("ignored"))
         drive = through_points(recording.time_s("speed"), recording.series["speed"].value, dt)
-        check_speed(described, float(np.abs(drive.speed).max()))
-        given |= conditions(recording, drive.time_s, given, described.weight)
-    position = [given[role] for role in POSITION if role in given]
-    grade = given.get("grade", np.nan)
-    estimator = Estimator(described)
+        check_speed(machine, float(np.abs(drive.speed).max()))
+        inputs_by_role |= conditions(recording, drive.time_s, inputs_by_role, machine.weight)
+    position = [inputs_by_role[role] for role in POSITION if role in inputs_by_role]
+    grade = inputs_by_role.get("grade", np.nan)
+    estimator = Estimator(machine)
     ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
-    rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
-    result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes, inputs)
+    rows = run_drive(estimator, drive, inputs_by_role.get("load"), inputs_by_role.get("ambient"), initial_degc, grade, ground)
+    result = SimulationResult(estimator, drive, rows, "grade" in inputs_by_role or ground is not None, notes, inputs)
     if file is not None:
         result.save(file)
     return result
@@ -177,33 +177,33 @@ def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = Fals
         if not isinstance(source, ChannelSource):
             raise InputError("profile", str(profile), "a CSV or Parquet table; trackres replay reads bags")
         recording = Recording.from_source(source)
-    taken = [role for role in ("speed", *ARGUMENT_OF) if on_route or role not in POSITION]
-    unused = [role for role in recording.roles if role not in taken]
-    if unused:
-        allowed = ", ".join(taken)
+    roles = [role for role in ("speed", *ARGUMENT_OF) if on_route or role not in POSITION]
+    foreign = [role for role in recording.roles if role not in roles]
+    if foreign:
+        allowed = ", ".join(roles)
         remedy = "remove the columns that a simulation does not use"
-        if set(unused) <= set(POSITION):
+        if set(foreign) <= set(POSITION):
             remedy = "a position needs a route in the surroundings: --surroundings FILE"
-        raise InputError(f"{recording.name}: columns of", ", ".join(unused), allowed, remedy)
+        raise InputError(f"{recording.name}: columns of", ", ".join(foreign), allowed, remedy)
     return recording
 
 
-def conditions(recording: Recording, time_s: Array, given: Collection[str], weight: float) -> dict[str, Array]:
+def conditions(recording: Recording, time_s: Array, roles: Collection[str], weight: float) -> dict[str, Array]:
     """Conditions of a profile at some times [s], see `along`, by role.
 
-    Raises InputError for a role that is also in `given`, and for unknown or implausible values for a vehicle of a weight [N].
+    Raises InputError for a role that is also in `roles`, and for unknown or implausible values for a vehicle of a weight [N].
     """
-    found = {}
+    series = {}
     for role, argument in ARGUMENT_OF.items():
         if role not in recording.series or not len(recording.series[role]):
             continue
-        if role in given:
+        if role in roles:
             raise InputError(argument, f"{role} in {recording.name} too", "one of the two")
         value = recording.series[role].value
         if not np.isfinite(value).all():
             raise InputError(f"{recording.name}: {role}", float(value[~np.isfinite(value)][0]), "finite numbers")
-        found[role] = along(recording, role, time_s, weight)
-    return found
+        series[role] = along(recording, role, time_s, weight)
+    return series
 
 
 def along(recording: Recording, role: str, time_s: Array, weight: float, option: str = "") -> Array:
@@ -213,16 +213,16 @@ def along(recording: Recording, role: str, time_s: Array, weight: float, option:
     values that are implausible for a vehicle of a weight [N]; `option`: the one that gave the recording.
     """
     low, high = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}[role]
-    at, value = recording.time_s(role), recording.series[role].value
-    order = np.argsort(at, kind="stable")
+    times, value = recording.time_s(role), recording.series[role].value
+    order = np.argsort(times, kind="stable")
     order = order[np.isfinite(value[order])]
     bad = value[order][(value[order] < low) | (value[order] > high)]
     if bad.size:
         allowed = f"{low:g} to {high:g} {ROLES[role].unit}{f' for a vehicle of {figures(weight)} N' if role == 'load' else ''}"
         raise InputError(f"{option} {recording.name}: {role}".lstrip(), float(bad[0]), allowed)
     value = np.unwrap(value[order]) if role == "longitude" else value[order]  # it goes on over the date line
-    outside = np.nan if role in POSITION else None
-    return np.interp(time_s, at[order], value, left=outside, right=outside)
+    edge = np.nan if role in POSITION else None
+    return np.interp(time_s, times[order], value, left=edge, right=edge)
 
 
 class SimulationResult(SeriesResult):
@@ -278,7 +278,7 @@ class SimulationResult(SeriesResult):
     def __getitem__(self, name: str) -> Array:
         return self._series[name].copy()
 
-    def _drawn(self) -> Mapping[str, Array]:
+    def _picture_series(self) -> Mapping[str, Array]:
         return self._series
 
     def _attributes(self) -> dict[str, str]:
@@ -303,7 +303,7 @@ class SimulationResult(SeriesResult):
         InputError
             Another suffix, no such folder, or an input of the simulation.
         """
-        file = output_file(path, where="path")
+        file = output_file(path, argument="path")
         not_an_input(file, self._inputs, "path")
         if file.suffix.lower() == BAG_SUFFIX:
             stamps = np.round((self._drive.time_s - self._drive.time_s[0]) * 1e9).astype(np.int64)
@@ -371,9 +371,9 @@ class SimulationResult(SeriesResult):
 @click.command("simulate", cls=Command)
 @options.vehicle
 @options.surroundings
-@options.of(simulate, "speed_kmh", "Speed after the ramp [km/h].")
-@options.of(simulate, "ramp_s", "Time from rest to that speed [s]; 50 with --speed-kmh.")
-@options.of(simulate, "duration_s", "How long to simulate [s]; 2500 with --speed-kmh.")
+@options.argument_option(simulate, "speed_kmh", "Speed after the ramp [km/h].")
+@options.argument_option(simulate, "ramp_s", "Time from rest to that speed [s]; 50 with --speed-kmh.")
+@options.argument_option(simulate, "duration_s", "How long to simulate [s]; 2500 with --speed-kmh.")
 @click.option(
     "--profile",
     type=options.PATH,
@@ -381,15 +381,21 @@ class SimulationResult(SeriesResult):
     help="CSV or Parquet with time_s and speed_mps or speed_kmh instead of --speed-kmh, optionally with weight_n, "
     "ambient_degc and grade; linear interpolation between rows.",
 )
-@options.of(simulate, "ambient_degc", options.AMBIENT)
-@options.of(simulate, "initial_degc", "Belt temperature at the start [degC]; default the ambient temperature.")
-@options.of(simulate, "weight_kn", options.WEIGHT)
+@options.argument_option(simulate, "ambient_degc", options.AMBIENT)
+@options.argument_option(simulate, "initial_degc", "Belt temperature at the start [degC]; default the ambient temperature.")
+@options.argument_option(simulate, "weight_kn", options.WEIGHT)
 @options.methods
-@options.of(simulate, "dt", "Time step [s].")
+@options.argument_option(simulate, "dt", "Time step [s].")
 @click.option("-o", "--output", type=options.PATH, required=True, help="Result: .csv, .csv.gz, .parquet, .mf4 or .mcap.")
 @options.json
 def simulate_command(
-    vehicle: str, surroundings: Path | None, method: str | None, thermal: str | None, output: Path, as_json: bool, **asked: Any
+    vehicle: str,
+    surroundings: Path | None,
+    method: str | None,
+    thermal: str | None,
+    output: Path,
+    as_json: bool,
+    **arguments: Any,
 ) -> None:
     """Compute torque and belt temperature along a speed profile.
 
@@ -403,9 +409,9 @@ def simulate_command(
     With a grade in the profile also grade_nm, which the drive torque includes.
     """
     watch(output)
-    described = load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
+    machine = load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with progress("simulating", None):
-        result = simulate(described, output=output, **asked)
+        result = simulate(machine, output=output, **arguments)
     for note in result.notes:
         click.echo(f"trackres: {note}", err=True)
     report = {**result.as_dict(), "output": str(output)}

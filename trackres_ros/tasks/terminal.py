@@ -63,13 +63,13 @@ def print_warnings(kind: type[Warning] = Warning) -> Iterator[None]:
         show = warnings.showwarning
         warnings.simplefilter("always", kind)
 
-        def shown(message: Warning | str, category: type[Warning], *where: Any, **into: Any) -> None:
+        def show_warning(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:
             if issubclass(category, kind):
                 click.echo(f"trackres: {message}", err=True)
             else:
-                show(message, category, *where, **into)
+                show(message, category, *args, **kwargs)
 
-        warnings.showwarning = shown
+        warnings.showwarning = show_warning
         yield
 
 
@@ -99,10 +99,10 @@ def places() -> str:
 
 def written_so_far() -> str:
     """The files written since the command started, in words."""
-    found = sorted({str(path) for place in _places for path in _files(place) if _is_new(path)})
-    if not found:
+    paths = sorted({str(path) for place in _places for path in _files(place) if _is_new(path)})
+    if not paths:
         return "nothing was written"
-    return f"written so far: {some_of(found, SHOWN)}"
+    return f"written so far: {some_of(paths, SHOWN)}"
 
 
 def _files(place: Path) -> Iterator[Path]:
@@ -132,9 +132,9 @@ def picture_beside(path: Path) -> Path:
     return path.with_name(f"{Path(name).stem}.png")
 
 
-def with_written(text: str, written: Iterable[object]) -> str:
+def with_written(text: str, outputs: Iterable[object]) -> str:
     """A text, and the files that were written, if any."""
-    files = ", ".join(map(str, written))
+    files = ", ".join(map(str, outputs))
     return f"{text}\nWritten: {files}" if files else text
 
 
@@ -142,9 +142,9 @@ def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None
     """Print a result as JSON or as text."""
     import json  # not for a help text, which it would delay
 
-    shown = json.dumps(result, indent=2, allow_nan=False) if as_json else text()
+    output = json.dumps(result, indent=2, allow_nan=False) if as_json else text()
     try:
-        click.echo(shown)
+        click.echo(output)
     except OSError as error:  # it names no file, and those of the command are written
         error.filename = "standard output"
         raise
@@ -162,10 +162,10 @@ def picture_if_possible(picture: Path) -> Iterator[None]:
     try:
         yield
     except MissingExtraError as error:
-        removed = picture.is_file()
+        existed = picture.is_file()
         with suppress(OSError):
             remove(picture)
-        click.echo(f"trackres: no picture{f', the earlier {picture} is removed' if removed else ''}: {error}", err=True)
+        click.echo(f"trackres: no picture{f', the earlier {picture} is removed' if existed else ''}: {error}", err=True)
 
 
 @contextmanager
@@ -183,11 +183,11 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(label, total=total)
 
-        def tell(what: str, _done: int, _total: int) -> None:
-            bar.update(task, description=f"{label}: {what}")
+        def tell(part: str, _count: int, _total: int) -> None:
+            bar.update(task, description=f"{label}: {part}")
 
         with listening(tell):
-            yield lambda done: bar.update(task, advance=done)
+            yield lambda count: bar.update(task, advance=count)
 
 
 @contextmanager
@@ -200,29 +200,29 @@ def stage_progress() -> Iterator[Callable[[str], None]]:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
-    left = TimeRemainingColumn(compact=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), left)
+    remaining = TimeRemainingColumn(compact=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), remaining)
     with Progress(*columns, console=console, transient=True) as bar:
-        now: dict[str, Any] = {"stage": "", "since": 0.0, "task": None, "part": None}
+        state: dict[str, Any] = {"stage": "", "since": 0.0, "task": None, "part": None}
 
-        def over() -> None:
-            if now["stage"]:
-                console.print(f"  {now['stage']} ({time.monotonic() - now['since']:.0f} s)", highlight=False, markup=False)
+        def print_stage() -> None:
+            if state["stage"]:
+                console.print(f"  {state['stage']} ({time.monotonic() - state['since']:.0f} s)", highlight=False, markup=False)
 
         def begin(stage: str) -> None:
-            over()
-            if now["task"] is not None:
-                bar.remove_task(now["task"])
-            now.update(stage=stage, since=time.monotonic(), task=bar.add_task(stage, total=None), part=None)
+            print_stage()
+            if state["task"] is not None:
+                bar.remove_task(state["task"])
+            state.update(stage=stage, since=time.monotonic(), task=bar.add_task(stage, total=None), part=None)
 
-        def tell(what: str, done: int, total: int) -> None:
-            if now["task"] is None:
+        def tell(part: str, count: int, total: int) -> None:
+            if state["task"] is None:
                 begin("begins")
-            if what != now["part"]:
-                bar.reset(now["task"], total=total or None, description=f"{now['stage']}: {what}")
-                now["part"] = what
-            bar.update(now["task"], completed=done)
+            if part != state["part"]:
+                bar.reset(state["task"], total=total or None, description=f"{state['stage']}: {part}")
+                state["part"] = part
+            bar.update(state["task"], completed=count)
 
         with listening(tell):
             yield begin
-        over()
+        print_stage()

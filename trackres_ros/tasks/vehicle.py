@@ -90,8 +90,8 @@ def derived_values(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
         table = loss_table(vehicle, name)
         took = time.perf_counter() - began
         errors = np.abs(interpolation_error(model, table, loads, vehicle.chassis.max_speed, points))
-        physics, found = _physics(vehicle, name, model, table)
-        remarks += found
+        physics, messages = _physics(vehicle, name, model, table)
+        remarks += messages
         if errors.max() > LARGEST_ERROR:
             remarks.append(
                 f"track {name}: the loss in estimates and exports is up to {errors.max():.1%} off. The rubber's moduli change "
@@ -259,68 +259,68 @@ class VehicleCheck(Content):
     def _repr_html_(self) -> str:
         head, *lines = repr(self).splitlines()
         remarks = [line.strip(" !") for line in lines if line.startswith("  !")]
-        shown = [line for line in lines if not line.startswith("  !")]
-        return panel(head, listed("Remarks", remarks), f"<pre>{escape(chr(10).join(shown))}</pre>")
+        body = [line for line in lines if not line.startswith("  !")]
+        return panel(head, listed("Remarks", remarks), f"<pre>{escape(chr(10).join(body))}</pre>")
 
 
 def shipped() -> list[dict[str, str]]:
     """Name, title and model of each shipped vehicle: ``tracks``, or ``road_load`` of one without belts."""
-    found = []
+    rows = []
     for model, vehicles in (("tracks", shipped_vehicles()), ("road_load", shipped_road_vehicles())):
         for name, path in vehicles.items():
-            found.append({"name": name, "title": str(read_yaml(path).get("title", "")), "model": model, "file": str(path)})
-    return found
+            rows.append({"name": name, "title": str(read_yaml(path).get("title", "")), "model": model, "file": str(path)})
+    return rows
 
 
-def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
+def shipped_text(vehicles: Iterable[Mapping[str, str]]) -> str:
     """The same for people."""
-    rows = [(v["name"], v["title"], RUNS_ON[v["model"]]) for v in found]
+    rows = [(v["name"], v["title"], RUNS_ON[v["model"]]) for v in vehicles]
     return table(rows, ("name", "description", "runs on"), numbers=False)
 
 
 @file_set()
-def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
+def new_vehicle(name: str, folder: Path, template: str) -> list[Path]:
     """Write a copy of a shipped vehicle under another name, with the files it needs, as a template; return all their paths.
 
     Raises InputError if the name is invalid, no such vehicle is shipped, or the file exists.
     """
     if not NAME.fullmatch(name):
         raise InputError("NAME", name, "a letter and at most 63 more letters, digits, _ and -")
-    known = shipped_vehicles() | shipped_road_vehicles()
-    if like not in known:
-        raise InputError("--like", like, f"one of {', '.join(known)}", nearest(like, list(known)))
-    target, source = folder / f"{name}.yaml", known[like]
+    templates = shipped_vehicles() | shipped_road_vehicles()
+    if template not in templates:
+        raise InputError("--like", template, f"one of {', '.join(templates)}", nearest(template, list(templates)))
+    target, source = folder / f"{name}.yaml", templates[template]
     if target.exists():
         raise InputError(str(target), "a file that already exists", "another name or another folder")
     document, content = Document(source.read_text(encoding="utf-8")), read_yaml(source)
     document.set(("name",), name)
-    written = [target]
+    paths = [target]
     rubber = content.get("rubber", {}).get("file")
     if rubber:
         place = copied(source.parent / rubber, folder, Path(rubber))
-        written.append(folder / place)
+        paths.append(folder / place)
         if place != rubber:
             document.set(("rubber", "file"), place)
     try:
         write(target, (document.text() or document.plain()).encode())
     except OSError as error:
         raise InputError("-o", f"{folder}: {error.strerror or error}", "a writable folder") from error
-    return written
+    return paths
 
 
-def differences(one: str, other: str) -> list[dict[str, Any]]:
+def differences(first: str, second: str) -> list[dict[str, Any]]:
     """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers with a
     true zero, ranges, and flags if only one value is fitted: its uncertainty then is the whole one.
 
     Files that both name, such as that of the rubber, are compared by a digest of their content. Raises InputError if one is
     no vehicle file.
     """
-    places = [find_vehicle(given) for given in (one, other)]
+    places = [find_vehicle(name) for name in (first, second)]
     contents = [read_yaml(place) for place in places]
     sides = [
         {**dict(_leaves(content)), **_digests(content, place.parent)} for content, place in zip(contents, places, strict=True)
     ]
-    found = []
+    rows = []
     for path in dict.fromkeys([*sides[0], *sides[1]]):
         quantities = [side.get(path) for side in sides]
         if quantities[0] == quantities[1]:
@@ -329,7 +329,7 @@ def differences(one: str, other: str) -> list[dict[str, Any]]:
         ranges, flags = ([q.get(key) if isinstance(q, Mapping) else None for q in quantities] for key in ("range", "flag"))
         units = [q["unit"] for q in quantities if isinstance(q, Mapping) and "unit" in q]
         numbers = "degC" not in units and all(isinstance(v, float | int) and not isinstance(v, bool) for v in values)
-        found.append(
+        rows.append(
             {
                 "path": path,
                 "unit": str(units[0]) if units else "",
@@ -340,24 +340,24 @@ def differences(one: str, other: str) -> list[dict[str, Any]]:
                 "flags": flags if flags[0] != flags[1] else None,
             }
         )
-    return found
+    return rows
 
 
-def differences_text(one: str, other: str, found: Sequence[Mapping[str, Any]]) -> str:
+def differences_text(first: str, second: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """The same for people."""
 
     def cells(d: Mapping[str, Any]) -> tuple[str, ...]:
         ratio = "" if d["ratio"] is None else f"{100.0 * (d['ratio'] - 1.0):+.1f} %"
         spans = ["" if span is None else f"{figures(span[0])} to {figures(span[1])}" for span in d["ranges"] or (None, None)]
         fits = ["" if flag is None else f" ({flag})" for flag in d["flags"] or (None, None)]
-        values = [f"{_shown(d[side])}{fit}" for side, fit in zip(("one", "other"), fits, strict=True)]
+        values = [f"{_value_text(d[side])}{fit}" for side, fit in zip(("one", "other"), fits, strict=True)]
         return d["path"], d["unit"], *values, ratio, *spans
 
-    head = ("value", "unit", one, other, "change", f"range of {one}", f"range of {other}")
-    return table(map(cells, found), head, numbers=False) if found else "They have the same values."
+    head = ("value", "unit", first, second, "change", f"range of {first}", f"range of {second}")
+    return table(map(cells, rows), head, numbers=False) if rows else "They have the same values."
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, float | int) and not isinstance(value, bool):
         return figures(value)
     text = "-" if value is None else str(value)
@@ -366,15 +366,17 @@ def _shown(value: Any) -> str:
 
 def _digests(content: Mapping[str, Any], folder: Path) -> dict[str, str]:
     """Digests of the files that a vehicle file in a folder names; as in loading, a missing rubber file is the shipped one."""
-    rubber, own = content.get("rubber"), content.get("effect_files")
-    named = {f"effect_files.{i}": [folder / str(name)] for i, name in enumerate(own if isinstance(own, list) else [])}
+    rubber, effect_files = content.get("rubber"), content.get("effect_files")
+    candidates = {
+        f"effect_files.{i}": [folder / str(name)] for i, name in enumerate(effect_files if isinstance(effect_files, list) else [])
+    }
     if isinstance(rubber, Mapping) and isinstance(name := rubber.get("file"), str):
-        named["rubber.file"] = [folder / name, config_dir() / "rubber" / Path(name).name]
-    found = {}
-    for path, places in named.items():
+        candidates["rubber.file"] = [folder / name, config_dir() / "rubber" / Path(name).name]
+    digests = {}
+    for path, places in candidates.items():
         if (place := next(filter(Path.is_file, places), None)) is not None:
-            found[f"content of {path}"] = f"sha256 {hashlib.sha256(place.read_bytes()).hexdigest()[:DIGITS]}"
-    return found
+            digests[f"content of {path}"] = f"sha256 {hashlib.sha256(place.read_bytes()).hexdigest()[:DIGITS]}"
+    return digests
 
 
 def _leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -401,7 +403,7 @@ def vehicle_command() -> None:
 
 @vehicle_command.command("check", cls=Command)
 @click.argument("file", metavar="FILE|NAME")
-@options.of(
+@options.argument_option(
     check_vehicle,
     "points",
     "Number of random points for comparing the loss table with the exact method.",
@@ -422,8 +424,8 @@ def check_command(file: str, points: int, as_json: bool) -> None:
 @options.json
 def list_command(as_json: bool) -> None:
     """List the shipped vehicles; commands accept their names instead of a path."""
-    found = shipped()
-    emit({"vehicles": found}, as_json, lambda: shipped_text(found))
+    rows = shipped()
+    emit({"vehicles": rows}, as_json, lambda: shipped_text(rows))
 
 
 @vehicle_command.command("new", cls=Command)
@@ -440,9 +442,9 @@ def new_command(name: str, like: str, output: Path, as_json: bool) -> None:
     trackres vehicle new truck7 -o vehicles
     trackres vehicle new loader --like agri3t
     """
-    written = new_vehicle(name, output, like)
-    text = f"Written: {', '.join(map(str, written))}\nNext: change its values, then trackres vehicle check {written[0]}"
-    emit({"written": [str(path) for path in written]}, as_json, lambda: text)
+    paths = new_vehicle(name, output, like)
+    text = f"Written: {', '.join(map(str, paths))}\nNext: change its values, then trackres vehicle check {paths[0]}"
+    emit({"written": [str(path) for path in paths]}, as_json, lambda: text)
 
 
 @vehicle_command.command("diff", cls=Command)
@@ -455,8 +457,8 @@ def diff_command(one: str, other: str, as_json: bool) -> None:
     \b
     trackres vehicle diff xgd24d report/vehicle.yaml
     """
-    found = differences(one, other)
-    emit({"differences": found}, as_json, lambda: differences_text(one, other, found))
+    rows = differences(one, other)
+    emit({"differences": rows}, as_json, lambda: differences_text(one, other, rows))
 
 
 @click.command("effects", cls=Command)
@@ -464,16 +466,16 @@ def diff_command(one: str, other: str, as_json: bool) -> None:
 @options.json
 def effects_command(effects: Path | None, as_json: bool) -> None:
     """List the catalogue of effects with descriptions and parameters."""
-    described = [effect.describe() for effect in catalogue(effects).values()]
+    effects_list = [effect.describe() for effect in catalogue(effects).values()]
 
     def text() -> str:
         lines = []
-        for effect in described:
-            of = f"{effect['acts_on']}, of the {effect['belongs_to']}"
-            lines.append(f"{effect['name']} ({of}): {effect['text']}; needs {', '.join(effect['needs'])}")
+        for effect in effects_list:
+            subject = f"{effect['acts_on']}, of the {effect['belongs_to']}"
+            lines.append(f"{effect['name']} ({subject}): {effect['text']}; needs {', '.join(effect['needs'])}")
             lines += [
                 f"    {name} {q['low']:g} to {q['high']:g} {q['unit']}: {q['text']}" for name, q in effect["parameters"].items()
             ]
         return "\n".join(lines)
 
-    emit({"effects": described}, as_json, text)
+    emit({"effects": effects_list}, as_json, text)

@@ -19,7 +19,7 @@ from trackres_ros.tasks.terminal import Command, emit, needs, progress, watch, w
 @options.surroundings
 @options.topics("which topic or column feeds which role.")
 @options.methods
-@options.of(tr.coastdown, "seed", "Seed of all random draws.", options.SEEDS)
+@options.argument_option(tr.coastdown, "seed", "Seed of all random draws.", options.SEEDS)
 @click.option(
     "--save-vehicle",
     type=options.PATH,
@@ -28,7 +28,7 @@ from trackres_ros.tasks.terminal import Command, emit, needs, progress, watch, w
 )
 @click.option("--picture", type=options.PATH, metavar="P.png", help="Picture of the measured speed and of both predictions.")
 @options.json
-def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: bool, **asked: Any) -> None:
+def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: bool, **arguments: Any) -> None:
     """Estimate parameters of a vehicle file, with ranges, from recordings of coast-downs.
 
     With a recorded torque, only stretches without torque are used; else all stretches of free deceleration. The mass is
@@ -48,11 +48,11 @@ def coastdown_command(save_vehicle: Path | None, picture: Path | None, as_json: 
         picture_file(picture, "picture")
     watch(save_vehicle, picture)
     with progress("coast-down", None):
-        found = tr.coastdown(**asked)
+        result = tr.coastdown(**arguments)
     with file_set():
-        written = [*found.save_vehicle(save_vehicle)] if save_vehicle is not None and found.better else []
+        outputs = [*result.save_vehicle(save_vehicle)] if save_vehicle is not None and result.better else []
         if picture is not None:
-            written.append(found.plot(picture))
-    refused = f"\nNot written: {save_vehicle}" if save_vehicle is not None and not found.better else ""
-    report = {**found.as_dict(), "written": [str(path) for path in written]}
-    emit(report, as_json, lambda: with_written(f"{found!r}{refused}", written))
+            outputs.append(result.plot(picture))
+    note = f"\nNot written: {save_vehicle}" if save_vehicle is not None and not result.better else ""
+    report = {**result.as_dict(), "written": [str(path) for path in outputs]}
+    emit(report, as_json, lambda: with_written(f"{result!r}{note}", outputs))

@@ -91,8 +91,8 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
         try:
             client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            given = f"{address}, where no scheduler answers ({one_line(str(error) or type(error).__name__)[:120]})"
-            raise InputError("--engine", given, SAID, "start one with: dask scheduler") from None
+            problem = f"{address}, where no scheduler answers ({one_line(str(error) or type(error).__name__)[:120]})"
+            raise InputError("--engine", problem, SAID, "start one with: dask scheduler") from None
         with client:
             yield client
 
@@ -111,7 +111,7 @@ def dashboard(client: Client) -> str:
         return ""
 
 
-def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
+def run_pieces(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
     """Each piece of work with its result, or with the exception that ended it, in order of completion.
 
     Dask has only a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all tasks
@@ -121,12 +121,12 @@ def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) 
 
     threads = sum(client.nthreads().values()) if client.status == "running" else 1
     suspected = []
-    for piece, result in _done(client, function, work, AHEAD * max(1, threads)):
+    for piece, result in _run_pieces(client, function, work, AHEAD * max(1, threads)):
         if isinstance(result, KilledWorker):
             suspected.append(piece)
         else:
             yield piece, result
-    yield from _done(client, function, suspected, at_once=1)
+    yield from _run_pieces(client, function, suspected, at_once=1)
 
 
 def results(
@@ -140,47 +140,49 @@ def results(
         yield from ((piece, function(piece)) for piece in work)
         return
     with engine(address, workers) as client:
-        for piece, result in done(client, function, work):
+        for piece, result in run_pieces(client, function, work):
             if isinstance(result, BaseException):
                 raise result
             yield piece, result
 
 
-def _done(client: Client, function: Callable[[Work], Any], work: Iterable[Work], at_once: int) -> Iterator[tuple[Work, Any]]:
+def _run_pieces(
+    client: Client, function: Callable[[Work], Any], work: Iterable[Work], at_once: int
+) -> Iterator[tuple[Work, Any]]:
     from distributed import as_completed
 
-    pieces, of = iter(work), {}
+    pieces, pieces_by_key = iter(work), {}
 
     def submit(count: int) -> list[Any]:
         futures = [(client.submit(function, piece, pure=False), piece) for piece in islice(pieces, count)]
-        of.update({future.key: piece for future, piece in futures})
+        pieces_by_key.update({future.key: piece for future, piece in futures})
         return [future for future, _ in futures]
 
-    begun = submit(at_once)
-    completed = as_completed(begun, loop=client.loop)
-    del begun
+    first_futures = submit(at_once)
+    completed = as_completed(first_futures, loop=client.loop)
+    del first_futures
     for future in completed:
         if future.status == "cancelled":
-            raise _gone(client)
+            raise _gone_error(client)
         try:  # a result lost with its worker is computed again
             result = future.exception() if future.status == "error" else future.result()
         except Exception as error:
-            raise _gone(client) from error
-        piece = of.pop(future.key)
+            raise _gone_error(client) from error
+        piece = pieces_by_key.pop(future.key)
         del future
         yield piece, result
-        for more in submit(1):
-            completed.add(more)
+        for next_future in submit(1):
+            completed.add(next_future)
 
 
-def _gone(client: Client) -> EngineGoneError:
+def _gone_error(client: Client) -> EngineGoneError:
     return EngineGoneError(
         "--engine", f"{client.scheduler.address if client.scheduler else 'a scheduler'}, which does not answer any more", SAID,
         "finished results are kept: run the same command again",
     )  # fmt: skip
 
 
-def why(error: BaseException) -> str:
+def failure_text(error: BaseException) -> str:
     """Why a piece of work ended without a result."""
     from distributed import KilledWorker
 

@@ -61,7 +61,7 @@ WARM_STORAGE = Limits("MPa", 0.05, 1e3, "storage modulus at the warm end, where 
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class ReadCache:
     """What several vehicles of one content have in common, once it is read and checked."""
 
     quantities: dict[str, tuple[Any, Quantity]] = field(default_factory=dict)  # by path, each with its entry in the content
@@ -83,25 +83,25 @@ class VehicleReader(DataReader):
     """Reads a vehicle file: what has limits is a quantity there, and recorded by its path.
 
     The quantities of a disturbance are not recorded, as it affects neither the estimate, nor its uncertainty, nor the validity of
-    a stored state. `known`: shared by readers of one content, so that each checks only what an override changes.
+    a stored state. `read_cache`: shared by readers of one content, so that each checks only what an override changes.
     """
 
-    def __init__(self, path: Path, overrides: Mapping[str, float] | None = None, known: Known | None = None) -> None:
+    def __init__(self, path: Path, overrides: Mapping[str, float] | None = None, read_cache: ReadCache | None = None) -> None:
         super().__init__(path)
         self.path = path
-        self.known = Known() if known is None else known
+        self.read_cache = ReadCache() if read_cache is None else read_cache
         self.parameters: dict[str, Quantity] = {}
         self._overrides = dict(overrides or {})
 
-    def noted(self, kind: Any, note: Any, given: Any, key: str) -> Any:
+    def noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
         """Read a quantity, or another value with a note."""
         if not isinstance(note, Limits):
-            return super().noted(kind, note, given, key)
-        entry, quantity = self.known.quantities.get(key, (None, None))
-        if quantity is None or entry is not given or key in self._overrides:
-            quantity = self._quantity(given, key, note)
+            return super().noted(kind, note, value, key)
+        entry, quantity = self.read_cache.quantities.get(key, (None, None))
+        if quantity is None or entry is not value or key in self._overrides:
+            quantity = self._quantity(value, key, note)
             if key not in self._overrides:
-                self.known.quantities[key] = given, quantity
+                self.read_cache.quantities[key] = value, quantity
         if not key.startswith(f"{DISTURBANCE}."):
             self.parameters[key] = quantity
         if kind == tuple[float, ...]:
@@ -110,9 +110,9 @@ class VehicleReader(DataReader):
             raise InputError(self.where(f"{key}.value"), list(quantity.value), "one number")
         return quantity.value
 
-    def _quantity(self, given: Any, key: str, limits: Limits) -> Quantity:
-        entry: QuantityEntry = self.part(QuantityEntry, given, key)
-        where = self.where(f"{key}.value")
+    def _quantity(self, content: Any, key: str, limits: Limits) -> Quantity:
+        entry: QuantityEntry = self.part(QuantityEntry, content, key)
+        place = self.where(f"{key}.value")
         if entry.unit != limits.unit:
             raise InputError(self.where(f"{key}.unit"), entry.unit, limits.unit, "convert the value to this unit")
         low, high = checks.span(entry.range, self.where(f"{key}.range"), limits.low, limits.high, limits.unit)
@@ -122,10 +122,10 @@ class VehicleReader(DataReader):
             return Quantity(value, limits.unit, entry.flag, min(low, value), max(high, value), entry.reason)
         values = entry.value if isinstance(entry.value, list) else [entry.value]
         if not values:
-            raise InputError(where, values, "at least one number")
+            raise InputError(place, values, "at least one number")
         remedy = "correct the value, or widen its range if you trust the value"
-        checked = tuple(checks.number(item, where, low, high, limits.unit, if_outside=remedy) for item in values)
-        value = checked if isinstance(entry.value, list) else checked[0]
+        numbers = tuple(checks.number(item, place, low, high, limits.unit, if_outside=remedy) for item in values)
+        value = numbers if isinstance(entry.value, list) else numbers[0]
         return Quantity(value, limits.unit, entry.flag, low, high, entry.reason)
 
     def check_overrides_used(self) -> None:
@@ -157,9 +157,9 @@ def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | 
 
 def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
     """A function that makes the same vehicle with other values, by path; it reads the file only once, and effects stay."""
-    content, known = {key: value for key, value in read_yaml(vehicle.source).items() if key not in EFFECT_KEYS}, Known()
+    content, read_cache = {key: value for key, value in read_yaml(vehicle.source).items() if key not in EFFECT_KEYS}, ReadCache()
     return lambda overrides: replace(
-        build(vehicle.source, content, overrides, known),
+        build(vehicle.source, content, overrides, read_cache),
         hysteresis=vehicle.hysteresis,
         thermal=vehicle.thermal,
         effects=vehicle.effects,
@@ -169,12 +169,12 @@ def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
 
 
 def build(
-    path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None, known: Known | None = None
+    path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None, read_cache: ReadCache | None = None
 ) -> Vehicle:
     """Check the content of a vehicle file and assemble its description; see `load` and `VehicleReader`."""
     if isinstance(content.get("road_load"), dict):
         raise InputError(str(path), "a vehicle of the base model road_load, which has no belts", "a track vehicle")
-    reader = VehicleReader(path, overrides, known)
+    reader = VehicleReader(path, overrides, read_cache)
     file: TrackVehicleFile = reader.part(TrackVehicleFile, content)
     if (file.chassis.motor_ratio is None) != (file.chassis.motor_efficiency is None):
         raise InputError(reader.where("chassis.motor_ratio"), "one of motor_ratio and motor_efficiency", "both or neither")
@@ -227,8 +227,8 @@ def listed_effects(
     for file in files:
         if not (is_there(file) and file.is_file()):
             raise InputError(reader.where("effect_files"), str(file), "existing Python files, relative to this file")
-    known = catalogue(size=size, on_tyres=not kind.has_belt, files=files)
-    return check_effects(effects, reader.where("effects"), known, belongs_to, size, kind)
+    effects_known = catalogue(size=size, on_tyres=not kind.has_belt, files=files)
+    return check_effects(effects, reader.where("effects"), effects_known, belongs_to, size, kind)
 
 
 def _rubber(reader: VehicleReader, section: RubberSection) -> tuple[Rubber, Path]:
@@ -239,9 +239,9 @@ def _rubber(reader: VehicleReader, section: RubberSection) -> tuple[Rubber, Path
         path = shipped
     if not (is_there(path) and path.is_file()):
         raise InputError(reader.where("rubber.file"), str(path), "a readable CSV with a temperature sweep, relative to this file")
-    if path not in reader.known.sweeps:
-        reader.known.sweeps[path] = read_rubber_sweep(path)
-    sweep_degc, storage_pa, loss_pa = reader.known.sweeps[path]
+    if path not in reader.read_cache.sweeps:
+        reader.read_cache.sweeps[path] = read_rubber_sweep(path)
+    sweep_degc, storage_pa, loss_pa = reader.read_cache.sweeps[path]
     values = {name: getattr(section, name) for name in RUBBER}
     return Rubber(**values, sweep_degc=sweep_degc, storage_pa=storage_pa, loss_pa=loss_pa), path
 
@@ -264,14 +264,14 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rows = list(csv.DictReader(line for _, line in numbered))
     except csv.Error as error:
         raise InputError(f"{path}", str(error), "a CSV with a temperature sweep") from None
-    given = list(rows[0]) if rows else []
-    columns = [name if name in given else f"{name}{AT_10_HZ}" for name in RUBBER_COLUMNS]
-    missing = [name for name, column in zip(RUBBER_COLUMNS, columns, strict=True) if column not in given]
-    if len(rows) < 4 or missing:
+    header = list(rows[0]) if rows else []
+    columns = [name if name in header else f"{name}{AT_10_HZ}" for name in RUBBER_COLUMNS]
+    absent = [name for name, column in zip(RUBBER_COLUMNS, columns, strict=True) if column not in header]
+    if len(rows) < 4 or absent:
         # A vehicle file may name any file: if it is no rubber file, the error shows no content.
         raise InputError(
             f"{path}",
-            f"{len(rows)} rows {f'without the column {missing[0]}' if missing else 'below the column names'}",
+            f"{len(rows)} rows {f'without the column {absent[0]}' if absent else 'below the column names'}",
             f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)} (or with {AT_10_HZ} behind the last two)",
             "trackres compound fit reads the file of a DMA instrument",
         )
@@ -283,8 +283,8 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             except (TypeError, ValueError):
                 raise InputError(f"{path}: row {numbered[i + 1][0]}, {name}", row[name], "a number") from None
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        refused = "temperatures that do not increase, or values that are not finite"
-        raise InputError(f"{path}", refused, "finite numbers with T_degC increasing from row to row")
+        problem = "temperatures that do not increase, or values that are not finite"
+        raise InputError(f"{path}", problem, "finite numbers with T_degC increasing from row to row")
     _check_sweep(path, table, columns)
     return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
 
@@ -293,22 +293,22 @@ def _check_sweep(path: Path, table: np.ndarray, names: Sequence[str]) -> None:
     """Refuse moduli impossible for rubber, such as values in Pa below a header in MPa."""
     degc, storage, loss = table.T
     moduli = "the columns are in MPa: divide values in Pa by 1e6, multiply values in GPa by 1000"
-    for what, values, limits, remedy in (
+    for name, values, limits, remedy in (
         (names[0], degc, SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
         (names[1], storage, SWEEP_STORAGE, moduli),
         (names[2], loss, SWEEP_LOSS, moduli),
     ):
-        _within(path, what, values, limits, remedy)
+        _check_limits(path, name, values, limits, remedy)
     columns = "check that both columns are of one test and in one unit"
     with np.errstate(over="ignore"):
-        _within(path, "loss over storage modulus", loss / storage, SWEEP_TAN_DELTA, columns)
-    _within(path, f"storage modulus at {degc[-1]:g} degC", storage[-1:], WARM_STORAGE, moduli)
+        _check_limits(path, "loss over storage modulus", loss / storage, SWEEP_TAN_DELTA, columns)
+    _check_limits(path, f"storage modulus at {degc[-1]:g} degC", storage[-1:], WARM_STORAGE, moduli)
 
 
-def _within(path: Path, what: str, values: np.ndarray, limits: Limits, remedy: str) -> None:
+def _check_limits(path: Path, name: str, values: np.ndarray, limits: Limits, remedy: str) -> None:
     if values.min() < limits.low or values.max() > limits.high:
-        given = f"{figures(values.min(), 4)} to {figures(values.max(), 4)} {limits.unit}"
-        raise InputError(f"{path}: {what}", given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
+        span = f"{figures(values.min(), 4)} to {figures(values.max(), 4)} {limits.unit}"
+        raise InputError(f"{path}: {name}", span, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
 
 
 def _check_assemblies(reader: VehicleReader, file: TrackVehicleFile) -> None:
@@ -322,24 +322,24 @@ def _check_assemblies(reader: VehicleReader, file: TrackVehicleFile) -> None:
         key = f"assemblies.{assembly.name}"
         checks.one_of(assembly.axle, reader.where(f"{key}.axle"), axles)
         checks.one_of(assembly.track, reader.where(f"{key}.track"), tracks)
-    where = reader.where("assemblies")
+    place = reader.where("assemblies")
     for name in axles:
         if all(assembly.axle != name for assembly in file.assemblies):
-            raise InputError(where, f"no assembly on axle {name}", "at least one assembly an axle")
+            raise InputError(place, f"no assembly on axle {name}", "at least one assembly an axle")
     for name in tracks:
         if all(assembly.track != name for assembly in file.assemblies):
-            raise InputError(where, f"no assembly of the track {name}", "at least one assembly a kind of track")
+            raise InputError(place, f"no assembly of the track {name}", "at least one assembly a kind of track")
 
 
 def _track(reader: VehicleReader, track: Track) -> Track:
     """A track with the radius of its sprocket, if its parts fit each other."""
     key, wheels = f"tracks.{track.name}", track.wrapped_wheels
     for wheel in wheels:
-        where = reader.where(f"{key}.wrapped_wheels.{wheel.name}.radius")
+        place = reader.where(f"{key}.wrapped_wheels.{wheel.name}.radius")
         if wheel.kind == SPROCKET and not math.isnan(wheel.radius):
-            raise InputError(where, wheel.radius, "no radius of a sprocket: sprocket_radius of the track is its radius")
+            raise InputError(place, wheel.radius, "no radius of a sprocket: sprocket_radius of the track is its radius")
         if wheel.kind != SPROCKET and math.isnan(wheel.radius):
-            raise InputError(where, "nothing", "this key is required")
+            raise InputError(place, "nothing", "this key is required")
     if sum(wheel.kind == SPROCKET for wheel in wheels) != 1:
         raise InputError(reader.where(f"{key}.wrapped_wheels"), [wheel.kind for wheel in wheels], "exactly one sprocket")
     top = f"{key}.beams.own_weight_split"
@@ -356,25 +356,27 @@ def _check_geometry(reader: VehicleReader, key: str, track: Track) -> None:
     """Refuse a track whose parts do not fit each other."""
     belt, wheels = track.belt, track.road_wheels
 
-    def refused(part: str, given: object, allowed: str, remedy: str = "") -> InputError:
-        return InputError(reader.where(f"{key}.{part}"), given, allowed, remedy)
+    def refusal(part: str, value: object, allowed: str, remedy: str = "") -> InputError:
+        return InputError(reader.where(f"{key}.{part}"), value, allowed, remedy)
 
     positions = np.array(wheels.positions)
     count = len(positions)
     if (np.diff(positions) <= 0).any() or positions[-1] > wheels.ground_run:
         allowed = f"rising positions on the ground run of {wheels.ground_run:g} m"
-        raise refused("road_wheels.positions", list(wheels.positions), allowed)
+        raise refusal("road_wheels.positions", list(wheels.positions), allowed)
     hung = [track.beams] if isinstance(track.beams, int) else list(track.beams.wheels())
     if sorted(hung) != list(range(count)):
-        raise refused("beams", [wheel + 1 for wheel in hung], f"each road wheel 1 to {count} on exactly one beam end")
+        raise refusal("beams", [wheel + 1 for wheel in hung], f"each road wheel 1 to {count} on exactly one beam end")
     if belt.cord_height >= belt.thickness:
-        raise refused("belt.cord_height", belt.cord_height, f"less than the thickness {belt.thickness:g} m")
+        raise refusal("belt.cord_height", belt.cord_height, f"less than the thickness {belt.thickness:g} m")
     if wheels.contact_length > belt.width:
-        raise refused("road_wheels.contact_length", wheels.contact_length, f"at most the belt width {belt.width:g} m")
+        raise refusal("road_wheels.contact_length", wheels.contact_length, f"at most the belt width {belt.width:g} m")
     reach = 2 * wheels.radius * (1 - 1e-9)
-    abreast = max(int(np.count_nonzero((positions >= at) & (positions < at + reach))) for at in positions)  # if they interleave
+    abreast = max(
+        int(np.count_nonzero((positions >= position) & (positions < position + reach))) for position in positions
+    )  # if they interleave
     if abreast * wheels.contact_length > belt.width:
-        raise refused(
+        raise refusal(
             "road_wheels.positions",
             f"{abreast} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
             f"{wheels.contact_length:g} m each on a belt {belt.width:g} m wide",
@@ -383,14 +385,14 @@ def _check_geometry(reader: VehicleReader, key: str, track: Track) -> None:
         )
     tread = belt.tread_depth * belt.width * belt.tread_land_ratio
     if tread > belt.lug_section:
-        raise refused("belt.lug_section", belt.lug_section, f"at least the tread bars {figures(tread, 4)} m^2")
+        raise refusal("belt.lug_section", belt.lug_section, f"at least the tread bars {figures(tread, 4)} m^2")
     if belt.cord_section >= belt.width * belt.thickness / 2:
-        raise refused("belt.cord_section", belt.cord_section, "less than half the belt section")
+        raise refusal("belt.cord_section", belt.cord_section, "less than half the belt section")
     wraps = sum(wheel.wrap_angle for wheel in track.wrapped_wheels)
     if abs(wraps - 2 * math.pi) > CLOSED_LOOP_TOLERANCE_RAD:
         allowed = f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad"
-        raise refused("wrapped_wheels", f"wrap angles that sum to {wraps:.3f} rad", allowed)
+        raise refusal("wrapped_wheels", f"wrap angles that sum to {wraps:.3f} rad", allowed)
     arcs = sum(arc_length(wheel.radius, wheel.wrap_angle, belt) for wheel in track.wrapped_wheels)
     if wheels.ground_run + arcs >= belt.loop_length:
         allowed = f"more than the ground run and the wraps together, {wheels.ground_run + arcs:.3f} m"
-        raise refused("belt.loop_length", belt.loop_length, allowed)
+        raise refusal("belt.loop_length", belt.loop_length, allowed)

@@ -111,18 +111,20 @@ class RoadVehicle:
     assemblies: tuple[Assembly, ...] = ()
 
     def __repr__(self) -> str:
-        listed = ", ".join(a.effect.name for a in (*self.effects, *self.surroundings))
-        with_effects = f", with {listed}" if listed else ""
+        names = ", ".join(a.effect.name for a in (*self.effects, *self.surroundings))
+        with_effects = f", with {names}" if names else ""
         return f"<RoadVehicle {self.name}: {self.title}; {self.weight / 1e3:.1f} kN, road load{with_effects}>"
 
     @property
     def own(self) -> tuple[Active, ...]:
         """All effects of the vehicle: its gears and sliding forces, then those that its file lists."""
-        found = []
+        effects = []
         for effect, parameter, name, arm in built_in(self.values):
-            of = self.parameters[f"{SECTION}.{name}"]
-            found.append(Active(effect, {parameter: arm * self.values[name]}, {parameter: (arm * of.low, arm * of.high)}))
-        return (*found, *self.effects)
+            quantity = self.parameters[f"{SECTION}.{name}"]
+            effects.append(
+                Active(effect, {parameter: arm * self.values[name]}, {parameter: (arm * quantity.low, arm * quantity.high)})
+            )
+        return (*effects, *self.effects)
 
     @property
     def rolls(self) -> bool:
@@ -153,8 +155,8 @@ class RoadVehicle:
     def chassis(self) -> Chassis:
         """A track vehicle's quantities other than tracks; its bearing friction is the rolling resistance at a crawl."""
         v = self.values
-        same = {name: v[name] for name in ("air_density", "rotating_mass_factor", "max_speed", "ambient")}
-        return Chassis(bearing_friction=v["rolling_coefficient"], drag_coefficient=v["drag_area"], frontal_area=1.0, **same)
+        shared = {name: v[name] for name in ("air_density", "rotating_mass_factor", "max_speed", "ambient")}
+        return Chassis(bearing_friction=v["rolling_coefficient"], drag_coefficient=v["drag_area"], frontal_area=1.0, **shared)
 
     @property
     def constants(self) -> VehicleConstants:
@@ -205,17 +207,17 @@ def _check_rolling(reader: VehicleReader, values: Mapping[str, float]) -> None:
     """Refuse a rolling resistance that becomes negative below the greatest speed."""
     coefficient, rise, fastest = values["rolling_coefficient"], values["rolling_rise"], values["max_speed"]
     if coefficient < least_rolling(values):
-        least = f"-rolling_coefficient / max_speed = {figures(-coefficient / fastest)} s/m"
+        bound = f"-rolling_coefficient / max_speed = {figures(-coefficient / fastest)} s/m"
         remedy = "below it the rolling resistance is negative at max_speed"
-        raise InputError(reader.where(f"{SECTION}.rolling_rise"), rise, f"at least {least}", remedy)
+        raise InputError(reader.where(f"{SECTION}.rolling_rise"), rise, f"at least {bound}", remedy)
 
 
 def files_of(vehicle: AnyVehicle) -> list[Path]:
     """The vehicle file and all files that it was read with."""
     rubber = vehicle.rubber_source if isinstance(vehicle, Vehicle) else None
-    tables = (one.source for one in vehicle.route)
-    found = (vehicle.source, rubber, vehicle.surroundings_source, *tables, *(active.effect.source for active in vehicle.active))
-    return [path for path in dict.fromkeys(found) if path is not None]
+    tables = (table.source for table in vehicle.route)
+    paths = (vehicle.source, rubber, vehicle.surroundings_source, *tables, *(active.effect.source for active in vehicle.active))
+    return [path for path in dict.fromkeys(paths) if path is not None]
 
 
 def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
@@ -230,8 +232,8 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     file: RoadVehicleFile = reader.part(RoadVehicleFile, content)
     values = {name: value for name, value in asdict(file.road_load).items() if value is not None}
     _check_rolling(reader, values)
-    watched = checked_disturbance(reader, file.disturbance)
-    vehicle = RoadVehicle(file.name, file.title, path, values, reader.parameters, file.friction_brakes, disturbance=watched)
+    disturbance = checked_disturbance(reader, file.disturbance)
+    vehicle = RoadVehicle(file.name, file.title, path, values, reader.parameters, file.friction_brakes, disturbance=disturbance)
     return replace(
         vehicle, effects=listed_effects(reader, file.effects, file.effect_files, vehicle.size, vehicle.kind, "vehicle")
     )

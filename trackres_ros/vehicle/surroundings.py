@@ -63,14 +63,14 @@ def load_surroundings(path: Path, vehicle: str, size: float, kind: VehicleKind) 
     InputError
         If the file cannot be read, was made for another vehicle, or lists effects other than of the surroundings or of its kind.
     """
-    reader, file = _read(path)
+    reader, file = _read_file(path)
     if file.vehicle != vehicle:
         remedy = "surroundings are fitted for one vehicle: run trackres diagnose with this vehicle"
         raise InputError(reader.where("vehicle"), file.vehicle, vehicle, remedy)
     return listed_effects(reader, file.effects, file.effect_files, size, kind, "surroundings")
 
 
-def _read(path: Path) -> tuple[VehicleReader, SurroundingsFile]:
+def _read_file(path: Path) -> tuple[VehicleReader, SurroundingsFile]:
     reader = VehicleReader(path)
     return reader, reader.part(SurroundingsFile, read_yaml(path))
 
@@ -84,13 +84,13 @@ def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:
     InputError
         If its table cannot be read, or has a torque too large for any ground.
     """
-    name = _read(path)[1].route
+    name = _read_file(path)[1].route
     if not name:
         return ()
     file = path.parent / name
-    route, most = read_route(file), MOST_SHARE * size
+    route, limit = read_route(file), MOST_SHARE * size
     torques = of_kind(route, TORQUE)
     largest = 0.0 if torques is None else float(np.nanmax(np.abs(torques.value)))
-    if largest > most:
-        raise InputError(str(file), f"a torque by place of {figures(largest)} Nm", f"at most {figures(most)} Nm of this vehicle")
+    if largest > limit:
+        raise InputError(str(file), f"a torque by place of {figures(largest)} Nm", f"at most {figures(limit)} Nm of this vehicle")
     return route

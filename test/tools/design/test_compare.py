@@ -19,11 +19,11 @@ from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.model.operating_point import explain, explain_road
 from trackres_ros.model.track import belt_network, with_methods
-from trackres_ros.tools.design.compare import asked_of, compare_designs, shown_names
+from trackres_ros.tools.design.compare import compare_designs, display_names, request_of
 from trackres_ros.tools.design.compare_text import designs_text, draw_designs
-from trackres_ros.tools.design.drives import driven, read_cycle, with_factors
-from trackres_ros.tools.design.steady import FileErrors, held, solver, steady
-from trackres_ros.tools.design.uncertain import difference_std, moved, slopes_of
+from trackres_ros.tools.design.drives import read_cycle, run_cycle, with_factors
+from trackres_ros.tools.design.steady import FileErrors, plain_vehicle, solver, steady
+from trackres_ros.tools.design.uncertain import difference_std, sensitivities, slopes_of
 from trackres_ros.tools.fleet.compare import draw_overlay
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import load, load_any, variants
@@ -71,7 +71,7 @@ def test_without_speeds_those_of_any_vehicle_are_compared(softer, max_speed):
     content["chassis"]["max_speed"].update(value=max_speed, range=[0.5, 20.0])
     slow = softer.with_name("slow.yaml")
     slow.write_text(yaml.safe_dump(content))
-    speeds = asked_of((str(softer), str(slow))).speeds_kmh
+    speeds = request_of((str(softer), str(slow))).speeds_kmh
     assert speeds[-1] == pytest.approx(3.6 * max_speed, abs=1e-4)
     assert speeds[0] == (5.0 if max_speed > 1.4 else pytest.approx(0.36 * max_speed, abs=1e-4))
 
@@ -81,7 +81,7 @@ def test_the_tables_and_the_picture(good, softer, tmp_path):
     other.write_text(softer.read_text().replace("value: 0.5", "value: 0.55"))
     text = good("compare", softer, other, "--speed-kmh", "10", "--belt-degc", "20", "-o", tmp_path / "out")
     places = [softer.parent / folder / "same.yaml" for folder in "ab"]
-    assert shown_names([replace(load(softer), source=place) for place in places]) == list(map(str, places))
+    assert display_names([replace(load(softer), source=place) for place in places]) == list(map(str, places))
     values, _, rest = text.partition("Steady")
     assert "rubber.loss_modulus_scale" in values
     assert "+10.0 %" in values
@@ -154,7 +154,9 @@ def test_a_differences_std_moves_shared_values_in_both_vehicles(good, tmp_path):
     for vehicle in (one, other):
         found = of(vehicle)
         slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
-        off = moved(slopes, lambda by, _, of=vehicle: np.array(held(of, speed, air).solve(by).outcomes), [air, *[found[2]] * 3])
+        off = sensitivities(
+            slopes, lambda by, _, of=vehicle: np.array(plain_vehicle(of, speed, air).solve(by).outcomes), [air, *[found[2]] * 3]
+        )
         exact = {}
         for path in paths:
             std = vehicle.parameters[path].standard_deviation
@@ -173,10 +175,10 @@ def test_ranges_inside_a_belt_move_its_steady_state(thermal):
     paths = ["rubber.conductivity", f"tracks.{whole.assemblies[0].track}.belt.exposed_share"]
     certain = {path: replace(q, low=q.value, high=q.value) for path, q in whole.parameters.items() if path not in paths}
     vehicle = replace(whole, parameters={**whole.parameters, **certain})
-    own = held(vehicle, speed, air)
+    own = plain_vehicle(vehicle, speed, air)
     found, (kind,) = np.array(own.solve().outcomes), own.kinds
     slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
-    off = moved(slopes, lambda by, _: np.array(own.solve(by).outcomes), np.array([air, *[found[2]] * 3]))
+    off = sensitivities(slopes, lambda by, _: np.array(own.solve(by).outcomes), np.array([air, *[found[2]] * 3]))
     for path in paths:
         quantity = vehicle.parameters[path]
         network = belt_network(variants(vehicle)({path: quantity.value + 0.1 * quantity.standard_deviation}), kind.track)
@@ -205,7 +207,10 @@ def test_a_radius_error_moves_energy_by_torques_of_effects():
     plain, radius = load("agri3t"), 1.25
     dragged = replace(plain, effects=(Active(catalogue()["drivetrain_drag"], {"drag": 20.0}),))
     totals = [
-        [driven(with_factors(Estimator(one), FileErrors(radius=r)), read_cycle("laps", 3.0), None, 5.0)[0] for r in (1.0, radius)]
+        [
+            run_cycle(with_factors(Estimator(one), FileErrors(radius=r)), read_cycle("laps", 3.0), None, 5.0)[0]
+            for r in (1.0, radius)
+        ]
         for one in (plain, dragged)
     ]
     for name, factor in (("kwh_per_km", 1.0 / radius), ("mean_resistance_nm", 1.0)):
@@ -261,7 +266,7 @@ def test_each_part_of_a_comparison_says_what_it_lacks(tmp_path, degc, outside):
     (tmp_path / "scrub.yaml").write_text(yaml.safe_dump(scrub))
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n0,50\n9,50\n")
     conditions = {"speed_kmh": "50", "belt_degc": str(degc), "ambient_degc": str(degc), "cycle": (str(tmp_path / "drive.csv"),)}
-    found = compare_designs(asked_of(("xgd24d", str(tmp_path / "scrub.yaml")), **conditions))
+    found = compare_designs(request_of(("xgd24d", str(tmp_path / "scrub.yaml")), **conditions))
     parts = [f"{name}{of}" for name in ("xgd24d", "scrub") for of in ("", ", table of resistance", " on drive.csv") if outside]
     assert {text.partition(": track")[0] for text in found["remarks"] if ": track" in text} == set(parts)
     assert [text for text in found["remarks"] if ": track" not in text] == [f"scrub on drive.csv: {Reason.EFFECT_LEFT_OUT.text}"]

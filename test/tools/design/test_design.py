@@ -29,10 +29,10 @@ from trackres_ros.model.track import vehicle_constants, with_methods
 from trackres_ros.tools import engine as executor
 from trackres_ros.tools.design import sensitivity as sensing
 from trackres_ros.tools.design.compare import wheels_compared, wheels_text
-from trackres_ros.tools.design.drives import driven, read_cycle
+from trackres_ros.tools.design.drives import read_cycle, run_cycle
 from trackres_ros.tools.design.steady import WARMEST_K, Steady, steady
-from trackres_ros.tools.design.sweep import SweepRequest, Swept, draw, point, sweep
-from trackres_ros.tools.design.values import Varied, meant, varied
+from trackres_ros.tools.design.sweep import SweepRequest, SweepResult, draw, point, sweep
+from trackres_ros.tools.design.values import Variation, full_paths, variation
 from trackres_ros.tools.fleet.task import _replayed
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load
@@ -237,7 +237,7 @@ def test_a_belt_that_finds_no_balance_has_no_steady_state():
 @pytest.mark.parametrize("own_air", [True, False])
 def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_air):
     """In the air and with the load of the recording; a varied value and an option replace them."""
-    profile, paths = tmp_path / "p.csv", varied(load("agri3t"), vary)
+    profile, paths = tmp_path / "p.csv", variation(load("agri3t"), vary)
     profile.write_text("time_s,speed_kmh,ambient_degc,weight_n\n0,0,-20,40e3\n20,8,-20,40e3\n60,8,-20,40e3\n")
     asked = SweepRequest("agri3t", (paths,), 2.5, AIR, str(profile), own_air)
     if "ambient" in vary and not own_air:
@@ -249,7 +249,7 @@ def test_a_sweep_drives_as_recorded_unless_told_otherwise(tmp_path, vary, own_ai
         air = values.get("chassis.ambient", None if own_air else AIR)
         state = steady(vehicle, 2.5, vehicle.chassis.ambient if own_air else AIR)
         cycle, weight = read_cycle(str(profile), 5.0), vehicle.weight if "load" in vary or "weight" in vary else None
-        total, _ = driven(Estimator(vehicle), cycle, weight, air)
+        total, _ = run_cycle(Estimator(vehicle), cycle, weight, air)
         found, remarks, notes = point(asked, (number, values))
         assert found == (*state.outcomes, total["kwh_per_km"])
         assert notes == list(cycle.notes)
@@ -261,7 +261,7 @@ def test_the_engine_gives_what_one_process_gives(tmp_path):
     pytest.importorskip("distributed")
     profile = tmp_path / "p.csv"
     profile.write_text("time_s,speed_kmh\n0,0\n20,8\n120,8\n")
-    asked = SweepRequest("agri3t", (varied(load("agri3t"), "loss_modulus_scale=0.8,1.2"),), 2.5, AIR)
+    asked = SweepRequest("agri3t", (variation(load("agri3t"), "loss_modulus_scale=0.8,1.2"),), 2.5, AIR)
     alone, engine = sweep(asked), sweep(replace(asked, cycle=str(profile)), workers=1)
     for name in alone.columns:
         np.testing.assert_array_equal(alone.columns[name], engine.columns[name])
@@ -275,15 +275,15 @@ def test_indices_of_a_sum_are_the_shares_of_its_terms():
     factors, bounds = np.array([3.0, 2.0, 1.0, 0.0]), [(-1.0, 1.0)] * 4
     given = ["a", "b", "c", "none"], bounds, lambda rows: (rows @ factors)[:, np.newaxis], 1024, 3
     (found, drawn), (again, _) = sensing.sobol(*given), sensing.sobol(*given)
-    assert found.of == again.of
+    assert found.by_outcome == again.by_outcome
     assert drawn == 1024 * 6
     shares = factors**2 / (factors**2).sum()
     assert found.std[0] == pytest.approx(math.sqrt((factors**2).sum() / 3.0), rel=0.01)
     for name, share in zip(["a", "b", "c", "none"], shares, strict=True):
-        first, first_pm, total, total_pm = found.of[0][name]
+        first, first_pm, total, total_pm = found.by_outcome[0][name]
         assert abs(first - share) <= max(first_pm, 1e-3)
         assert abs(total - share) <= max(total_pm, 1e-3)
-    assert found.of[0]["none"][2] == 0.0
+    assert found.by_outcome[0]["none"][2] == 0.0
 
 
 def test_what_cannot_be_gives_no_value_an_effect():
@@ -293,15 +293,15 @@ def test_what_cannot_be_gives_no_value_an_effect():
         return np.where(rows[:, 1] + rows[:, 2] > 1.95, np.nan, 100.0 + rows[:, 0])[:, np.newaxis]
 
     found, _ = sensing.sobol(["a", "b", "c"], [(-1.0, 1.0)] * 3, model, 1024, 1)
-    assert found.of[0]["a"][2] == pytest.approx(1.0, abs=found.of[0]["a"][3])
-    assert found.of[0]["b"][2] == found.of[0]["c"][2] == 0.0
+    assert found.by_outcome[0]["a"][2] == pytest.approx(1.0, abs=found.by_outcome[0]["a"][3])
+    assert found.by_outcome[0]["b"][2] == found.by_outcome[0]["c"][2] == 0.0
 
 
 def test_a_product_counts_with_others():
     pytest.importorskip("SALib")
     found, _ = sensing.sobol(["a", "b"], [(-1.0, 1.0)] * 2, lambda rows: rows.prod(axis=1, keepdims=True), 512, 1)
     for name in ("a", "b"):
-        first, first_pm, total, total_pm = found.of[0][name]
+        first, first_pm, total, total_pm = found.by_outcome[0][name]
         assert abs(first) <= first_pm
         assert abs(total - 1.0) <= total_pm
 
@@ -339,7 +339,7 @@ def test_a_value_that_ends_the_balance_is_varied(monkeypatch, vary):
     vary("rubber.loss_modulus_scale", hot, light)
     monkeypatch.setattr(sensing, "_outcomes", outcomes)
     found = sensing.sensitivity("agri3t", 2.5, AIR, 8)
-    assert list(found.held) == [light]
+    assert list(found.fixed) == [light]
     assert hot in found.indices["belt_degc"]
 
 
@@ -347,7 +347,7 @@ def test_a_value_that_ends_the_balance_is_varied(monkeypatch, vary):
 def test_sensitivity_counts_the_vehicles_that_extrapolate(vary, air, outside):
     vary("rubber.loss_modulus_scale")
     found = sensing.sensitivity("agri3t", 2.5, air, 8)
-    drawn = [text for text in found.remarks if text.startswith(f"{outside} of {found.drawn} drawn vehicles")]
+    drawn = [text for text in found.remarks if text.startswith(f"{outside} of {found.row_count} drawn vehicles")]
     assert len(found.remarks) == 3 * len(drawn) == (3 if outside else 0)  # of the file's, cold and settled, and of those
     assert (
         list(found.remarks)
@@ -358,10 +358,10 @@ def test_sensitivity_counts_the_vehicles_that_extrapolate(vary, air, outside):
 
 @pytest.mark.parametrize(("speed", "air", "outside"), [(14.0, 60.0, [1, 2]), (16.0, -60.0, [0, 1, 2]), (6.0, 15.0, [])])
 def test_a_point_extrapolates_where_explain_says_so(speed, air, outside):
-    swept = sweep(SweepRequest("xgd24d", (varied(load("xgd24d"), "axles.load=-10%,+100%,+150%"),), speed, air))
+    swept = sweep(SweepRequest("xgd24d", (variation(load("xgd24d"), "axles.load=-10%,+100%,+150%"),), speed, air))
     assert list(swept.remarks) == np.flatnonzero(swept.columns["beyond_data"]).tolist() == outside
     assert list(swept.as_dict()["remarks"]) == [str(number) for number in outside]
-    for number, values in enumerate(swept.asked.points):
+    for number, values in enumerate(swept.request.points):
         belts = air, swept.columns["belt_degc"][number]
         told = [text for belt in belts for text in explain(load("xgd24d", values), speed, belt, air)["remarks"]]
         assert swept.remarks.get(number, []) == list(dict.fromkeys(told))
@@ -370,7 +370,7 @@ def test_a_point_extrapolates_where_explain_says_so(speed, air, outside):
 
 
 def test_belts_without_a_balance_are_outside_of_the_data():
-    swept = sweep(SweepRequest("xgd24d", (varied(load("xgd24d"), "axles.load=+100%,+300%"),), 14.0, 60.0))
+    swept = sweep(SweepRequest("xgd24d", (variation(load("xgd24d"), "axles.load=+100%,+300%"),), 14.0, 60.0))
     assert np.isnan(swept.columns["belt_degc"]).tolist() == [False, True]
     assert list(swept.remarks) == [0, 1]
 
@@ -416,10 +416,10 @@ def test_a_value_that_a_fit_has_absorbed_is_held(monkeypatch, fitted, by):
 def test_a_value_is_named_by_as_many_words_as_it_takes(given, path):
     vehicle = load("xgd24d")
     if path:
-        assert meant(vehicle, given) == ((path,) if isinstance(path, str) else path)
+        assert full_paths(vehicle, given) == ((path,) if isinstance(path, str) else path)
         return
     with pytest.raises(tr.InputError, match=r"--vary.*allowed: (one of|a single number)"):
-        meant(vehicle, given)
+        full_paths(vehicle, given)
 
 
 @pytest.mark.parametrize(
@@ -428,38 +428,40 @@ def test_a_value_is_named_by_as_many_words_as_it_takes(given, path):
 )
 def test_values_that_are_none_are_refused(values):
     with pytest.raises(tr.InputError, match="PATH=A:B:N"):
-        varied(load("xgd24d"), f"thickness={values}")
+        variation(load("xgd24d"), f"thickness={values}")
 
 
 def test_a_percentage_scales_file_values_and_moves_tied_ones():
     vehicle = load("xgd24d", {"chassis.axles.rear.load": 120000.0})
     both = ("chassis.axles.front.load", "chassis.axles.rear.load")
-    found = varied(vehicle, "axles.load=-25%:+25%:3")
+    found = variation(vehicle, "axles.load=-25%:+25%:3")
     assert found.points == [dict(zip(both, at, strict=True)) for at in ((84e3, 90e3), (112e3, 120e3), (140e3, 150e3))]
-    assert varied(vehicle, "axles.load=90000").points == [dict.fromkeys(both, 90000.0)]
-    assert varied(vehicle, "belt.thickness=+20%").values == ((0.035, 0.042),)
-    assert varied(vehicle, "load=-10%,+10%").values == ((100800.0, 123200.0), (108000.0, 132000.0))
-    (low, high) = varied(vehicle, "load").values
+    assert variation(vehicle, "axles.load=90000").points == [dict.fromkeys(both, 90000.0)]
+    assert variation(vehicle, "belt.thickness=+20%").values == ((0.035, 0.042),)
+    assert variation(vehicle, "load=-10%,+10%").values == ((100800.0, 123200.0), (108000.0, 132000.0))
+    (low, high) = variation(vehicle, "load").values
     assert (low[0], high[-1]) == (80000.0, 150000.0)
     with pytest.raises(tr.InputError, match="percentage"):
-        varied(vehicle, "glass_transition=+20%")
-    found = sweep(SweepRequest("xgd24d", (varied(load("xgd24d"), "load=+20%"),), SPEED, AIR))
+        variation(vehicle, "glass_transition=+20%")
+    found = sweep(SweepRequest("xgd24d", (variation(load("xgd24d"), "load=+20%"),), SPEED, AIR))
     assert list(found.columns)[:2] == list(both)
     heavier = explain(load("xgd24d", dict.fromkeys(both, 134400.0)), SPEED, AIR, AIR)
     assert found.columns["cold_nm"][1] == pytest.approx(heavier["torque_nm"]["resistance"], rel=1e-9)
     with pytest.raises(tr.InputError, match="each value once"):
-        sweep(SweepRequest("xgd24d", tuple(varied(load("xgd24d"), one) for one in ("load=+20%", "front.load=+10%")), SPEED, AIR))
+        sweep(
+            SweepRequest("xgd24d", tuple(variation(load("xgd24d"), one) for one in ("load=+20%", "front.load=+10%")), SPEED, AIR)
+        )
 
 
 @pytest.mark.parametrize(("points", "count"), [(3, 0), (3, 2), (3, 11), (9, 9)])
 def test_a_sweep_of_any_lines_can_be_read(drawn, tmp_path, points, count):
     """With large numbers, in any order, and its conditions and units; lines that are not drawn are counted. Many are a map."""
     order = np.random.default_rng(1).permutation(points)
-    loads = Varied(("axles.front.load",), "N", (tuple(112000.0 + 1000.0 * order),))
-    widths = Varied(("belt.width",), "m", (tuple(0.6 + 0.001 * i for i in range(count)),))
+    loads = Variation(("axles.front.load",), "N", (tuple(112000.0 + 1000.0 * order),))
+    widths = Variation(("belt.width",), "m", (tuple(0.6 + 0.001 * i for i in range(count)),))
     asked = SweepRequest("a $x$ b.yaml", (loads, *([widths] if count else [])), 50.0 / 3.6, 15.0)
     outcome = np.repeat(loads.values[0], max(count, 1))
-    draw(Swept(asked, dict.fromkeys(("cold_nm", "warm_nm", "belt_degc", "kwh_per_km"), outcome), {}), tmp_path / "s.png")
+    draw(SweepResult(asked, dict.fromkeys(("cold_nm", "warm_nm", "belt_degc", "kwh_per_km"), outcome), {}), tmp_path / "s.png")
     (figure,) = drawn.figures
     assert not drawn.faults(figure)
     assert "a $x$ b.yaml: steady at 50 km/h, air 15 degC" in (figure.get_suptitle(), figure.axes[0].get_title(loc="left"))
@@ -535,7 +537,7 @@ def test_design_commands_name_effects_that_they_leave_out(monkeypatch, tmp_path,
         )
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh,torque_nm\n0,9,1\n9,9,1\n")
     for cycle, on in ((None, []), (str(tmp_path / "drive.csv"), ["not torque", Reason.EFFECT_LEFT_OUT.text])):
-        swept = sweep(SweepRequest(tracks, (varied(load(tracks), "bearing_friction=0.01,0.02"),), 2.5, AIR, cycle))
+        swept = sweep(SweepRequest(tracks, (variation(load(tracks), "bearing_friction=0.01,0.02"),), 2.5, AIR, cycle))
         assert swept.as_dict()["effects_left_out"] == ["turning_scrub"]
         assert swept.text().splitlines()[-1].startswith("turning_scrub: inactive")
         assert all(note.endswith(end) for note, end in zip(swept.as_dict()["notes"], on, strict=True))
@@ -544,7 +546,7 @@ def test_design_commands_name_effects_that_they_leave_out(monkeypatch, tmp_path,
         assert "; effects that warm up are warm in both\n" in swept.text()
     assert f"turning_scrub of {wheels[0]}: inactive" in wheels_text(wheels_compared(wheels), wheels)
     vary("rubber.loss_modulus_scale")
-    held = sensing.sensitivity(tracks, 2.5, AIR, 8).held
+    held = sensing.sensitivity(tracks, 2.5, AIR, 8).fixed
     assert held["effects.drivetrain_drag"] == "the size of an effect is taken as known"
     assert "inactive" in held["effects.turning_scrub"]
 

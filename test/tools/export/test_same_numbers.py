@@ -221,7 +221,7 @@ def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
             live.take(now, 0)
         course = live.course(now)
         assert int(outputs["reasons"]) & course.stopped == course.stopped
-        shown.append((float(outputs["feedforward_torque_nm"]), live.moved(course) if np.isfinite(live.age_s(now)) else 0.0))
+        shown.append((float(outputs["feedforward_torque_nm"]), live.move(course) if np.isfinite(live.age_s(now)) else 0.0))
         guarded.add(course.stopped)
     of_c, of_live = np.abs(shown).T
     a_tick_later = (k.number.feedforward_rate + rate_towards(k.number, 0.0)) * FEEDFORWARD_STEP_S

@@ -34,7 +34,7 @@ from trackres_ros.tools.fleet.periods import DIAGNOSES, INPUTS, REASON, verdicts
 from trackres_ros.tools.fleet.recordings import FoundRecording
 from trackres_ros.tools.fleet.run import alone, keep_limits, limits_of
 from trackres_ros.tools.fleet.sample import draw_fleet
-from trackres_ros.tools.fleet.task import Task, analyse, broken
+from trackres_ros.tools.fleet.task import Task, analyse, broken_row
 from trackres_ros.tools.fleet.trends import day_of, sentences, trends, without_copies
 from trackres_ros.tools.fleet.vehicles import digest_of_values, one_vehicle, read_fleet
 from trackres_ros.vehicle.writing.changes import FileChanges
@@ -364,7 +364,7 @@ def test_a_beginning_of_a_day_is_a_year_a_month_or_a_day(dataset, day, whole, ve
 
 
 def test_a_vehicle_with_only_unusable_recordings_has_its_line(dataset):
-    silent = dataset.put(broken(FoundRecording("/data/silent/1.csv", "1"), "silent", "x", "no speed"), None)
+    silent = dataset.put(broken_row(FoundRecording("/data/silent/1.csv", "1"), "silent", "x", "no speed"), None)
     page = write_pages(dataset.folder, trends(dataset, {}), dataset)
     assert 'href="vehicles/silent.html"' in page.read_text()
     assert "None of its recordings could be compared" in (page.parent / "vehicles" / "silent.html").read_text()

@@ -15,7 +15,7 @@ from proofs.sealed.truth import Build, Sensors, record, simulate_truth
 from trackres_ros import read
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.tools.fleet.likelihood import evidence, whatever_others
+from trackres_ros.tools.fleet.likelihood import evidence, marginal
 from trackres_ros.tools.fleet.sample import VEHICLE
 
 ROUNDING = 1e-12
@@ -28,7 +28,7 @@ def test_what_others_are_is_integrated_out(kept, others, seed):
     slopes = rng.normal(size=(20, kept + others))
     precision, linear = slopes.T @ slopes, rng.normal(size=kept + others)
     own = rng.permutation(kept + others) < kept
-    left, moved = whatever_others(precision, linear, own)
+    left, moved = marginal(precision, linear, own)
     covariance = np.linalg.inv(precision + np.diag(~own).astype(float))
     assert np.linalg.inv(left) == pytest.approx(covariance[np.ix_(own, own)])
     assert np.linalg.solve(left, moved) == pytest.approx((covariance @ linear)[own])

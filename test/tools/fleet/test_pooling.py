@@ -19,7 +19,7 @@ from trackres_ros.tools.fleet.changes import (
     VehicleChange,
     VehicleHistory,
     exceeded,
-    first_seen,
+    first_detection,
     fit,
     gains,
     lines_of,
@@ -84,14 +84,14 @@ def test_a_scatter_takes_information_away_and_no_scatter_none(seed, std):
 
 def test_what_differs_among_vehicles_and_recordings_is_found(quiet):
     assert np.abs(quiet.mean - MEAN).max() < 0.35
-    within, between = (np.sqrt(np.diag(covariance)) for covariance in (quiet.within, quiet.between))
+    within, between = (np.sqrt(np.diag(covariance)) for covariance in (quiet.recording_scatter, quiet.vehicle_scatter))
     assert np.all((within / WITHIN > 0.6) & (within / WITHIN < 1.6))
     assert np.all((between / BETWEEN > 0.4) & (between / BETWEEN < 2.5))
 
 
 def test_what_scatters_together_is_found_to():
     def correlation(alike):
-        within = pool(drawn(vehicles=12, recordings=40, alike=alike)).within
+        within = pool(drawn(vehicles=12, recordings=40, alike=alike)).recording_scatter
         assert np.linalg.eigvalsh(within).min() > 0.0
         return within[0, 1] / np.sqrt(within[0, 0] * within[1, 1])
 
@@ -138,14 +138,14 @@ def test_the_order_of_rows_makes_no_difference():
         }
         for v, t, a, p, x, url in zip(data.vehicle, data.time_s, data.air, data.precision, data.linear, data.urls, strict=True)
     ]  # fmt: skip
-    (forward,), (backward,) = Vehicles.of(rows), Vehicles.of(rows[::-1])
+    (forward,), (backward,) = Vehicles.by_type(rows), Vehicles.by_type(rows[::-1])
     assert np.array_equal(forward.linear, backward.linear)
     assert np.allclose(forward.precision, data.precision)
     other = [{**row, "nominal": [2.0] * 3} if row["vehicle"] == "v1" else row for row in rows]
-    assert sorted(len(of) for of in Vehicles.of(other)) == [8, 16]
+    assert sorted(len(of) for of in Vehicles.by_type(other)) == [8, 16]
     # What a factor multiplies is of the type; rows of earlier versions lack it.
     for of_files, sizes in (({"v1": 40.0}, [24]), ({"v1": 40.0, "v2": 48.0}, [8, 8, 8]), ({"v1": None}, [24])):
-        found = Vehicles.of(
+        found = Vehicles.by_type(
             [{**row, "of_file": [None, of_files[row["vehicle"]]]} if row["vehicle"] in of_files else row for row in rows]
         )
         assert sorted(len(of) for of in found) == sizes
@@ -170,7 +170,7 @@ def test_what_rises_more_and_more_is_a_ramp_with_a_forecast():
     assert change.kind == RAMP
     assert change.parameter == "bearing_friction"
     last = 1.7e9 + 46.0 * DAY_S
-    now = change.before + change.size
+    now = change.level + change.size
     told = forecast(change, last, now + change.size, 1.0)
     days = change.size / change.lines[0].slope
     assert days == pytest.approx((last - change.since_s) / DAY_S + 2.0)  # from the recording before its first
@@ -231,8 +231,8 @@ def test_a_change_that_ended_is_found_as_before_its_end(kind):
         whole = fit(of, found)
         size, std = size_of(whole, found, variants(of, found), 0)
         assert abs(size - true.max()) < 3.0 * std < 1.5
-        before = of.until(change.end)
-        assert first_seen(of, found, 0, (), LEAST) == first_seen(before, search(before, LEAST), 0, (), LEAST)
+        before = of.head(change.end)
+        assert first_detection(of, found, 0, (), LEAST) == first_detection(before, search(before, LEAST), 0, (), LEAST)
 
 
 @pytest.mark.parametrize("rest", [0.75, -0.8])
@@ -240,7 +240,7 @@ def test_a_fault_repaired_in_part_is_two_lasting_changes(rest):
     true = np.repeat([0.0, 1.5, rest], [12, 16, 12])
     for seed in range(6):
         of = history(true[:, None], seed)
-        found = sorted(search(of, LEAST), key=lambda change: change.at)
+        found = sorted(search(of, LEAST), key=lambda change: change.begin)
         assert [(change.kind, change.end) for change in found] == [(STEP, LASTING)] * 2
         for j, size in enumerate((1.5, rest - 1.5)):
             assert abs(size_of(fit(of, found), found, variants(of, found), j)[0] - size) < 0.6
@@ -252,7 +252,7 @@ def test_what_a_search_finds_a_search_until_then_found():
         of = history(np.zeros((40, 4)), seed)
         found = search(of, 4.0)
         ended += any(change.end < 40 for change in found)
-        assert not found or max(gains(of.until(count), ()).max() for count in range(4, 41)) >= 4.0
+        assert not found or max(gains(of.head(count), ()).max() for count in range(4, 41)) >= 4.0
     assert ended
 
 
@@ -284,9 +284,9 @@ def test_a_change_is_known_when_a_search_until_then_finds_it():
         found = search(of, LEAST)
         assert sorted(change.parameter for change in found) == [0, 1]
         for j, change in enumerate(found):
-            seen = first_seen(of, found, j, (), LEAST)
+            seen = first_detection(of, found, j, (), LEAST)
             for count, there in ((seen, False), (seen + 1, True)):
-                assert (change.parameter in {f.parameter for f in search(of.until(count), LEAST)}) is there
+                assert (change.parameter in {f.parameter for f in search(of.head(count), LEAST)}) is there
 
 
 def test_a_ramp_begins_with_the_recording_before_its_first():

@@ -25,7 +25,7 @@ from trackres_ros.tools.fleet import run as fleet_run
 from trackres_ros.tools.fleet import task as fleet_task
 from trackres_ros.tools.fleet.dataset import FleetDataset
 from trackres_ros.tools.fleet.recordings import LOCK, FoundRecording, find_recordings, is_there
-from trackres_ros.tools.fleet.task import AGAIN, Task, analyse, broken
+from trackres_ros.tools.fleet.task import AGAIN, Task, analyse, broken_row
 from trackres_ros.tools.fleet.trends import without_copies, without_overlaps
 from trackres_ros.tools.fleet.vehicles import digest, digest_of_values, one_vehicle, read_fleet
 
@@ -251,7 +251,7 @@ def test_words_of_a_vehicle_file_do_not_alter_its_values(tmp_path):
 
 def row(url, **more):
     vehicle = more.pop("vehicle", "t 1/é")
-    return {**broken(FoundRecording(url, "1"), vehicle, "x", "why"), **more}
+    return {**broken_row(FoundRecording(url, "1"), vehicle, "x", "why"), **more}
 
 
 def test_a_row_is_read_back_unchanged_and_replaces_the_old_one(tmp_path):
@@ -393,15 +393,15 @@ def test_a_worker_uses_the_topics_file_as_it_is_now(tmp_path, monkeypatch):
 def test_equal_content_counts_once_where_it_is_found(tmp_path, monkeypatch, in_this_process, order, day):
     fleet, dataset = fleet_of(tmp_path, "vehicles: {a: xgd24d, b: xgd24d}"), FleetDataset(tmp_path / "results")
     in_this_process(fleet_run)
-    done = fleet_run.done
+    run_pieces = fleet_run.run_pieces
 
     def made(task):
         day = int(Path(task.url).read_text())
-        made = broken(FoundRecording(task.url, task.stamp), task.vehicle.name, task.inputs, "why")
+        made = broken_row(FoundRecording(task.url, task.stamp), task.vehicle.name, task.inputs, "why")
         return {**(good_row(day, task.vehicle.name) if day else made), **{key: made[key] for key in KEPT}, "content": f"{day}"}
 
     monkeypatch.setattr(fleet_run, "analyse", made)
-    monkeypatch.setattr(fleet_run, "done", lambda *words: list(done(*words))[::order])
+    monkeypatch.setattr(fleet_run, "run_pieces", lambda *words: list(run_pieces(*words))[::order])
     for name, content in (("a/1.csv", 1), ("b/2.csv", 2), ("a/x.csv", day), ("b/y.csv", day)):
         (tmp_path / "depot" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "depot" / name).write_text(f"{content}")
@@ -445,7 +445,7 @@ def test_a_report_stays_unless_its_recordings_are_at_fault(tmp_path, monkeypatch
             return period, error
 
     in_this_process(periods)
-    monkeypatch.setattr(periods, "done", lambda _client, _function, work: map(outcome, work))
+    monkeypatch.setattr(periods, "run_pieces", lambda _client, _function, work: map(outcome, work))
     monkeypatch.setattr("trackres_ros.diagnose", diagnose, raising=False)
     missing, short = MissingExtraError("reading bags", "rosbags", "bags"), InputError("x", "no torque", "some")
     there, made = set(), []

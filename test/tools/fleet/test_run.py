@@ -24,7 +24,7 @@ pytest.importorskip("pyarrow")
 from trackres_ros.diagnosis.report import pictures
 from trackres_ros.tasks import diagnose as diagnosis
 from trackres_ros.tools import engine as executor
-from trackres_ros.tools.engine import dashboard, done, engine, why
+from trackres_ros.tools.engine import dashboard, engine, failure_text, run_pieces
 from trackres_ros.tools.fleet import periods
 from trackres_ros.tools.fleet import run as fleet_run
 from trackres_ros.tools.fleet.dataset import FleetDataset
@@ -170,10 +170,10 @@ def test_work_that_keeps_killing_workers_ends_and_others_finish(capfd, monkeypat
     monkeypatch.setattr(executor, "DEATHS", 1)  # a worker takes its time to start
     deadly = "__import__('os').kill(__import__('os').getpid(), 9)"
     with engine("local", 1) as client:
-        found = dict(done(client, eval, ["1 + 1", deadly, "2 + 2"]))
+        found = dict(run_pieces(client, eval, ["1 + 1", deadly, "2 + 2"]))
     assert found["1 + 1"] == 2
     assert found["2 + 2"] == 4
-    assert "1 workers died" in why(found[deadly])
+    assert "1 workers died" in failure_text(found[deadly])
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -183,7 +183,7 @@ def test_a_worker_manages_memory_as_this_process_does(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     asked = "dict(__import__('os').environ)"
     with engine("local", 1) as client:
-        ((_, found),) = done(client, eval, [asked])
+        ((_, found),) = run_pieces(client, eval, [asked])
     assert "MALLOC_TRIM_THRESHOLD_" not in found
     assert {name: found[name] for name in executor.ONE_THREAD} == executor.ONE_THREAD
 
@@ -192,12 +192,12 @@ def test_a_worker_manages_memory_as_this_process_does(monkeypatch):
 def test_a_cluster_that_cannot_be_closed_costs_no_result():
     program = """if __name__ == "__main__":
         from distributed.nanny import WorkerProcess
-        from trackres_ros.tools.engine import done, engine
+        from trackres_ros.tools.engine import run_pieces, engine
         async def fails(*_, **__):  # as Dask does where a worker that died starts again
             raise AssertionError("can only join a started process")
         WorkerProcess.kill = fails
         with engine("local", 1) as client:
-            print(dict(done(client, eval, ["1 + 1"])))"""
+            print(dict(run_pieces(client, eval, ["1 + 1"])))"""
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (run.returncode, run.stdout, run.stderr) == (0, "{'1 + 1': 2}\n", "")
 
@@ -207,7 +207,7 @@ def test_two_engines_run_on_one_machine_each_with_its_page(monkeypatch):
     monkeypatch.setattr(executor, "PAGE_S", 60.0)  # on a busy machine
     with engine("local", 1) as one, engine("local", 1) as other:
         for client in (one, other):
-            assert dict(done(client, eval, ["1 + 1"])) == {"1 + 1": 2}
+            assert dict(run_pieces(client, eval, ["1 + 1"])) == {"1 + 1": 2}
             if find_spec("bokeh"):
                 with urlopen(dashboard(client)) as page:
                     assert page.status == 200

@@ -9,6 +9,6 @@ try:
     import cyclonedds._clayer  # noqa: F401
     import rosbags.typesys  # noqa: F401
 except ImportError as error:
-    missing = (error.name or "cyclonedds").partition(".")[0]
-    wheels = "there are wheels for Python 3.10 to 3.13 on x86-64 Linux" if missing == "cyclonedds" else ""
-    raise MissingExtraError("running without ROS 2", missing, "dds", wheels) from error
+    package = (error.name or "cyclonedds").partition(".")[0]
+    wheels = "there are wheels for Python 3.10 to 3.13 on x86-64 Linux" if package == "cyclonedds" else ""
+    raise MissingExtraError("running without ROS 2", package, "dds", wheels) from error

@@ -60,22 +60,22 @@ class DdsNode:
         self._frame_id, self._namespace = parameters.text("frame_id"), namespace
         self._lines = ErrorLines()
         self.application = application = Application(parameters, self, node, namespace)
-        self._input_readers = [CdrInput(given, application.topics.origin) for given in application.inputs]
+        self._input_readers = [CdrInput(topic, application.topics.origin) for topic in application.inputs]
         self._participant = Participant(node, namespace)
-        self._began_ns = time.monotonic_ns()
+        self._start_ns = time.monotonic_ns()
         self._output_names = [full_name(topic.name, node, namespace) for topic in application.outputs]
         self._torques = {full_name(name, node, namespace) for name in TORQUES}
         self._fills = [None if topic.kind == "status" else prepared(topic, self._frame_id) for topic in application.outputs]
         self._writers: dict[int, Writer] = {}
         self._open(shared=True)
-        self._input_names = [self.topic_name(given.name) for given in application.inputs]
+        self._input_names = [self.topic_name(topic.name) for topic in application.inputs]
         self._quality, self._latched_quality = parameters.input_quality(), parameters.latched_quality()
         self._readers = [
-            self._participant.reader(name, given.type, self._quality)
-            for name, given in zip(self._input_names, application.inputs, strict=True)
+            self._participant.reader(name, topic.type, self._quality)
+            for name, topic in zip(self._input_names, application.inputs, strict=True)
         ]
         self._latched: dict[int, TopicReader] = {}
-        self._kept: list[tuple[int, TopicReader]] = []
+        self._record_only: list[tuple[int, TopicReader]] = []
         self._clock: TopicReader | None = None
         self._sim_ns = 0
         if parameters.sim_time:
@@ -83,9 +83,9 @@ class DdsNode:
         self._participant.announce()
         self._inbox = application.inbox(self._fetch, self._deliver)
         self._next_tick = 0
-        self._looking = Background("parameter file")
-        self._looked: tuple[Mapping[str, Value], list[InputError]] | BaseException = {}, []
-        self._next_look = 0
+        self._file_watch = Background("parameter file")
+        self._file_changes: tuple[Mapping[str, Value], list[InputError]] | BaseException = {}, []
+        self._next_look_ns = 0
 
     # Interface of the application's transport
 
@@ -108,15 +108,15 @@ class DdsNode:
         connected, name, kind = self._readers[index].connected, self._input_names[index], self.application.inputs[index].type
         return [
             Peer(
-                found.type,
-                found.handle in connected,
-                found.type != kind or _is_ours(kind, found),
-                self._participant.node_of(found),
-                found.handle,
-                found.latched,
+                publication.type,
+                publication.handle in connected,
+                publication.type != kind or _is_ours(kind, publication),
+                self._participant.node_of(publication),
+                publication.handle,
+                publication.latched,
             )
-            for found in self._participant.publications()
-            if found.topic == name
+            for publication in self._participant.publications()
+            if publication.topic == name
         ]
 
     def latch(self, index: int) -> None:
@@ -127,13 +127,13 @@ class DdsNode:
 
     def rivals(self) -> Sequence[str] | None:
         """The nodes of other publishers on our topics with the feed-forward."""
-        if time.monotonic_ns() - self._began_ns < DISCOVERY_NS:
+        if time.monotonic_ns() - self._start_ns < DISCOVERY_NS:
             return None
-        there = [found for found in self._participant.publications() if found.topic in self._torques]
+        publications = [publication for publication in self._participant.publications() if publication.topic in self._torques]
         return [
-            f"{self._participant.node_of(found) or NAMELESS} on {found.topic}"
-            for found in there
-            if not self._participant.is_own(found)
+            f"{self._participant.node_of(publication) or NAMELESS} on {publication.topic}"
+            for publication in publications
+            if not self._participant.is_own(publication)
         ]
 
     def open_outputs(self) -> None:
@@ -147,14 +147,16 @@ class DdsNode:
                 quality = self.application.parameters.output_quality(topic)
                 self._writers[output] = self._participant.writer(name, topic.type, quality)
 
-    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+    def record(self, other_inputs: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""
         store = typestore()
-        for index, given in enumerate(others, len(self._readers)):
-            if given.type in store.types:
-                self._kept.append((index, self._participant.reader(self.topic_name(given.name), given.type, self._quality)))
+        for index, topic in enumerate(other_inputs, len(self._readers)):
+            if topic.type in store.types:
+                self._record_only.append(
+                    (index, self._participant.reader(self.topic_name(topic.name), topic.type, self._quality))
+                )
         self._participant.announce()
-        kinds = [given.type for given in (*self.application.inputs, *others)]
+        kinds = [topic.type for topic in (*self.application.inputs, *other_inputs)]
         return [store.generate_msgdef(kind, ros_version=2)[0] if kind in store.types else None for kind in kinds]
 
     def topic_name(self, name: str) -> str:
@@ -168,83 +170,83 @@ class DdsNode:
 
     # Running
 
-    def spin(self, requests: SignalRequests, watched: ParameterFile | None = None) -> None:
+    def spin(self, requests: SignalRequests, parameter_file: ParameterFile | None = None) -> None:
         """Run until a signal requests a stop, and carry out other requests; a parameter file may be watched."""
         application = self.application
-        why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not installed"
+        cause = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not installed"
         reach = self._participant.reach
-        instead = f"; {watched.path} is watched for changes" if watched else ""
-        self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services{instead}")
+        file_text = f"; {parameter_file.path} is watched for changes" if parameter_file else ""
+        self.log(Level.OK, f"{cause}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services{file_text}")
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
         application.activate()
         wait = self._participant.waiter()
-        self._next_tick = self._next_look = time.monotonic_ns()
+        self._next_tick = self._next_look_ns = time.monotonic_ns()
         guard = application.guard
-        requests.started()
+        requests.start()
         while not requests.to_stop:
-            left = self._next_tick - time.monotonic_ns()
-            if left > 0 and not self._inbox.holds_any:  # a signal waits as long: `period_s` is 0.1 s at most
-                wait(left)
+            left_ns = self._next_tick - time.monotonic_ns()
+            if left_ns > 0 and not self._inbox.holds_any:  # a signal waits as long: `period_s` is 0.1 s at most
+                wait(left_ns)
             if self._clock:
                 guard.essential("reading the clock", self._take_clock, self._clock)
             guard.essential("taking messages", self._inbox.collect)
-            guard("recording", self._take_kept)
+            guard("recording", self._record_others)
             # A simulated clock stands still while messages are processed.
-            guard.essential("taking messages", self._inbox.work_off, self._tick_if_due, collecting=self._clock is None)
-            self._tick_if_due()
+            guard.essential("taking messages", self._inbox.work_off, self._tick_when_due, collecting=self._clock is None)
+            self._tick_when_due()
             guard("a request", application.carry_out, requests)
-            if watched:
-                guard("the parameter file", self._follow, watched)
+            if parameter_file:
+                guard("the parameter file", self._follow, parameter_file)
 
     def _take_clock(self, clock: TopicReader) -> None:
-        for taken in clock.take():
+        for message in clock.take():
             with suppress(MalformedError):
-                before, self._sim_ns = self._sim_ns, clock_ns(taken.raw)
-                self.application.time_went_back(before - self._sim_ns)
+                last_ns, self._sim_ns = self._sim_ns, clock_ns(message.raw)
+                self.application.time_went_back(last_ns - self._sim_ns)
 
     def _fetch(self, index: int) -> list[Taken]:
         """The messages that wait at an input."""
         latched = self._latched.get(index)
         return [*(latched.take() if latched else ()), *self._readers[index].take()]
 
-    def _take_kept(self) -> None:
-        for index, kept in self._kept:
-            for taken in kept.take():
-                self.application.messages.keep(index, taken.raw)
+    def _record_others(self) -> None:
+        for index, reader in self._record_only:
+            for message in reader.take():
+                self.application.messages.keep(index, message.raw)
 
-    def _follow(self, watched: ParameterFile) -> None:
+    def _follow(self, parameter_file: ParameterFile) -> None:
         """Apply the changes of a parameter file, and report each refused line. Another thread reads the file."""
-        if self._looking.busy:
+        if self._file_watch.busy:
             return
-        looked, self._looked = self._looked, ({}, [])
-        if isinstance(looked, BaseException):
-            raise looked
-        changed, refused = looked
-        for error in refused:
-            self.log(Level.WARN, watched.refused(error))
-        if changed:
-            self.application.change(changed)
-            self.log(Level.OK, watched.applied(changed))
-        if time.monotonic_ns() >= self._next_look:
-            self._next_look = time.monotonic_ns() + int(LOOK_EVERY_S * SECOND_NS)
-            self._looking.start(partial(self._look, watched))
+        outcome, self._file_changes = self._file_changes, ({}, [])
+        if isinstance(outcome, BaseException):
+            raise outcome
+        changes, errors = outcome
+        for error in errors:
+            self.log(Level.WARN, parameter_file.refusal_text(error))
+        if changes:
+            self.application.change(changes)
+            self.log(Level.OK, parameter_file.note_changes(changes))
+        if time.monotonic_ns() >= self._next_look_ns:
+            self._next_look_ns = time.monotonic_ns() + int(LOOK_EVERY_S * SECOND_NS)
+            self._file_watch.start(partial(self._read_file, parameter_file))
 
-    def _look(self, watched: ParameterFile) -> None:
+    def _read_file(self, parameter_file: ParameterFile) -> None:
         try:
-            self._looked = watched.look(self.application.checked_change)
+            self._file_changes = parameter_file.look(self.application.checked_change)
         except BaseException as error:  # raised in the loop, which handles it
-            self._looked = error
+            self._file_changes = error
 
-    def _deliver(self, index: int, message: Taken, arrived: Arrival) -> None:
-        sent = Sent(message.sent_ns, message.source, message.latched)
+    def _deliver(self, index: int, message: Taken, arrival: Arrival) -> None:
+        origin = Sent(message.sent_ns, message.source, message.latched)
         try:
             stamp, values = self._input_readers[index].read(message.raw)
         except Exception:  # no bytes, whatever they are, end the node
-            self.application.messages.receive_values(index, None, None, sent, arrived, message.raw)
+            self.application.messages.receive_values(index, None, None, origin, arrival, message.raw)
         else:
-            self.application.messages.receive_values(index, stamp, values, sent, arrived, message.raw)
+            self.application.messages.receive_values(index, stamp, values, origin, arrival, message.raw)
 
-    def _tick_if_due(self) -> None:
+    def _tick_when_due(self) -> None:
         now = time.monotonic_ns()
         if now >= self._next_tick:
             self._next_tick = max(self._next_tick + int(self.application.period_s * SECOND_NS), now)
@@ -262,28 +264,28 @@ def run(
     node: str,
     namespace: str,
     requests: SignalRequests,
-    started: Callable[[Application], None] | None = None,
-    watched: ParameterFile | None = None,
+    on_start: Callable[[Application], None] | None = None,
+    parameter_file: ParameterFile | None = None,
 ) -> int:
     """Run the node until a signal requests a stop; the exit code is 0, or 1 if a fault of the loop itself ended it."""
-    running = DdsNode(parameters, node, namespace)
+    dds_node = DdsNode(parameters, node, namespace)
     gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
     fault: Exception | None = None
     try:
-        if started:
-            started(running.application)
-        running.spin(requests, watched)
+        if on_start:
+            on_start(dds_node.application)
+        dds_node.spin(requests, parameter_file)
     except InputError:
         raise
     except Exception as error:
         fault = error
     finally:
         ServiceManager().stopping()
-        running.application.deactivate(fault)
-        running.close()
+        dds_node.application.deactivate(fault)
+        dds_node.close()
     return FAULT if fault else 0
 
 
-def _is_ours(kind: str, found: Publication) -> bool:
+def _is_ours(kind: str, publication: Publication) -> bool:
     """Whether its definition of a type is ours, as far as it announces one."""
-    return b"typehash=" not in found.user_data or type_hash(kind) in found.user_data
+    return b"typehash=" not in publication.user_data or type_hash(kind) in publication.user_data

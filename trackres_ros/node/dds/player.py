@@ -37,14 +37,24 @@ class Player:
         if is_ros1(path):
             raise InputError(str(path), "a bag of ROS 1", "a bag of ROS 2", "convert it with: rosbags-convert")
         with closing(cast("Any", open_bag(path))) as reader:  # of rosbags, which this module requires
-            known = {c.topic: c.msgtype for c in reader.connections if c.msgtype in typestore().types}
-            self.left_out = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c.topic not in known})
-            has_clock = any(c.topic == "/clock" and c.msgcount for c in reader.connections)
+            kinds = {
+                connection.topic: connection.msgtype
+                for connection in reader.connections
+                if connection.msgtype in typestore().types
+            }
+            self.left_out = sorted(
+                {
+                    f"{connection.topic} ({connection.msgtype})"
+                    for connection in reader.connections
+                    if connection.topic not in kinds
+                }
+            )
+            has_clock = any(connection.topic == "/clock" and connection.msgcount for connection in reader.connections)
             self.duration_s = reader.duration * 1e-9
-        if not known:
+        if not kinds:
             raise InputError(str(path), f"topics {', '.join(self.left_out)}", "a topic of a common message type")
         self._participant = Participant("trackres_player", "/")
-        self._writers = {topic: self._participant.writer(topic, kind, QUALITY) for topic, kind in known.items()}
+        self._writers = {topic: self._participant.writer(topic, kind, QUALITY) for topic, kind in kinds.items()}
         self._clock = None  # a second clock beside that of the bag would set the time back and forth
         if not has_clock:
             self._clock = self._participant.writer("/clock", "rosgraph_msgs/msg/Clock", CLOCK_QUALITY)
@@ -57,16 +67,16 @@ class Player:
 
     def wait_for_listeners(self, topics: Sequence[str], seconds: float) -> bool:
         """Wait until somebody listens on each of these topics; false if the time is over first."""
-        until = time.monotonic() + seconds
+        end = time.monotonic() + seconds
         while not all(self._writers[topic].readers for topic in topics):
-            if time.monotonic() > until:
+            if time.monotonic() > end:
                 return False
             time.sleep(WAIT_S)
         return True
 
     def play(self, progress: Callable[[float], None], going_on: Callable[[], bool]) -> int:
         """Publish everything in its time; how many messages. `progress` takes seconds of the bag that have passed."""
-        begin, start_ns, count, shown, next_clock = time.monotonic(), -1, 0, 0.0, 0.0
+        begin, start_ns, count, shown_s, next_clock = time.monotonic(), -1, 0, 0.0, 0.0
         for writer, at_ns, raw in self._messages():
             start_ns = at_ns if start_ns < 0 else start_ns
             due_s = (at_ns - start_ns) * 1e-9 / self.rate
@@ -83,9 +93,9 @@ class Player:
                 time.sleep(min(due_s - now_s, CLOCK_PERIOD_S))
             writer.write(raw + b"\0" * (-len(raw) % ALIGNMENT))
             count += 1
-            if due_s - shown > WAIT_S:
-                progress((due_s - shown) * self.rate)
-                shown = due_s
+            if due_s - shown_s > WAIT_S:
+                progress((due_s - shown_s) * self.rate)
+                shown_s = due_s
         return count
 
     def close(self) -> None:
@@ -94,7 +104,7 @@ class Player:
 
     def _messages(self) -> Iterator[tuple[Writer, int, bytes]]:
         with closing(open_bag(self._path)) as reader:
-            wanted: list[Any] = [c for c in reader.connections if c.topic in self._writers]
-            stream = read_in_steps(self._path, READABLE, messages(reader, wanted), remedy(self._path))
+            connections: list[Any] = [item for item in reader.connections if item.topic in self._writers]
+            stream = read_in_steps(self._path, READABLE, messages(reader, connections), remedy(self._path))
             for connection, at_ns, raw in stream:
                 yield self._writers[connection.topic], at_ns, bytes(raw)

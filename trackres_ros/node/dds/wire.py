@@ -75,8 +75,8 @@ def typestore() -> Typestore:
     """
     store = add_control_msgs(get_typestore(Stores.ROS2_JAZZY))
     fields: Any = message_fields(store)
-    for name, (constants, described) in list(fields.items()):
-        fields[name] = (constants, [(field, _without_char(kind)) for field, kind in described])
+    for name, (constants, members) in list(fields.items()):
+        fields[name] = (constants, [(field, _without_char(kind)) for field, kind in members])
     return store
 
 
@@ -86,11 +86,11 @@ def _without_char(kind: Any) -> Any:
     return (kind[0], (_without_char(kind[1][0]), kind[1][1])) if int(kind[0]) > 2 else kind
 
 
-def known_type(name: str, where: str) -> str:
+def known_type(name: str, place: str) -> str:
     """The message type, if known. Raises InputError if unknown."""
     if name not in typestore().types:
         raise InputError(
-            f"{where}: type",
+            f"{place}: type",
             name,
             "a type of common_interfaces, the only ones known without ROS",
             "run the node on ROS 2, which accepts every installed type",
@@ -106,8 +106,8 @@ def dds_type_name(name: str) -> str:
 
 def ros_type_name(name: str) -> str:
     """The reverse of `dds_type_name`; returns other names unchanged."""
-    package, _, rest = name.partition("::msg::dds_::")
-    return f"{package}/msg/{rest.removesuffix('_')}" if rest else name
+    package, _, name_part = name.partition("::msg::dds_::")
+    return f"{package}/msg/{name_part.removesuffix('_')}" if name_part else name
 
 
 @cache
@@ -126,19 +126,19 @@ def idl_struct(name: str) -> Any:
 
 
 def _idl_field(kind: Any) -> Any:
-    of: Any = idl  # generic at run time only
+    types: Any = idl  # generic at run time only
     node, inner = int(kind[0]), kind[1]
     if node == 1:  # a number or a string
         name, bound = inner
         if name == "string":
-            return of.bounded_str[bound] if bound else str
+            return types.bounded_str[bound] if bound else str
         return OTHERWISE.get(name) or getattr(idl, name)
     if node == 2:  # another message
         return idl_struct(inner)
     element, bound = inner
     if node == 3:
-        return of.array[_idl_field(element), bound]
-    return of.sequence[_idl_field(element), bound] if bound else of.sequence[_idl_field(element)]
+        return types.array[_idl_field(element), bound]
+    return types.sequence[_idl_field(element), bound] if bound else types.sequence[_idl_field(element)]
 
 
 def qos(quality: Quality, user_data: bytes) -> Any:
@@ -160,10 +160,10 @@ def qos(quality: Quality, user_data: bytes) -> Any:
 
 def domain_id() -> int:
     """Domain from ROS_DOMAIN_ID, 0 by default. Raises InputError if it is no domain."""
-    given = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not given.isdecimal() or int(given) > MOST_DOMAIN:
-        raise InputError("environment ROS_DOMAIN_ID", given, f"a whole number from 0 to {MOST_DOMAIN}")
-    return int(given)
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > MOST_DOMAIN:
+        raise InputError("environment ROS_DOMAIN_ID", text, f"a whole number from 0 to {MOST_DOMAIN}")
+    return int(text)
 
 
 def most_index(domain: int) -> int:
@@ -256,11 +256,11 @@ class TopicReader:
 
     def take(self) -> list[Taken]:
         """Take all waiting messages in order of arrival."""
-        found = ddspy_take(self._reference, EVERY_SAMPLE, MOST_TAKEN)
-        if not isinstance(found, list):
+        samples = ddspy_take(self._reference, EVERY_SAMPLE, MOST_TAKEN)
+        if not isinstance(samples, list):
             return []
         latched = self._latched
-        return [Taken(raw, about.source_timestamp, about.publication_handle, latched) for raw, about in found if about.valid_data]
+        return [Taken(raw, info.source_timestamp, info.publication_handle, latched) for raw, info in samples if info.valid_data]
 
 
 class Participant:
@@ -277,16 +277,16 @@ class Participant:
                 self.reach = f"in domain {number}, {reach}"
                 self.entity = DomainParticipant(number, qos=Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
-            given = os.environ.get("CYCLONEDDS_URI", "")
+            uri = os.environ.get("CYCLONEDDS_URI", "")
             allowed = "a configuration and a network with which Cyclone DDS starts"
-            raise InputError("environment CYCLONEDDS_URI", given, allowed, "its own messages above give the cause") from error
+            raise InputError("environment CYCLONEDDS_URI", uri, allowed, "its own messages above give the cause") from error
         self.publisher, self.subscriber = Publisher(self.entity), Subscriber(self.entity)
         graph = Topic(self.entity, GRAPH_TOPIC, idl_struct(GRAPH_TYPE))
         self._graph = DataWriter(self.publisher, graph, qos=qos(GRAPH_QUALITY, type_hash(GRAPH_TYPE)))
         self._nodes = DataReader(self.subscriber, graph, qos=qos(NODES_QUALITY, type_hash(GRAPH_TYPE)))
         self._entities: dict[bytes, Mapping[bytes, str]] = {}  # by participant: its writers, and the node of each
-        self._others = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
-        self._known: dict[int, Publication] = {}
+        self._publications = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
+        self._present: dict[int, Publication] = {}
         self._writers: list[Writer] = []
         self._readers: list[TopicReader] = []
         self._waits: WaitSet | None = None
@@ -325,9 +325,9 @@ class Participant:
 
     def node_of(self, publication: Publication) -> str:
         """Full name of the node that announces a writer as its own; empty if none does."""
-        found = ddspy_take(self._nodes._ref, EVERY_SAMPLE, MOST_TAKEN)
-        for raw, about in found if isinstance(found, list) else ():
-            if about.valid_data:
+        samples = ddspy_take(self._nodes._ref, EVERY_SAMPLE, MOST_TAKEN)
+        for raw, info in samples if isinstance(samples, list) else ():
+            if info.valid_data:
                 message: Any = typestore().deserialize_cdr(raw, GRAPH_TYPE)
                 self._entities[bytes(message.gid.data)[:12]] = {
                     bytes(gid.data): f"{node.node_namespace.rstrip('/')}/{node.node_name}"
@@ -342,17 +342,17 @@ class Participant:
 
     def publications(self) -> Iterator[Publication]:
         """All present writers of ROS topics, including our own."""
-        for found in self._others.take(N=MOST_TAKEN):
-            handle = found.sample_info.instance_handle
-            if found.sample_info.instance_state != InstanceState.Alive:
-                self._known.pop(handle, None)
-            elif found.topic_name.startswith(TOPIC_PREFIX):
-                name, kind = "/" + found.topic_name.removeprefix(TOPIC_PREFIX), ros_type_name(found.type_name)
-                user_data = getattr(found.qos[Policy.Userdata], "data", b"")
-                reliable = isinstance(found.qos[Policy.Reliability], Policy.Reliability.Reliable)
-                latched = reliable and found.qos[Policy.Durability] != Policy.Durability.Volatile
-                self._known[handle] = Publication(name, kind, handle, user_data, found.key.bytes, latched)
-        yield from self._known.values()
+        for sample in self._publications.take(N=MOST_TAKEN):
+            handle = sample.sample_info.instance_handle
+            if sample.sample_info.instance_state != InstanceState.Alive:
+                self._present.pop(handle, None)
+            elif sample.topic_name.startswith(TOPIC_PREFIX):
+                name, kind = "/" + sample.topic_name.removeprefix(TOPIC_PREFIX), ros_type_name(sample.type_name)
+                user_data = getattr(sample.qos[Policy.Userdata], "data", b"")
+                reliable = isinstance(sample.qos[Policy.Reliability], Policy.Reliability.Reliable)
+                latched = reliable and sample.qos[Policy.Durability] != Policy.Durability.Volatile
+                self._present[handle] = Publication(name, kind, handle, user_data, sample.key.bytes, latched)
+        yield from self._present.values()
 
     def close(self) -> None:
         """Leave; others see it at once."""
@@ -379,7 +379,7 @@ class PreparedMessage:
         places = [spot[0] for spot in template.layout.spots if spot]
         self._numbers, self._stamp = places[: len(numbers)], places[len(numbers) :]
 
-    def filled(self, stamp: int, values: Sequence[float]) -> bytes:
+    def fill(self, stamp: int, values: Sequence[float]) -> bytes:
         """The message with a stamp [ns] and its numbers."""
         if self._stamp:
             seconds, nanoseconds = divmod(stamp, SECOND_NS)
@@ -393,9 +393,9 @@ class PreparedMessage:
 def prepared(topic: OutputTopic, frame_id: str) -> Fill:
     """A function that makes the message from a stamp [ns], the numbers of a topic and the reasons of an estimate."""
     if topic is ESTIMATE_TOPIC:
-        return DdsEstimate(frame_id).filled
+        return DdsEstimate(frame_id).fill
     message = PreparedMessage(topic, bag.template_message(topic, typestore(), frame_id), bag.number_fields(topic))
-    return lambda stamp, values, _reasons: message.filled(stamp, values)
+    return lambda stamp, values, _reasons: message.fill(stamp, values)
 
 
 class DdsEstimate:
@@ -405,11 +405,11 @@ class DdsEstimate:
         self._frame_id = frame_id
         self._reasons: Reasons | None = None
 
-    def filled(self, stamp: int, values: Sequence[float], reasons: Reasons) -> bytes:
+    def fill(self, stamp: int, values: Sequence[float], reasons: Reasons) -> bytes:
         """The message with a stamp [ns], its numbers and the present reasons."""
         if reasons != self._reasons:
             self._prepared, self._reasons = self._with(reasons), reasons
-        return self._prepared.filled(stamp, values)
+        return self._prepared.fill(stamp, values)
 
     def _with(self, reasons: Reasons) -> PreparedMessage:
         message = bag.estimate_message(typestore(), self._frame_id, reasons)
@@ -418,8 +418,8 @@ class DdsEstimate:
 
 def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> bytes:
     """A DiagnosticArray."""
-    listed = ((int(one.level), one.name, one.message, one.hardware_id, one.values) for one in statuses)
-    return serialized(bag.diagnostic_array(typestore(), listed, frame_id, stamp), bag.DIAGNOSTICS)
+    rows = ((int(status.level), status.name, status.message, status.hardware_id, status.values) for status in statuses)
+    return serialized(bag.diagnostic_array(typestore(), rows, frame_id, stamp), bag.DIAGNOSTICS)
 
 
 class CdrInput:
@@ -429,15 +429,15 @@ class CdrInput:
     InputError for an unknown type, or a field path that does not lead to a number.
     """
 
-    def __init__(self, given: InputTopic, origin: str) -> None:
-        where = f"{origin}: {given.role_names}"
-        self._type = known_type(given.type, where)
-        bindings = [reading.binding for reading in given.readings]
+    def __init__(self, topic: InputTopic, origin: str) -> None:
+        place = f"{origin}: {topic.role_names}"
+        self._type = known_type(topic.type, place)
+        bindings = [reading.binding for reading in topic.readings]
         self._scales = [(binding.scale, binding.offset) for binding in bindings]
         self._has_fix = bool(bindings[0].fix)
         fields = [*(binding.field for binding in bindings), *([FIX] if self._has_fix else [])]
         types = definitions(message_fields(typestore()), self._type)
-        self._fields = FieldReader(types, self._type, fields, where=f"{where}: field")
+        self._fields = FieldReader(types, self._type, fields, where=f"{place}: field")
         self._has_stamp = len(self._fields.paths) > len(fields)
         self._fixed: tuple[tuple[slice, bytes], ...] = ()
         self._length = -1
@@ -447,9 +447,11 @@ class CdrInput:
         """Stamp [ns], None where the type has none; and the scaled number of each binding, the reason where the message lacks
         it, nan of a receiver without a fix. Raises MalformedError if the bytes are no message of the type.
         """
-        if len(raw) != self._length or any(raw[where] != content for where, content in self._fixed):
+        if len(raw) != self._length or any(raw[span] != content for span, content in self._fixed):
             self._learn(raw)
-        numbers: list[Any] = [at if isinstance(at, str) else at[1].unpack_from(raw, at[0])[0] for at in self._places]
+        numbers: list[Any] = [
+            place if isinstance(place, str) else place[1].unpack_from(raw, place[0])[0] for place in self._places
+        ]
         stamp = None
         if self._has_stamp:
             nanoseconds, seconds = numbers.pop(), numbers.pop()

@@ -50,8 +50,8 @@ def _executable() -> Any:
 def _not_of_ros(arguments: Sequence[str]) -> list[str]:
     from rclpy.utilities import remove_ros_args
 
-    others = remove_ros_args(arguments)[1:]
-    return [f"arguments without effect: {' '.join(others)}; those of ROS follow --ros-args"] if others else []
+    unused = remove_ros_args(arguments)[1:]
+    return [f"arguments without effect: {' '.join(unused)}; those of ROS follow --ros-args"] if unused else []
 
 
 def run(
@@ -59,7 +59,7 @@ def run(
     node: str,
     namespace: str,
     requests: SignalRequests,
-    started: Callable[[Application], None] | None,  # called with each application, after a cleanup with the next one
+    on_start: Callable[[Application], None] | None,  # called with each application, after a cleanup with the next one
     qos_overrides: Mapping[str, bool | int | str],
 ) -> int:
     """Run the node with checked parameters until a signal requests a stop; return the exit code."""
@@ -72,14 +72,14 @@ def run(
         overrides = [Parameter(name, value=value) for name, value in qos_overrides.items()]
         return EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=overrides)
 
-    return _run(make, requests, [], started, of_command=True)
+    return _run(make, requests, [], on_start, of_command=True)
 
 
 def _run(
     make: Callable[[], Any],
     requests: SignalRequests,
     args: list[str] | None,
-    started: Callable[[Application], None] | None,
+    on_start: Callable[[Application], None] | None,
     of_command: bool,
 ) -> int:
     try:
@@ -100,17 +100,17 @@ def _run(
     fault: Exception | None = None
     try:
         node = make()
-        node.configured = started
+        node.configured = on_start
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         if of_command or node.get_parameter("autostart").value:
             if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
-                if of_command and node.refused:
-                    raise node.refused
+                if of_command and node.refusal:
+                    raise node.refusal
                 return BAD_INPUT
             node.trigger_activate()
         gc.freeze()  # loaded objects stay: scanning them would delay a message now and then
-        requests.started()
+        requests.start()
         _spin(executor, node, requests)
     except InputError:
         raise
@@ -132,18 +132,18 @@ def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
     """Run until a signal requests a stop. Exceptions of callbacks leave the executor here, and end nothing else."""
     from rclpy.executors import ExternalShutdownException
 
-    failed, service = 0, ServiceManager()
+    failures, service = 0, ServiceManager()
     while not requests.to_stop:
         try:
             executor.spin_once(timeout_sec=LONGEST_WAIT_S)
-            failed = 0
+            failures = 0
         except ExternalShutdownException:
             return
         except Exception as error:
-            failed += 1
-            if node.application is None or failed >= MOST_FAILED:  # then it is the executor itself
+            failures += 1
+            if node.application is None or failures >= MOST_FAILED:  # then it is the executor itself
                 raise
-            node.application.guard.failed("a callback", error, essential=False)
+            node.application.guard.report("a callback", error, essential=False)
         if node.application:
             node.application.guard("a request", node.application.carry_out, requests)
         else:  # unconfigured by request

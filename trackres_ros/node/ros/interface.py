@@ -32,8 +32,8 @@ from trackres_ros.node.parameters import (
     Parameters,
     Value,
     fits,
-    known,
     make_parameters,
+    node_parameter,
     section_names,
 )
 from trackres_ros.node.transport import InputTopic, Quality, Reasons, Status
@@ -57,11 +57,11 @@ def override_errors(node: Node, topic: str) -> Iterator[None]:
         yield
     except Exception as error:
         prefix = f"{OVERRIDES}{node.resolve_topic_name(topic)}."
-        given = {name: found.value for name, found in node._parameter_overrides.items() if name.startswith(prefix)}
-        if not given:
+        values = {name: parameter.value for name, parameter in node._parameter_overrides.items() if name.startswith(prefix)}
+        if not values:
             raise
         allowed = "history keep_last or keep_all, depth a whole number from 0, reliability reliable or best_effort"
-        raise InputError(f"parameters {prefix}*", given, allowed, str(error)) from error
+        raise InputError(f"parameters {prefix}*", values, allowed, str(error)) from error
 
 
 def profile_of(quality: Quality) -> QoSProfile:
@@ -81,7 +81,7 @@ def prepared(topic: OutputTopic, frame_id: str) -> Fill:
     Raises InputError or an error of a library if the type of an estimate is not installed, or differs.
     """
     if topic is ESTIMATE_TOPIC:
-        return RosEstimate(frame_id).filled
+        return RosEstimate(frame_id).fill
     message = get_message(topic.type)()
     if topic.kind == "joints":
         message.name = list(topic.names)
@@ -120,7 +120,7 @@ def _temperature(message: Any, values: Sequence[float]) -> None:
 
 
 class RosEstimate:
-    """The message of `topics.ESTIMATE_TOPIC`, reused; its reasons are filled only when they change."""
+    """The message of `topics.ESTIMATE_TOPIC`, reused; its reasons are filled in only when they change."""
 
     def __init__(self, frame_id: str) -> None:
         self._message = installed_type(ESTIMATE_TOPIC.type, f"topic ~/{ESTIMATE_TOPIC.name}")()
@@ -131,7 +131,7 @@ class RosEstimate:
         self._message.interface_values = [self._vehicle, self._remarked]
         self._reasons: Reasons = ()
 
-    def filled(self, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> Any:
+    def fill(self, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> Any:
         """The message with a stamp [ns], its numbers and the present reasons."""
         _set_stamp(self._message, stamp_ns)
         self._vehicle.values = array("d", values)
@@ -149,66 +149,66 @@ def diagnostic_array(stamp_ns: int, statuses: Sequence[Status], frame_id: str) -
         header=Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame_id),
         status=[
             DiagnosticStatus(
-                level=bytes([given.level]),
-                name=given.name,
-                message=given.message,
-                hardware_id=given.hardware_id,
-                values=[KeyValue(key=key, value=value) for key, value in given.values],
+                level=bytes([status.level]),
+                name=status.name,
+                message=status.message,
+                hardware_id=status.hardware_id,
+                values=[KeyValue(key=key, value=value) for key, value in status.values],
             )
-            for given in statuses
+            for status in statuses
         ],
     )
 
 
-def input_type(given: InputTopic, origin: str) -> Any:
+def input_type(topic: InputTopic, origin: str) -> Any:
     """Message class of an input, with its field paths checked.
 
     Raises InputError for a type that is not installed, or a field path that does not lead to a number.
     """
-    where = f"{origin}: {given.role_names}"
-    message = installed_type(given.type, where)
-    types = with_nested(given.type, installed_fields)
-    for reading in given.readings:
-        check_field(types, given.type, reading.binding.field, f"{where}: field")
+    place = f"{origin}: {topic.role_names}"
+    message = installed_type(topic.type, place)
+    types = with_nested(topic.type, installed_fields)
+    for reading in topic.readings:
+        check_field(types, topic.type, reading.binding.field, f"{place}: field")
     return message
 
 
-def installed_type(name: str, where: str) -> Any:
+def installed_type(name: str, place: str) -> Any:
     """The class of a message type. Raises InputError if it is not installed."""
     try:
         return get_message(name)
     except (AttributeError, ImportError, ValueError):
         package = name.split("/")[0].replace("_", "-")
         raise InputError(
-            f"{where}: type", name, "an installed message type", f"install it: sudo apt install ros-jazzy-{package}"
+            f"{place}: type", name, "an installed message type", f"install it: sudo apt install ros-jazzy-{package}"
         ) from None
 
 
 def type_text(msgtype: str) -> str | None:
     """The definition of a message type with all nested types, as stored in a bag; None if it is not installed."""
-    found: dict[str, str] = {}
-    wanted = [msgtype]
-    while wanted:
-        name = wanted.pop(0)
-        if name in found:
+    texts: dict[str, str] = {}
+    names = [msgtype]
+    while names:
+        name = names.pop(0)
+        if name in texts:
             continue
         package, kind, short = name.split("/")
         try:
             path = Path(get_package_share_directory(package)) / kind / f"{short}.msg"
-            found[name] = path.read_text(encoding="utf-8")
-            wanted += [field.type for field in installed_fields(name) if "/" in field.type]
+            texts[name] = path.read_text(encoding="utf-8")
+            names += [field.type for field in installed_fields(name) if "/" in field.type]
         except (LookupError, OSError, AttributeError, ImportError, ValueError):
             return None
-    first, *others = found
-    parts = [f"MSG: {name.replace('/msg/', '/')}\n{found[name]}" for name in others]
-    return f"\n{'=' * 80}\n".join([found[first], *parts])
+    first, *nested = texts
+    parts = [f"MSG: {name.replace('/msg/', '/')}\n{texts[name]}" for name in nested]
+    return f"\n{'=' * 80}\n".join([texts[first], *parts])
 
 
 def declare_parameters(node: Node, values: Parameters) -> None:
     """Declare all parameters; the command line or a parameter file overrides `values`. Raises InputError for a bad value."""
     overrides = node._parameter_overrides
     for name, parameter in PARAMETERS.items():
-        value = parameter.checked(overrides[name].value) if name in overrides else values.values[name]
+        value = parameter.check(overrides[name].value) if name in overrides else values.values[name]
         if name == SIM_TIME:
             node.set_parameters([RosParameter(name, value=value)])
         else:
@@ -221,29 +221,29 @@ def unknown_parameters(node: Node, of_topics: bool) -> str:
     With `of_topics` only overrides of a topic's quality of service, which are declared when the node is configured; else all
     others.
     """
-    found = [
+    unknown = [
         f"{name} ({nearest(name, node._parameters) or 'no parameter has a similar name'})"
         for name in node._parameter_overrides
         if not node.has_parameter(name) and name.startswith(OVERRIDES) is of_topics
     ]
-    return f"unknown parameters without effect: {', '.join(found)}" if found else ""
+    return f"unknown parameters without effect: {', '.join(unknown)}" if unknown else ""
 
 
 def files_without_effect(node: Node, arguments: Sequence[str]) -> list[str]:
     """A text about each parameter file in ROS arguments that has no section for a node, by the wildcards of ROS."""
-    full, found = node.get_fully_qualified_name(), []
+    full_name, texts = node.get_fully_qualified_name(), []
     for option, path in pairwise(arguments):
         if option != "--params-file":
             continue
         try:
             names = section_names(Path(path))
         except InputError as error:  # a pipe that ROS has already read
-            found.append(str(error))
+            texts.append(str(error))
             continue
-        if not any(fits(name, full) for name in names):
-            given = f"parameters of {', '.join(names)}, which have no effect"
-            found.append(str(InputError(path, given, f"a section for {full}", "use that name, or /** for any node")))
-    return found
+        if not any(fits(name, full_name) for name in names):
+            content = f"parameters of {', '.join(names)}, which have no effect"
+            texts.append(str(InputError(path, content, f"a section for {full_name}", "use that name, or /** for any node")))
+    return texts
 
 
 def descriptor(parameter: NodeParameter) -> ParameterDescriptor:
@@ -253,29 +253,29 @@ def descriptor(parameter: NodeParameter) -> ParameterDescriptor:
         text += f" [{parameter.unit}]"
     if parameter.choices:
         text += f"; of {', '.join(parameter.choices)}"
-    whole = parameter.is_number and isinstance(parameter.default, int)
+    is_whole = parameter.is_number and isinstance(parameter.default, int)
     return ParameterDescriptor(
         description=text,
         additional_constraints=f"fixed while configured: {parameter.fixed_because}" if parameter.fixed_because else "",
         # `own_types` converts the type. For other types this package's own check names the allowed values.
         dynamic_typing=True,
-        integer_range=[IntegerRange(from_value=parameter.low, to_value=parameter.high, step=1)] if whole else [],
+        integer_range=[IntegerRange(from_value=parameter.low, to_value=parameter.high, step=1)] if is_whole else [],
         floating_point_range=[FloatingPointRange(from_value=parameter.low, to_value=parameter.high, step=0.0)]
-        if parameter.is_number and not whole
+        if parameter.is_number and not is_whole
         else [],
     )
 
 
-def own_types(given: Iterable[RosParameter]) -> list[RosParameter]:
+def own_types(parameters: Iterable[RosParameter]) -> list[RosParameter]:
     """Convert values to the types of the table: 2 for a float to 2.0, true to the word on. A refused value stays as it is."""
-    found = []
-    for parameter in given:
+    typed = []
+    for parameter in parameters:
         try:
-            value = _on_ros(known(parameter.name).checked(parameter.value))
-            found.append(RosParameter(parameter.name, value=value))
+            value = _on_ros(node_parameter(parameter.name).check(parameter.value))
+            typed.append(RosParameter(parameter.name, value=value))
         except InputError:
-            found.append(parameter)
-    return found
+            typed.append(parameter)
+    return typed
 
 
 def _on_ros(value: Value) -> Any:
@@ -292,16 +292,16 @@ def known_values(parameters: Iterable[RosParameter]) -> Mapping[str, Any]:
     return {parameter.name: parameter.value for parameter in parameters if parameter.name in PARAMETERS}
 
 
-def check_result(check: Any, given: Mapping[str, Any]) -> SetParametersResult:
+def check_result(check: Any, values: Mapping[str, Any]) -> SetParametersResult:
     """The answer to a request to set parameters, after a check that raises InputError."""
     try:
-        check(given)
+        check(values)
     except InputError as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)
 
 
-def check_values(given: Mapping[str, Any]) -> None:
+def check_values(values: Mapping[str, Any]) -> None:
     """Check values before there is anything that they would change. Raises InputError for a bad value."""
-    for name, value in given.items():
-        known(name).checked(value)
+    for name, value in values.items():
+        node_parameter(name).check(value)

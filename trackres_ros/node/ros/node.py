@@ -58,10 +58,10 @@ class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
     def can_execute(self, entity: Any) -> bool:
         """Whether the executor waits for it, or runs it."""
         if isinstance(entity, Subscription):  # others are rclpy's own, of /clock, or only recorded
-            opened = self.waits_for_inputs or entity not in self.inputs
+            is_open = self.waits_for_inputs or entity not in self.inputs
         else:
-            opened = self.serves or isinstance(entity, Timer)
-        return opened and bool(super().can_execute(entity))
+            is_open = self.serves or isinstance(entity, Timer)
+        return is_open and bool(super().can_execute(entity))
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -80,7 +80,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.application: Application | None = None
         self.configured: Callable[[Application], None] | None = None  # called with each application that is made
         self.failure = ""
-        self.refused: InputError | None = None  # refusal of the last transition
+        self.refusal: InputError | None = None  # refusal of the last transition
         self._clear()
         self._made_ns = time.monotonic_ns()
         super().__init__(node, **arguments)
@@ -91,7 +91,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.warn(interface.unknown_parameters(self, of_topics=False))
         for service in self.services:
             if service.srv_type is ChangeState:
-                service.callback = _answering(service.callback)
+                service.callback = _with_answer(service.callback)
 
     def _clear(self) -> None:
         """Before configuration or after cleanup."""
@@ -100,8 +100,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._latched: dict[int, Any] = {}
         self._inputs: list[Any] = []
         self._group.inputs = self._inputs
-        self._kept: list[Any] = []
-        self._offered: list[Any] = []
+        self._record_only: list[Any] = []
+        self._services: list[Any] = []
         self._jumps: Any = None
         self._refused_ns = 0  # last time of /clock before 0, while there is no later one
         self._ticker: Any = None
@@ -137,7 +137,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         try:
             step(state)
         except InputError as error:
-            self.failure, self.refused = str(error), error
+            self.failure, self.refusal = str(error), error
             self.get_logger().error(self.failure)
             self.release()
             return TransitionCallbackReturn.FAILURE
@@ -151,7 +151,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         parameters = interface.read_parameters(self)
         self._frame_id = parameters.text("frame_id")
         application = Application(parameters, self, self.get_name(), self.get_namespace())
-        kinds = [interface.input_type(given, application.topics.origin) for given in application.inputs]
+        kinds = [interface.input_type(topic, application.topics.origin) for topic in application.inputs]
         self.application = application
         self._fills = [None if topic.kind == "status" else self._fill(topic) for topic in application.outputs]
         self._open(shared=True)
@@ -159,11 +159,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         if not self.rivals():
             self._open(shared=False)
         self._input_profile = interface.profile_of(parameters.input_quality())
-        for given, kind in zip(application.inputs, kinds, strict=True):
+        for topic, kind in zip(application.inputs, kinds, strict=True):
             profile = interface.profile_of(parameters.input_quality())  # its own: overrides are written into it
-            self._open_input(given.name, kind, profile)
+            self._open_input(topic.name, kind, profile)
         self._inbox = application.inbox(self._fetch, self._deliver)
-        self._offered = [
+        self._services = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
             self.create_service(Trigger, "~/reset_learning", self._server(application.reset_learning)),
             self.create_service(Trigger, "~/save_state", self._server(application.save_state)),
@@ -201,10 +201,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         )
         take = self._taker(len(self._inputs), latched=False)
         with interface.override_errors(self, name):
-            made = self.create_subscription(
+            subscription = self.create_subscription(
                 kind, name, take, profile, event_callbacks=events, qos_overriding_options=interface.OVERRIDABLE
             )
-        self._inputs.append(made)
+        self._inputs.append(subscription)
 
     def _start_clocks(self, application: Application) -> None:
         """Notify the application when the clock goes back, and call its tick by steady time."""
@@ -215,13 +215,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             application.guard.essential("the clock", application.time_went_back, -jump.delta.nanoseconds)
 
         self._jumps = self.get_clock().create_jump_callback(any_back, post_callback=jumped)
-        for given in self.subscriptions:
-            if given.msg_type is ClockMessage:
-                given.callback = self._from_zero(given.callback)
+        for subscription in self.subscriptions:
+            if subscription.msg_type is ClockMessage:
+                subscription.callback = self._without_negative(subscription.callback)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady)
 
-    def _from_zero(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+    def _without_negative(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
         """The callback of /clock, without the times before 0 at which rclpy raises."""
 
         def come(message: Any) -> None:
@@ -241,10 +241,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _deactivate(self, state: LifecycleState) -> None:
         assert self.application
-        self.application.deactivate(meanwhile=self._go_on)
+        self.application.deactivate(on_wait=self._run_executor)
         super().on_deactivate(state)
 
-    def _go_on(self) -> None:
+    def _run_executor(self) -> None:
         """Do what the executor would do. A simulated clock stands still meanwhile, so messages wait for it."""
         if self.application and not self.application.parameters.sim_time:
             self._collect()
@@ -260,11 +260,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self._jumps.unregister()
         if self._ticker:
             self.destroy_timer(self._ticker)
-        for given in (*self._inputs, *self._latched.values(), *self._kept):
-            self.destroy_subscription(given)
+        for subscription in (*self._inputs, *self._latched.values(), *self._record_only):
+            self.destroy_subscription(subscription)
         for output in self._outputs.values():
             self.destroy_lifecycle_publisher(output)
-        for service in self._offered:
+        for service in self._services:
             self.destroy_service(service)
         self._clear()
 
@@ -300,64 +300,67 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers on the topic of an input."""
-        given = self._inputs[index]
+        subscription = self._inputs[index]
         ours = {
-            found.topic_type: found.topic_type_hash
-            for found in self.get_subscriptions_info_by_topic(given.topic_name)
-            if (found.node_name, found.node_namespace) == (self.get_name(), self.get_namespace())
+            endpoint.topic_type: endpoint.topic_type_hash
+            for endpoint in self.get_subscriptions_info_by_topic(subscription.topic_name)
+            if (endpoint.node_name, endpoint.node_namespace) == (self.get_name(), self.get_namespace())
         }
         return [
             Peer(
-                found.topic_type,
-                qos_check_compatible(found.qos_profile, given.qos_profile)[0] != QoSCompatibility.ERROR,
-                found.topic_type_hash.version <= 0 or found.topic_type_hash == ours.get(found.topic_type, found.topic_type_hash),
-                _node_of(found),
-                latched=_keeps(found.qos_profile),
+                endpoint.topic_type,
+                qos_check_compatible(endpoint.qos_profile, subscription.qos_profile)[0] != QoSCompatibility.ERROR,
+                endpoint.topic_type_hash.version <= 0
+                or endpoint.topic_type_hash == ours.get(endpoint.topic_type, endpoint.topic_type_hash),
+                _node_of(endpoint),
+                latched=_keeps(endpoint.qos_profile),
             )
-            for found in self.get_publishers_info_by_topic(given.topic_name)
+            for endpoint in self.get_publishers_info_by_topic(subscription.topic_name)
         ]
 
     def latch(self, index: int) -> None:
         """Receive what the publishers of an input keep, too; those that keep nothing have the other subscription."""
         assert self.application
-        given = self._inputs[index]
+        subscription = self._inputs[index]
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
         profile = interface.profile_of(self.application.parameters.latched_quality())
         take = self._taker(index, latched=True)
-        self._latched[index] = self.create_subscription(given.msg_type, given.topic_name, take, profile, event_callbacks=events)
+        self._latched[index] = self.create_subscription(
+            subscription.msg_type, subscription.topic_name, take, profile, event_callbacks=events
+        )
 
     def rivals(self) -> Sequence[str] | None:
         """The nodes of other publishers on our topics with the feed-forward."""
         if time.monotonic_ns() - self._made_ns < DISCOVERY_NS:
             return None
         assert self.application
-        found: list[str] = []
+        names: list[str] = []
         for output, topic in enumerate(self.application.outputs):
             name = self.resolve_topic_name(_relative(topic))
             if topic.name in TORQUES and self.count_publishers(name) > (output in self._outputs):
-                nodes = [_node_of(there) for there in self.get_publishers_info_by_topic(name)]
+                nodes = [_node_of(endpoint) for endpoint in self.get_publishers_info_by_topic(name)]
                 if output in self._outputs and self.get_fully_qualified_name() in nodes:
                     nodes.remove(self.get_fully_qualified_name())
-                found += [f"{node or NAMELESS} on {name}" for node in nodes]
-        return found
+                names += [f"{node or NAMELESS} on {name}" for node in nodes]
+        return names
 
     def open_outputs(self) -> None:
         """Open the topics below the node's own name, if they are not open yet."""
-        before = set(self._outputs)
+        last_open = set(self._outputs)
         self._open(shared=False)
-        for output in self._outputs.keys() - before:
+        for output in self._outputs.keys() - last_open:
             self._outputs[output].on_activate(None)
 
-    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+    def record(self, other_inputs: Sequence[InputTopic]) -> Sequence[str | None]:
         """Record every message, including those of other topics."""
         assert self.application
         self._recording = True
-        texts = [interface.type_text(given.type) for given in (*self.application.inputs, *others)]
-        for index, given in enumerate(others, len(self.application.inputs)):
+        texts = [interface.type_text(topic.type) for topic in (*self.application.inputs, *other_inputs)]
+        for index, topic in enumerate(other_inputs, len(self.application.inputs)):
             if texts[index] is not None:
-                kind = interface.installed_type(given.type, given.name)
+                kind = interface.installed_type(topic.type, topic.name)
                 take = partial(self._keep, index)
-                self._kept.append(self.create_subscription(kind, given.name, take, self._input_profile, raw=True))
+                self._record_only.append(self.create_subscription(kind, topic.name, take, self._input_profile, raw=True))
         return texts
 
     def topic_name(self, name: str) -> str:
@@ -377,10 +380,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     # Called by ROS
 
     def _taker(self, index: int, latched: bool) -> Callable[[Any, dict[str, int]], None]:
-        def take(message: Any, about: dict[str, int]) -> None:
+        def take(message: Any, info: dict[str, int]) -> None:
             self._group.serves = False
             if self.application:
-                self._inbox.put(index, (message, about, latched))
+                self._inbox.put(index, (message, info, latched))
                 self._collect()
 
         return take
@@ -409,16 +412,16 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _fetch(self, index: int) -> Iterator[Taken]:
         """Take the messages that wait at an input."""
         if latched := self._latched.get(index):
-            yield from ((*taken, True) for taken in _waiting(latched))
-        yield from ((*taken, False) for taken in _waiting(self._inputs[index]))
+            yield from ((*message, True) for message in _waiting_messages(latched))
+        yield from ((*message, False) for message in _waiting_messages(self._inputs[index]))
 
-    def _deliver(self, index: int, message: Taken, arrived: Arrival) -> None:
+    def _deliver(self, index: int, message: Taken, arrival: Arrival) -> None:
         if self.application:
-            content, about, latched = message
+            content, info, latched = message
             raw = self.application.guard("recording", serialize_message, content) if self._recording else None
             mixed = self._inputs[index].get_publisher_count() > 1  # now: rclpy does not tell who sent a message
-            sent = Sent(about["source_timestamp"], latched=latched, mixed=mixed)
-            self.application.messages.receive(index, content, sent, arrived, raw)
+            origin = Sent(info["source_timestamp"], latched=latched, mixed=mixed)
+            self.application.messages.receive(index, content, origin, arrival, raw)
 
     def _keep(self, index: int, raw: bytes) -> None:
         if self.application:
@@ -433,10 +436,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         rate_hz = application.parameters.number("output_rate_hz")
         self._group.waits_for_inputs = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
 
-    def _server(self, what: Callable[[], str]) -> Callable[[Any, Any], Any]:
+    def _server(self, service: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def serve(_request: Any, response: Any) -> Any:
             try:
-                response.message, response.success = what(), True
+                response.message, response.success = service(), True
             except InputError as error:
                 response.message, response.success = str(error), False
             except Exception as error:  # the caller needs an answer
@@ -445,10 +448,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
         return serve
 
-    def _reporter(self, who: str) -> Callable[[Any], None]:
+    def _reporter(self, peer: str) -> Callable[[Any], None]:
         def report(event: Any) -> None:
             policy = str(event.last_policy_kind).rpartition(".")[2].lower()
-            self.get_logger().warning(f"{who} does not connect: its quality of service is incompatible in {policy}")
+            self.get_logger().warning(f"{peer} does not connect: its quality of service is incompatible in {policy}")
 
         return report
 
@@ -471,7 +474,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 self._ticker.timer_period_ns = period_ns
 
 
-def _answering(change_state: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+def _with_answer(change_state: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """The service, refusing a transition that the present state does not have: rclpy would raise, and never answer."""
 
     def serve(request: Any, response: Any) -> Any:
@@ -488,9 +491,9 @@ def _relative(topic: OutputTopic) -> str:
     return topic.name if topic.shared else f"~/{topic.name}"
 
 
-def _node_of(found: Any) -> str:
+def _node_of(endpoint: Any) -> str:
     """Full name of the node of an endpoint; empty where none announces it."""
-    return "" if found.node_name == UNKNOWN else f"{found.node_namespace.rstrip('/')}/{found.node_name}"
+    return "" if endpoint.node_name == UNKNOWN else f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
 def _keeps(profile: QoSProfile) -> bool:
@@ -498,11 +501,11 @@ def _keeps(profile: QoSProfile) -> bool:
     return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL and profile.reliability == ReliabilityPolicy.RELIABLE)
 
 
-def _waiting(given: Any) -> Iterator[tuple[Any, dict[str, int]]]:
+def _waiting_messages(subscription: Any) -> Iterator[tuple[Any, dict[str, int]]]:
     """Take the waiting messages of a subscription."""
-    with given.handle:
+    with subscription.handle:
         for _ in range(MOST_COLLECTED):
-            taken = given.handle.take_message(given.msg_type, given.raw)
-            if taken is None:
+            message = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if message is None:
                 return
-            yield taken
+            yield message

@@ -29,7 +29,7 @@ class CoastingBase(Base):
     mean of both would not be that of level ground.
     """
 
-    def __init__(self, base: Base, free: Collection[str], unpaired: int = 0) -> None:
+    def __init__(self, base: Base, names: Collection[str], unpaired: int = 0) -> None:
         """Make it with the parameters `free`, for a number of coast-downs on an unknown slope."""
         super().__init__()
         self._base, self.name, self.facts = base, base.name, base.facts
@@ -37,7 +37,7 @@ class CoastingBase(Base):
         self.includes = (*base.includes, *(effect.name for effect in instrument(base)))
         self.slopes = tuple(f"{SLOPE}{first + 1}" for first in range(0, unpaired if unpaired > 1 else 0, 2))
         slopes = (BaseParameter(name, "1", 0.0, SLOPE_STD, -MOST_SLOPE, MOST_SLOPE) for name in self.slopes)
-        self.parameters = (*(q for q in base.parameters if q.name in free), *slopes)
+        self.parameters = (*(q for q in base.parameters if q.name in names), *slopes)
 
     @property
     def level(self) -> CoastingBase:
@@ -48,20 +48,20 @@ class CoastingBase(Base):
         """See `base.Base`; values that are not given are the file's, or level ground."""
         slopes = np.array([*(values.get(name, 0.0) for name in self.slopes), 0.0])
         of_base = {name: value for name, value in values.items() if not name.startswith(SLOPE)}
-        found = self._base.predict(sessions, {**self._base.nominal, **of_base}, effects)
-        return [self._coasting(session, one, slopes) for session, one in zip(sessions, found, strict=True)]
+        predicted = self._base.predict(sessions, {**self._base.nominal, **of_base}, effects)
+        return [self._coasting(session, prediction, slopes) for session, prediction in zip(sessions, predicted, strict=True)]
 
-    def _coasting(self, session: DriveSession, found: Predicted, slopes: Array) -> Predicted:
+    def _coasting(self, session: DriveSession, prediction: Predicted, slopes: Array) -> Predicted:
         """The torque of a session as it is compared; `slopes` are those of the pairs, then a zero for all other steps."""
-        torque = found.torque if "torque" in session.given else found.at_sprockets
+        torque = prediction.torque if "torque" in session.given else prediction.at_sprockets
         pair, uphill = self._uphill(session)
-        return replace(found, torque=torque + slopes[pair] * uphill)
+        return replace(prediction, torque=torque + slopes[pair] * uphill)
 
     def _uphill(self, session: DriveSession) -> tuple[NDArray[np.int64], Array]:
         """Number of the pair of each step, and its torque of a slope of one [Nm]."""
         pair = np.where((session.block < 0) | (not self.slopes), len(self.slopes), session.block // 2)
-        there = np.where(session.block % 2 == 0, 1.0, -1.0)
-        return pair, session.weight * self.facts.radius * np.sign(session.speed) * there
+        sign = np.where(session.block % 2 == 0, 1.0, -1.0)
+        return pair, session.weight * self.facts.radius * np.sign(session.speed) * sign
 
     def on_slopes(self, sessions: Sequence[DriveSession], torques: Sequence[Array]) -> list[Array]:
         """Torques predicted for level ground [Nm], with the slope of each pair that fits the measured ones best."""
@@ -74,6 +74,6 @@ class CoastingBase(Base):
         slopes[-1] = 0.0
         return [torque + slopes[pair] * uphill for torque, (pair, uphill) in zip(torques, of_steps, strict=True)]
 
-    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
+    def write(self, path: Path, changes: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""
-        return self._base.write(path, kept, text)
+        return self._base.write(path, changes, text)

@@ -60,8 +60,8 @@ class FittedValue:
 
     name: str
     unit: str
-    before: float  # of the vehicle file
-    before_std: float  # infinite for an unknown value
+    file_value: float  # of the vehicle file
+    file_std: float  # infinite for an unknown value
     value: float
     interval: Interval  # including the uncertainty of the mass
     determined: bool  # whether the coast-downs determine it; else the value of the file stays
@@ -69,7 +69,7 @@ class FittedValue:
     by_file: tuple[float, float]  # range in the vehicle file
 
     @property
-    def beyond(self) -> bool:
+    def is_outside(self) -> bool:
         """Whether the coast-downs contradict the range of the vehicle file: the whole interval is outside."""
         return self.determined and not (self.interval.low <= self.by_file[1] and self.by_file[0] <= self.interval.high)
 
@@ -78,8 +78,8 @@ class FittedValue:
 class Coastdown:
     """Results of a fit to coast-downs."""
 
-    loaded: LoadedBase
-    rolled: Rollouts
+    base_file: LoadedBase
+    runs: Rollouts
     base: Base  # while coasting
     values: Mapping[str, float]  # of its parameters, without unrecorded slopes
     parameters: tuple[FittedValue, ...]  # fitted, and undetermined ones, which stay
@@ -91,87 +91,87 @@ class Coastdown:
         """Whether the values improve the hold-out coast-downs significantly, none contradicts the range of the file, and a
         vehicle file may hold them.
         """
-        if any(p.beyond for p in self.parameters):
+        if any(p.is_outside for p in self.parameters):
             return False
         better = self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
-        return better and not self.refused
+        return better and not self.refusal
 
     @cached_property
-    def refused(self) -> str:
+    def refusal(self) -> str:
         """Why no command would accept a vehicle file with the values; empty if all would."""
         try:
-            self.loaded.base.as_written(self.kept.values or {})
+            self.base_file.base.as_written(self.changes.values or {})
         except InputError as error:
             return f"{error.given}; allowed: {error.allowed}"
         return ""
 
     @property
-    def kept(self) -> FileChanges:
+    def changes(self) -> FileChanges:
         """Changes that may be written."""
         spans = {("", p.name): p.interval for p in self.parameters if p.determined}
         determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
         return FileChanges(
-            self.values, (), spans, f"found in {self.rolled.count} coast-downs: {determined}", by="trackres coastdown"
+            self.values, (), spans, f"found in {self.runs.count} coast-downs: {determined}", by="trackres coastdown"
         )
 
 
 @one_blas_thread()
-def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1) -> Coastdown:
+def coastdown(recordings: Sequence[Recording], base_file: LoadedBase, seed: int = 1) -> Coastdown:
     """Estimate resistance parameters; an `InputError` without coast-downs or free parameters. `seed` is that of the bootstrap."""
-    free = [q.name for q in loaded.base.parameters if q.name not in FIXED]
-    if not free:
-        given = "a vehicle file with a zero-width range on every value that a coast-down could determine"
-        raise InputError("vehicle", given, "ranges for its values", "widen the ranges of uncertain values")
-    recordings = [stamped(one) for one in recordings]
+    names = [q.name for q in base_file.base.parameters if q.name not in FIXED]
+    if not names:
+        problem_text = "a vehicle file with a zero-width range on every value that a coast-down could determine"
+        raise InputError("vehicle", problem_text, "ranges for its values", "widen the ranges of uncertain values")
+    recordings = [stamped(recording) for recording in recordings]
     step = step_for(recordings, SAMPLES_A_STEP)
-    rolled = rollouts(recordings, loaded, step)
-    for session in rolled.sessions:
-        check_speed(session, loaded.known)
-    if not rolled.stretches:
-        counts = "; ".join(f"{count} {reason}" for reason, count in rolled.rejected.items())
-        why = counts or "it nowhere slows down for several seconds"
+    runs = rollouts(recordings, base_file, step)
+    for session in runs.sessions:
+        check_speed(session, base_file.known)
+    if not runs.stretches:
+        counts = "; ".join(f"{count} {reason}" for reason, count in runs.rejections.items())
+        reasons = counts or "it nowhere slows down for several seconds"
         raise InputError(
             ", ".join(r.name for r in recordings),
-            f"no coast-down ({why})",
+            f"no coast-down ({reasons})",
             "at least one coast-down of 10 s or more, without torque and brakes",
-            "; ".join((*rolled.remedies, "let the vehicle coast down from its maximum speed, in both directions")),
+            "; ".join((*runs.remedies, "let the vehicle coast down from its maximum speed, in both directions")),
         )
-    rows = sum(int(whole_past(s.used, MOST_LAGS).sum()) for s in rolled.sessions)
+    rows = sum(int(whole_past(s.used, MOST_LAGS).sum()) for s in runs.sessions)
     if rows < FEWEST_ROWS:
-        seconds = sum(float(s.used.sum()) * s.step for s in rolled.sessions)
+        seconds = sum(float(s.used.sum()) * s.step for s in runs.sessions)
         raise InputError(
             ", ".join(r.name for r in recordings),
-            f"{rolled.count} coast-downs, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
+            f"{runs.count} coast-downs, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
             f"{FEWEST_ROWS} steps or more, without the first {MOST_LAGS} of each",
             "record more coast-downs, from a higher speed, or with a higher sample rate",
         )
-    unpaired = 0 if _slopes_known(rolled) else rolled.count
-    base = CoastingBase(loaded.base, free, unpaired)
-    problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
+    unpaired = 0 if _slopes_known(runs) else runs.count
+    base = CoastingBase(base_file.base, names, unpaired)
+    problem = Problem(base, runs.sessions, tuple(s.used for s in runs.sessions))
     all_free = _fit(problem)
-    scatter = _scatter(all_free, rolled)
-    stds = {name: max(all_free.std_of("", name), scatter.get(("", name), 0.0)) for name in free}
-    determined = [q.name for q in base.parameters if q.name in free and stds[q.name] < UNDETERMINED * q.std]
-    problem = replace(problem, base=CoastingBase(loaded.base, determined, unpaired))
-    found = _fit(problem, all_free.estimates) if determined else None
-    masses = _mass_stds(loaded.base, rolled)
-    parameters = _parameters(base, all_free, found, scatter, masses)
-    outside = [p for p in parameters if not p.by_file[0] <= p.value <= p.by_file[1]]
-    if found is not None and outside and not any(p.beyond for p in outside):
-        inside = loaded.base.inside_ranges(())
-        base = CoastingBase(inside, free, unpaired)
-        problem = replace(problem, base=CoastingBase(inside, determined, unpaired))
-        found = _fit(problem, found.estimates)
-        parameters = _parameters(base, all_free, found, scatter, masses)
+    scatter = _scatter(all_free, runs)
+    stds = {name: max(all_free.std_of("", name), scatter.get(("", name), 0.0)) for name in names}
+    determined = [q.name for q in base.parameters if q.name in names and stds[q.name] < UNDETERMINED * q.std]
+    problem = replace(problem, base=CoastingBase(base_file.base, determined, unpaired))
+    fit = _fit(problem, all_free.estimates) if determined else None
+    masses = _mass_stds(base_file.base, runs)
+    parameters = _parameters(base, all_free, fit, scatter, masses)
+    outliers = [p for p in parameters if not p.by_file[0] <= p.value <= p.by_file[1]]
+    if fit is not None and outliers and not any(p.is_outside for p in outliers):
+        narrowed = base_file.base.inside_ranges(())
+        base = CoastingBase(narrowed, names, unpaired)
+        problem = replace(problem, base=CoastingBase(narrowed, determined, unpaired))
+        fit = _fit(problem, fit.estimates)
+        parameters = _parameters(base, all_free, fit, scatter, masses)
     rng = np.random.default_rng(seed)
     return Coastdown(
-        loaded,
-        rolled,
+        base_file,
+        runs,
         problem.base,
         {p.name: p.value for p in parameters},
         parameters,
         math.hypot(*masses),
-        _improvement(problem, rolled, rng) if determined and scatter else None,
+        _improvement(problem, runs, rng) if determined and scatter else None,
     )
 
 
@@ -185,12 +185,12 @@ def _fit(problem: Problem, start: Mapping[tuple[str, str], float] | None = None)
     return fit(problem, start=start, largest_root=WHITE if smoothed else SHORT_ROOT)
 
 
-def _mass_stds(base: Base, rolled: Rollouts) -> tuple[float, float]:
+def _mass_stds(base: Base, runs: Rollouts) -> tuple[float, float]:
     """Relative standard deviations of the weight, zero where every session has its load, and of the rotating masses' factor."""
     assert isinstance(base, TrackBase | RoadBase)
     section = "chassis" if isinstance(base, TrackBase) else "road_load"
-    known = all("load" in session.given for session in rolled.sessions)
-    weight = 0.0 if known else relative_weight_std(base.vehicle)
+    has_loads = all("load" in session.given for session in runs.sessions)
+    weight = 0.0 if has_loads else relative_weight_std(base.vehicle)
     return weight, relative_std(base.vehicle, f"{section}.rotating_mass_factor")
 
 
@@ -202,93 +202,94 @@ def _by_masses(fit: Fit, masses: tuple[float, float]) -> dict[tuple[str, str], f
         for s in problem.sessions
     ]
     slower = [replace(s, accel=(1.0 + rotating) * s.accel) for s in problem.sessions]
-    moved = [problem.residuals(problem.base.predict(sessions, fit.base_values, ())) for sessions in (heavier, slower)]
-    columns = np.column_stack([base_columns(fit), *(np.concatenate(fit.residuals) - np.concatenate(each) for each in moved)])
+    residuals = [problem.residuals(problem.base.predict(sessions, fit.base_values, ())) for sessions in (heavier, slower)]
+    columns = np.column_stack(
+        [base_columns(fit), *(np.concatenate(fit.residuals) - np.concatenate(shifted) for shifted in residuals)]
+    )
     white = valid_rows(problem.white(problem.split(columns), fit.noises))
     shifts = fit.covariance @ white[:, :-2].T @ white[:, -2:]
     return {f.key: float(np.hypot(*shift)) for f, shift in zip(fit.free, shifts, strict=True)}
 
 
-def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
+def _scatter(all_free: Fit, runs: Rollouts) -> dict[tuple[str, str], float]:
     """Standard deviations from leaving out coast-downs, thus with unmeasured slopes and winds, wider for few of them.
 
     Empty for fewer than `FEWEST_GROUPS`: an unmeasured slope of one of two then looks like another resistance. Of few pairs the
     scatter is not known. So with few coast-downs it is that of single ones and of the slopes.
     """
-    together = _together(rolled, FEWEST_GROUPS)
-    groups = rolled.count // together
+    group_size = _group_size(runs, FEWEST_GROUPS)
+    groups = runs.count // group_size
     wider = float(stdtrit(groups - 1, 0.975)) / NORMAL_95 if groups > 1 else 1.0
-    by_slopes = lap_std(_slopes_alone(all_free)) if together == 1 else {}
-    return {key: wider * math.hypot(std, by_slopes.get(key, 0.0)) for key, std in lap_std(all_free, together).items()}
+    by_slopes = lap_std(_slopes_alone(all_free)) if group_size == 1 else {}
+    return {key: wider * math.hypot(std, by_slopes.get(key, 0.0)) for key, std in lap_std(all_free, group_size).items()}
 
 
-def _slopes_alone(found: Fit) -> Fit:
+def _slopes_alone(fit: Fit) -> Fit:
     """The fit on level ground, with nothing but its slopes as residuals, none of them an outlier."""
-    base = found.problem.base
+    base = fit.problem.base
     assert isinstance(base, CoastingBase)
-    problem = replace(found.problem, base=base.level)
+    problem = replace(fit.problem, base=base.level)
     count = len(problem.base.parameters)
-    level = problem.predict(found.base_values, ())
-    left = [
-        replace(p, torque=s.torque + p.torque - f.torque)
-        for s, p, f in zip(problem.sessions, level, found.predicted, strict=True)
+    level = problem.predict(fit.base_values, ())
+    predicted = [
+        replace(p, torque=s.torque + p.torque - f.torque) for s, p, f in zip(problem.sessions, level, fit.predicted, strict=True)
     ]
-    noises = {kind: replace(noise, degrees=NORMAL_DEGREES) for kind, noise in found.noises.items()}
+    noises = {kind: replace(noise, degrees=NORMAL_DEGREES) for kind, noise in fit.noises.items()}
     return replace(
-        found, problem=problem, free=found.free[:count], point=found.point[:count], noises=noises, predicted=tuple(left)
+        fit, problem=problem, free=fit.free[:count], point=fit.point[:count], noises=noises, predicted=tuple(predicted)
     )
 
 
-def _together(rolled: Rollouts, fewest: int) -> int:
+def _group_size(runs: Rollouts, fewest: int) -> int:
     """Number of consecutive coast-downs left out at once: without a known slope two, of both directions, if there are enough."""
-    return 1 if _slopes_known(rolled) or rolled.count < 2 * fewest else 2
+    return 1 if _slopes_known(runs) or runs.count < 2 * fewest else 2
 
 
-def _slopes_known(rolled: Rollouts) -> bool:
-    return all("grade" in s.given for s in rolled.sessions)
+def _slopes_known(runs: Rollouts) -> bool:
+    return all("grade" in s.given for s in runs.sessions)
 
 
 def _parameters(
-    base: CoastingBase, all_free: Fit, found: Fit | None, scatter: Mapping[tuple[str, str], float], masses: tuple[float, float]
+    base: CoastingBase, all_free: Fit, fit: Fit | None, scatter: Mapping[tuple[str, str], float], masses: tuple[float, float]
 ) -> tuple[FittedValue, ...]:
     spans = intervals(all_free)
     std = np.sqrt(np.diag(all_free.covariance))
     correlation = all_free.covariance / np.outer(std, std)
-    values = {} if found is None else found.estimates
-    by_masses = _by_masses(all_free, masses) | ({} if found is None else _by_masses(found, masses))
+    values = {} if fit is None else fit.estimates
+    by_masses = _by_masses(all_free, masses) | ({} if fit is None else _by_masses(fit, masses))
     count = len(base.parameters) - len(base.slopes)
-    listed = []
+    fitted_values = []
     for i, (q, f) in enumerate(zip(base.parameters[:count], all_free.free[:count], strict=True)):
-        determined, at, span = f.key in values, all_free.estimates[f.key], spans[f.key]
+        determined, value_free, span = f.key in values, all_free.estimates[f.key], spans[f.key]
         value = values.get(f.key, q.nominal)
         of_mass, by_rollings = NORMAL_95 * by_masses[f.key], NORMAL_95 * scatter.get(f.key, 0.0)
-        below, above = (np.hypot(max(reach, by_rollings), of_mass) for reach in (at - span.low, span.high - at))
-        span = Interval(max(q.low, value - float(below)), min(q.high, value + float(above)), span.bound_only)
-        others = [g.key[1] for j, g in enumerate(all_free.free[:count]) if j != i and abs(correlation[i, j]) > TOGETHER]
-        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(others), q.by_file))
-    return tuple(listed)
+        down, up = (np.hypot(max(reach, by_rollings), of_mass) for reach in (value_free - span.low, span.high - value_free))
+        span = Interval(max(q.low, value - float(down)), min(q.high, value + float(up)), span.bound_only)
+        partners = [g.key[1] for j, g in enumerate(all_free.free[:count]) if j != i and abs(correlation[i, j]) > TOGETHER]
+        fitted_values.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(partners), q.by_file))
+    return tuple(fitted_values)
 
 
-def _improvement(problem: Problem, rolled: Rollouts, rng: np.random.Generator) -> Improvement | None:
+def _improvement(problem: Problem, runs: Rollouts, rng: np.random.Generator) -> Improvement | None:
     """Cross-validated improvement of the error: each part of the coast-downs by a fit to the others; a slope is no error."""
-    together = _together(rolled, 2)
-    parts = math.ceil(rolled.count / together)
+    group_size = _group_size(runs, 2)
+    parts = math.ceil(runs.count / group_size)
     if parts < 2:
         return None
     assert isinstance(problem.base, CoastingBase)
     level = problem.base.level
-    nominal = [p.torque for p in level.predict(rolled.sessions, {}, ())]
+    nominal = [p.torque for p in level.predict(runs.sessions, {}, ())]
     expected = [np.array(x) for x in nominal]
     folds = min(parts, MOST_FOLDS)
     for fold in counted(range(folds), "what is not fitted", folds):
-        held = [(s.block // together % folds == fold) & s.used for s in rolled.sessions]
-        others = replace(problem, masks=tuple(s.used & ~h for s, h in zip(rolled.sessions, held, strict=True)))
-        found = _fit(others)
-        for series, of, mask in zip(expected, level.predict(rolled.sessions, found.base_values, ()), held, strict=True):
-            series[mask] = of.torque[mask]
-    masks = [s.used for s in rolled.sessions]
-    before, after = (problem.base.on_slopes(rolled.sessions, x) for x in (nominal, expected))
-    return HeldOutLaps(rolled.sessions, masks, rng).improvement(before, after)
+        holdouts = [(s.block // group_size % folds == fold) & s.used for s in runs.sessions]
+        training = replace(problem, masks=tuple(s.used & ~h for s, h in zip(runs.sessions, holdouts, strict=True)))
+        fit = _fit(training)
+        for series, prediction, mask in zip(expected, level.predict(runs.sessions, fit.base_values, ()), holdouts, strict=True):
+            series[mask] = prediction.torque[mask]
+    masks = [s.used for s in runs.sessions]
+    error_before, error_after = (problem.base.on_slopes(runs.sessions, x) for x in (nominal, expected))
+    return HeldOutLaps(runs.sessions, masks, rng).improvement(error_before, error_after)
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,54 +298,54 @@ class Rollout:
 
     name: str  # of the recording
     time: Array  # since the start of the recording [s]
-    measured: Array  # speed [m/s]
+    speed: Array  # speed [m/s]
     by_file: Array  # speed with the vehicle file, from the first measured one on [m/s]
     by_found: Array  # and with the fitted values [m/s]
     over_file: Array  # excess resistance torque [Nm]
     over_found: Array
 
 
-def rollouts_of(found: Coastdown) -> list[Rollout]:
+def rollouts_of(result: Coastdown) -> list[Rollout]:
     """All coast-downs of a result, in order."""
-    measured = [np.abs(session.speed) for session in found.rolled.sessions]
-    over_file, over_found = (_excess(found, values, measured) for values in ({}, found.values))
-    by_file, by_found = (_integrated(found, values, measured) for values in ({}, found.values))
-    listed = []
-    for stretch in found.rolled.stretches:
-        session, at = found.rolled.sessions[stretch.session], slice(stretch.begin, stretch.end)
-        series = (of[stretch.session][at] for of in (measured, by_file, by_found, over_file, over_found))
-        listed.append(Rollout(session.name, session.time[at], *series))
-    return listed
+    speeds = [np.abs(session.speed) for session in result.runs.sessions]
+    over_file, over_found = (_excess(result, values, speeds) for values in ({}, result.values))
+    by_file, by_found = (_integrated(result, values, speeds) for values in ({}, result.values))
+    curves = []
+    for stretch in result.runs.stretches:
+        session, span = result.runs.sessions[stretch.session], slice(stretch.begin, stretch.end)
+        series = (kind[stretch.session][span] for kind in (speeds, by_file, by_found, over_file, over_found))
+        curves.append(Rollout(session.name, session.time[span], *series))
+    return curves
 
 
-def _excess(found: Coastdown, values: Mapping[str, float], speeds: Sequence[Array]) -> list[Array]:
+def _excess(result: Coastdown, values: Mapping[str, float], speeds: Sequence[Array]) -> list[Array]:
     """Torque against travel by which a model exceeds the measured deceleration [Nm], at other speeds [m/s], of each session."""
-    senses = [np.sign(session.speed) for session in found.rolled.sessions]
-    sessions = [replace(s, speed=sense * v) for s, sense, v in zip(found.rolled.sessions, senses, speeds, strict=True)]
-    predicted = found.base.predict(sessions, values, ())
+    senses = [np.sign(session.speed) for session in result.runs.sessions]
+    sessions = [replace(s, speed=sense * v) for s, sense, v in zip(result.runs.sessions, senses, speeds, strict=True)]
+    predicted = result.base.predict(sessions, values, ())
     return [sense * (p.torque - s.torque) for sense, p, s in zip(senses, predicted, sessions, strict=True)]
 
 
-def _integrated(found: Coastdown, values: Mapping[str, float], measured: Sequence[Array]) -> list[Array]:
+def _integrated(result: Coastdown, values: Mapping[str, float], starts: Sequence[Array]) -> list[Array]:
     """Speeds of a model from the first measured one of each coast-down on, to standstill [m/s].
 
     Each pass integrates the deceleration at the speeds of the pass before (Picard). Their error is after n passes
     (L t)^n / n!, with the derivative L of the deceleration by the speed.
     """
-    speeds = [np.array(each) for each in measured]
-    radius, factor = found.base.facts.radius, found.base.rotating_mass_factor
+    speeds = [np.array(start) for start in starts]
+    radius, factor = result.base.facts.radius, result.base.rotating_mass_factor
     for _ in range(MOST_PASSES):
-        moved = 0.0
-        excess = _excess(found, values, speeds)
-        for stretch in found.rolled.stretches:
-            session, at = found.rolled.sessions[stretch.session], slice(stretch.begin, stretch.end)
-            slows = excess[stretch.session][at] * GRAVITY / (session.weight[at] * factor * radius)
-            accel = np.sign(session.speed[at]) * session.accel[at] - slows
-            of = speeds[stretch.session]
-            speed = of[stretch.begin] + cumulative_trapezoid(accel, dx=session.step, initial=0.0)
+        change = 0.0
+        excess = _excess(result, values, speeds)
+        for stretch in result.runs.stretches:
+            session, span = result.runs.sessions[stretch.session], slice(stretch.begin, stretch.end)
+            slows = excess[stretch.session][span] * GRAVITY / (session.weight[span] * factor * radius)
+            accel = np.sign(session.speed[span]) * session.accel[span] - slows
+            series = speeds[stretch.session]
+            speed = series[stretch.begin] + cumulative_trapezoid(accel, dx=session.step, initial=0.0)
             speed[np.maximum.accumulate(speed <= 0.0)] = 0.0
-            moved = max(moved, float(np.abs(speed - of[at]).max()))
-            of[at] = speed
-        if moved < SETTLED_MPS:
+            change = max(change, float(np.abs(speed - series[span]).max()))
+            series[span] = speed
+        if change < SETTLED_MPS:
             break
     return speeds

@@ -59,7 +59,7 @@ class Rollouts:
 
     sessions: tuple[DriveSession, ...]  # on an even grid; a missing torque is zero
     stretches: tuple[RollOut, ...]  # in driving order
-    rejected: Mapping[str, int]  # reasons for rejecting other decelerations, with their counts
+    rejections: Mapping[str, int]  # reasons for rejecting other decelerations, with their counts
     notes: tuple[str, ...]  # assumptions, one sentence each
     remedies: tuple[str, ...]  # lines for the topics file that may give recordings a coast-down
 
@@ -75,23 +75,23 @@ class _Drive:
 
     recording: Recording
     session: DriveSession
-    unknown: Mapping[str, Mask]  # steps without a needed measurement
+    gaps: Mapping[str, Mask]  # steps without a needed measurement
     limit: float | None  # torque that may be measured in a coast-down [Nm]; None without a torque
 
-    def over(self, ground: DriveSession) -> _Drive:
+    def with_ground(self, ground: DriveSession) -> _Drive:
         """The same on known ground: the session with a slope or a torque by place, in use where that is known."""
-        return replace(self, session=ground, unknown={**self.unknown, "ground not known": ~ground.used})
+        return replace(self, session=ground, gaps={**self.gaps, "ground not known": ~ground.used})
 
     def coasting(self, settings: GateSettings, rejected: Counter[str], first: int) -> tuple[DriveSession, list[tuple[int, int]]]:
         """The session with only its coast-downs in use, as blocks from a `first` number on; and their begins and ends."""
-        used, block = np.zeros(len(self.session), dtype=bool), np.full(len(self.session), -1, dtype=np.int64)
-        falls = _falls(self.session, self.unknown, settings, self.limit, rejected)
+        in_use, block = np.zeros(len(self.session), dtype=bool), np.full(len(self.session), -1, dtype=np.int64)
+        falls = _falls(self.session, self.gaps, settings, self.limit, rejected)
         number, last = first - 1, 0
         for begin, end in falls:
             number += number < first or not self._rolls_on(last, begin)
-            used[begin:end], block[begin:end] = True, number
+            in_use[begin:end], block[begin:end] = True, number
             last = end - 1
-        return replace(self.session, used=used, block=block), falls
+        return replace(self.session, used=in_use, block=block), falls
 
     def _rolls_on(self, last: int, begin: int) -> bool:
         """Whether the vehicle did not turn between two pieces: after a turn its speed is higher than in it."""
@@ -99,7 +99,7 @@ class _Drive:
         return bool(speed[-1] < speed.min() + LEAST_FALL_MPS)
 
 
-def rollouts(recordings: Sequence[Recording], loaded: LoadedBase, step: float) -> Rollouts:
+def rollouts(recordings: Sequence[Recording], base_file: LoadedBase, step: float) -> Rollouts:
     """Find the coast-downs of recordings, on a grid of `step` [s].
 
     With a recorded torque, only stretches of zero torque are used. One that stays near zero while the vehicle accelerates is
@@ -116,10 +116,10 @@ def rollouts(recordings: Sequence[Recording], loaded: LoadedBase, step: float) -
     rejected: Counter[str] = Counter()
     notes: list[str] = []
     remedies: list[str] = []
-    settings, limit = loaded.known, NO_TORQUE_SHARE * loaded.known.weight * loaded.base.facts.radius
-    drives = _with_slopes([_resampled(one, step, settings, limit, notes) for one in recordings], settings, notes)
-    known = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), loaded.route, loaded.base.acting)
-    for drive in (one.over(ground) for one, ground in zip(drives, known.sessions, strict=True)):
+    settings, limit = base_file.known, NO_TORQUE_SHARE * base_file.known.weight * base_file.base.facts.radius
+    drives = _with_slopes([_resampled(recording, step, settings, limit, notes) for recording in recordings], settings, notes)
+    gated = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), base_file.route, base_file.base.acting)
+    for drive in (drive.with_ground(ground) for drive, ground in zip(drives, gated.sessions, strict=True)):
         session, falls = drive.coasting(settings, rejected, count)
         count = max(count, int(session.block.max()) + 1)
         stretches += [RollOut(len(sessions), begin, end) for begin, end in falls]
@@ -128,7 +128,7 @@ def rollouts(recordings: Sequence[Recording], loaded: LoadedBase, step: float) -
             remedies += _of_offset(session, _slows(session, settings)[1], limit, settings.torque_scale)
         elif torques := _torques(drive.recording):
             remedies.append(f"check sensor and unit of {min(torques)} in {session.name}, which {_hardly(limit)}")
-    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), known.notes, tuple(remedies))
+    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), gated.notes, tuple(remedies))
 
 
 def in_driving_order(recordings: Sequence[Recording]) -> list[Recording]:
@@ -136,11 +136,12 @@ def in_driving_order(recordings: Sequence[Recording]) -> list[Recording]:
 
     Names in the order of a shell's ``*`` are ordered by their numbers: roll_2 is before roll_10.
     """
-    names = [one.name for one in recordings]
+    names = [recording.name for recording in recordings]
     if names == sorted(names):
         recordings = sorted(recordings, key=lambda r: re.sub("[0-9]+", lambda number: number[0].zfill(NAME_DIGITS), r.name))
     in_time = sorted(recordings, key=lambda r: r.start_ns)
-    return list(recordings) if any(_end_ns(one) > after.start_ns for one, after in pairwise(in_time)) else in_time
+    overlaps = any(_end_ns(recording) > successor.start_ns for recording, successor in pairwise(in_time))
+    return list(recordings) if overlaps else in_time
 
 
 def _end_ns(recording: Recording) -> int:
@@ -153,18 +154,18 @@ def _with_slopes(drives: Sequence[_Drive], settings: GateSettings, notes: list[s
     """The drives with slopes from their altitude. Where no torque is measured, the decelerations of all coast-downs must confirm
     them.
     """
-    made = [slope_of_altitude(one.session) if one.limit is None else with_slope(one.session) for one in drives]
+    graded = [slope_of_altitude(drive.session) if drive.limit is None else with_slope(drive.session) for drive in drives]
     trial, count = dict[int, DriveSession](), 0
-    for i, (one, (ground, _)) in enumerate(zip(drives, made, strict=True)):
-        if one.limit is None and ground is not one.session:
-            trial[i], falls = one.over(ground).coasting(settings, Counter(), count)
+    for i, (drive, (ground, _)) in enumerate(zip(drives, graded, strict=True)):
+        if drive.limit is None and ground is not drive.session:
+            trial[i], falls = drive.with_ground(ground).coasting(settings, Counter(), count)
             count += len(falls)
     errors = coasting_errors(list(trial.values())) if count else None
     for i in trial:
-        before = drives[i].session
-        made[i] = (before, "") if errors is None else confirmed(before, *made[i], "force", "N", errors)
-    notes += [text for _, text in made if text]
-    return [replace(one, session=ground) for one, (ground, _) in zip(drives, made, strict=True)]
+        session = drives[i].session
+        graded[i] = (session, "") if errors is None else confirmed(session, *graded[i], "force", "N", errors)
+    notes += [text for _, text in graded if text]
+    return [replace(drive, session=ground) for drive, (ground, _) in zip(drives, graded, strict=True)]
 
 
 def _torques(recording: Recording) -> list[str]:
@@ -174,7 +175,7 @@ def _torques(recording: Recording) -> list[str]:
 
 def _resampled(recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]) -> _Drive:
     """The recording on an even grid; with a measured torque only if that exceeds a `limit` [Nm]."""
-    why = "no torque was recorded"
+    reason = "no torque was recorded"
     check_compared(_without_torque(recording), SHORTEST_RECORDING_S)
     try:
         recording, shifted = on_one_clock(recording)
@@ -182,18 +183,18 @@ def _resampled(recording: Recording, step: float, settings: GateSettings, limit:
         torques = _torques(recording)
         if not torques or any((np.abs(recording.series[r].value) > limit).any() for r in torques):
             raise
-        others = {r: s for r, s in recording.series.items() if r not in torques}  # a torque without a course, on any clock
-        why = f"the torque {_hardly(limit)}, and its clock is not the speed's; it is not used"
-        recording, shifted = on_one_clock(replace(recording, series=others, order=None))
+        series = {r: s for r, s in recording.series.items() if r not in torques}  # a torque without a course, on any clock
+        reason = f"the torque {_hardly(limit)}, and its clock is not the speed's; it is not used"
+        recording, shifted = on_one_clock(replace(recording, series=series, order=None))
     notes += shifted
     if _torques(recording):
-        said: list[str] = []
-        session, unknown = resample(recording, step, settings, said, SHORTEST_RECORDING_S)
-        if not _lacks_torque(session, unknown, limit):
-            notes += said
-            return _Drive(recording, replace(session, given=session.given | {"torque"}), unknown, limit)
-        why = f"the torque {_hardly(limit)} (a dead sensor, or another unit), and is not used"
-    notes.append(f"{recording.name}: {why}; deceleration is assumed to be without drive or brakes")
+        messages: list[str] = []
+        session, gaps = resample(recording, step, settings, messages, SHORTEST_RECORDING_S)
+        if not _lacks_torque(session, gaps, limit):
+            notes += messages
+            return _Drive(recording, replace(session, given=session.given | {"torque"}), gaps, limit)
+        reason = f"the torque {_hardly(limit)} (a dead sensor, or another unit), and is not used"
+    notes.append(f"{recording.name}: {reason}; deceleration is assumed to be without drive or brakes")
     return _Drive(recording, *resample(_without_torque(recording), step, settings, notes, SHORTEST_RECORDING_S), None)
 
 
@@ -201,10 +202,10 @@ def _hardly(limit: float) -> str:
     return f"hardly exceeds {figures(limit, 3)} Nm while the vehicle accelerates"
 
 
-def _lacks_torque(session: DriveSession, unknown: Mapping[str, Mask], limit: float) -> bool:
+def _lacks_torque(session: DriveSession, gaps: Mapping[str, Mask], limit: float) -> bool:
     """Whether the vehicle accelerates, but hardly ever with a torque above the limit [Nm]."""
     gains = _without_slope(session) > DRIVEN_MPS2
-    for bad in unknown.values():
+    for bad in gaps.values():
         gains &= ~bad
     lasts = float(gains.sum()) * session.step >= AROUND_S
     return lasts and float((np.abs(session.torque[gains]) > limit).mean()) < DRIVEN_SHARE
@@ -242,20 +243,20 @@ def _without_slope(session: DriveSession) -> Array:
 
 
 def _falls(
-    session: DriveSession, unknown: Mapping[str, Mask], settings: GateSettings, limit: float | None, rejected: Counter[str]
+    session: DriveSession, gaps: Mapping[str, Mask], settings: GateSettings, limit: float | None, rejected: Counter[str]
 ) -> list[tuple[int, int]]:
     """Stretches of free deceleration: first sample, and the one after the last. `limit` [Nm] is None without a torque."""
     slows, falls = _slows(session, settings)
-    without = dict(unknown)
+    exclusions = dict(gaps)
     if limit is not None:
-        without[f"slowing down with a torque above {figures(limit, 3)} Nm"] = np.abs(session.torque) > limit
-    for reason, bad in without.items():
-        lost = float((falls & bad).sum()) * session.step
-        if lost >= SHORTEST_S:
-            rejected[f"s of {session.name}: {reason}"] += round(lost)
-    for bad in without.values():
+        exclusions[f"slowing down with a torque above {figures(limit, 3)} Nm"] = np.abs(session.torque) > limit
+    for reason, bad in exclusions.items():
+        seconds_lost = float((falls & bad).sum()) * session.step
+        if seconds_lost >= SHORTEST_S:
+            rejected[f"s of {session.name}: {reason}"] += round(seconds_lost)
+    for bad in exclusions.values():
         falls &= ~bad
-    found = []
+    stretches = []
     ends = math.ceil(END_S / session.step)  # steps that may contain a part of driving or of a stop
     for begin, end in runs_of(falls):
         if limit is None:
@@ -272,8 +273,8 @@ def _falls(
         elif "brake" not in session.given and float(np.min(slows[begin:end])) < -HARDEST_MPS2:
             rejected[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
         else:
-            found.append((begin, end))
-    return found
+            stretches.append((begin, end))
+    return stretches
 
 
 def _without_held_ends(session: DriveSession, begin: int, end: int) -> tuple[int, int]:

@@ -73,11 +73,11 @@ def coastdown(
     from trackres_ros.tools.coastdown.result import CoastdownResult
     from trackres_ros.tools.coastdown.stretches import in_driving_order
 
-    listed = as_recordings(recordings)
+    items = as_recordings(recordings)
     checks.seed(seed)
     mapping = as_topics(topics)
-    loaded = load_base(vehicle, method, thermal, surroundings)
-    read_in = in_driving_order([r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed])
-    loaded = loaded.with_topics(topics_in_use(read_in))
-    inputs = input_files(mapping, loaded.source, surroundings)
-    return CoastdownResult(run(read_in, loaded, seed), paths_of(read_in), inputs)
+    base = load_base(vehicle, method, thermal, surroundings)
+    sessions = in_driving_order([item if isinstance(item, Recording) else read(item, topics=mapping) for item in items])
+    base = base.with_topics(topics_in_use(sessions))
+    inputs = input_files(mapping, base.source, surroundings)
+    return CoastdownResult(run(sessions, base, seed), paths_of(sessions), inputs)

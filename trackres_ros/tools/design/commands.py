@@ -90,28 +90,28 @@ def sweep_command(
     from trackres_ros.files.resources import find_vehicle
     from trackres_ros.output.table import write_table
     from trackres_ros.tools.design.sweep import SweepRequest, draw, sweep
-    from trackres_ros.tools.design.values import varied
+    from trackres_ros.tools.design.values import variation
     from trackres_ros.vehicle import files_of, load
 
     file = None if output is None else output_file(output, TABLES)
     picture = None if file is None else picture_beside(file)
     watch(file, picture)
-    described = load(find_vehicle(vehicle))
-    not_an_input(file, [cycle, *files_of(described)], "output")
-    air = described.chassis.ambient if ambient_degc is None else ambient_degc
-    of_each = tuple(varied(described, one) for one in vary)
-    asked = SweepRequest(vehicle, of_each, _held(described, speed_kmh), air, cycle, own_air=ambient_degc is None)
-    with progress("points", len(asked.points)) as advance:
-        found = sweep(asked, engine, workers, advance)
-    written = []
+    machine = load(find_vehicle(vehicle))
+    not_an_input(file, [cycle, *files_of(machine)], "output")
+    air = machine.chassis.ambient if ambient_degc is None else ambient_degc
+    variations = tuple(variation(machine, text) for text in vary)
+    request = SweepRequest(vehicle, variations, _cruise_speed(machine, speed_kmh), air, cycle, own_air=ambient_degc is None)
+    with progress("points", len(request.points)) as advance:
+        result = sweep(request, engine, workers, advance)
+    outputs = []
     if file is not None and picture is not None:
         with file_set():
-            write_table(file, found.columns)
-            written.append(str(file))
+            write_table(file, result.columns)
+            outputs.append(str(file))
             with picture_if_possible(picture):
                 needs("a picture", "plots", "matplotlib")
-                written.append(str(draw(found, picture)))
-    emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(), written))
+                outputs.append(str(draw(result, picture)))
+    emit({**result.as_dict(), "written": outputs}, as_json, lambda: with_written(result.text(), outputs))
 
 
 @click.command("sensitivity", cls=Command)
@@ -151,19 +151,19 @@ def sensitivity_command(
     if picture is not None:
         needs("a picture", "plots", "matplotlib")
         watch(picture)
-    speed = _held(load(find_vehicle(vehicle)), speed_kmh)
+    speed = _cruise_speed(load(find_vehicle(vehicle)), speed_kmh)
     with ExitStack() as bars:
 
-        def shown(what: str, total: int) -> Callable[[float], None]:
+        def begin_bar(label: str, total: int) -> Callable[[float], None]:
             bars.close()
-            return bars.enter_context(progress(what, total))
+            return bars.enter_context(progress(label, total))
 
-        found = sensitivity(vehicle, speed, ambient_degc, samples, seed, shown)
-    written = [] if picture is None else [str(draw_tornado(found, outcome, picture))]
-    emit({**found.as_dict(), "written": written}, as_json, lambda: with_written(found.text(outcome), written))
+        result = sensitivity(vehicle, speed, ambient_degc, samples, seed, begin_bar)
+    outputs = [] if picture is None else [str(draw_tornado(result, outcome, picture))]
+    emit({**result.as_dict(), "written": outputs}, as_json, lambda: with_written(result.text(outcome), outputs))
 
 
-def _held(vehicle: Vehicle, speed_kmh: float | None) -> float:
+def _cruise_speed(vehicle: Vehicle, speed_kmh: float | None) -> float:
     """The requested speed, or the usual one [m/s]."""
     return min(USUAL_KMH / KMH_PER_MPS, vehicle.chassis.max_speed) if speed_kmh is None else speed_kmh / KMH_PER_MPS
 
@@ -186,7 +186,7 @@ def _held(vehicle: Vehicle, speed_kmh: float | None) -> float:
 )
 @click.option("-o", "--output", type=options.FOLDER, metavar="DIR", help="Folder for pictures of both.")
 @options.json
-def compare_command(one: str, other: str, output: Path | None, as_json: bool, **asked_for: Any) -> None:
+def compare_command(one: str, other: str, output: Path | None, as_json: bool, **arguments: Any) -> None:
     """Show the significant differences between two days, vehicles, reports or designs.
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
@@ -204,7 +204,7 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
     """
     from trackres_ros.files.output_files import output_folder as usable_folder
     from trackres_ros.tasks.vehicle import differences, differences_text
-    from trackres_ros.tools.design.compare import asked_of, compare_designs, wheels_compared, wheels_text
+    from trackres_ros.tools.design.compare import compare_designs, request_of, wheels_compared, wheels_text
     from trackres_ros.tools.design.compare_text import designs_text, draw_designs
     from trackres_ros.tools.fleet.compare import compare, compare_text, draw_overlay
 
@@ -212,23 +212,23 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
         needs("a picture", "plots", "matplotlib")
         usable_folder(output)
     with print_warnings():
-        found = compare(one, other)
-    asked, designs = asked_of((one, other), **asked_for), None
+        comparison = compare(one, other)
+    request, designs = request_of((one, other), **arguments), None
     try:
-        found["values"] = values = differences(one, other)
+        comparison["values"] = values = differences(one, other)
         text = "\n".join(["Values that differ", differences_text(one, other, values)])
     except InputError:  # one of them is no vehicle file
-        text = compare_text(found)
+        text = compare_text(comparison)
     if (wheels := wheels_compared((one, other))) is not None:
-        found["wheels"] = wheels
+        comparison["wheels"] = wheels
         text += "\n" + wheels_text(wheels, (one, other))
-    if asked is not None:
-        with progress("operating points", asked.points) as advance:
-            found["designs"] = designs = compare_designs(asked, advance)
+    if request is not None:
+        with progress("operating points", request.points) as advance:
+            comparison["designs"] = designs = compare_designs(request, advance)
     if output is not None:
         output_folder(output)
         with file_set():
-            found["written"] = str(draw_overlay(found, output / "compare.png"))
+            comparison["written"] = str(draw_overlay(comparison, output / "compare.png"))
             if designs is not None:
-                found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
-    emit(found, as_json, lambda: "\n".join([text, *([designs_text(designs)] if designs is not None else [])]))
+                comparison["written"] += f", {draw_designs(designs, output / 'designs.png')}"
+    emit(comparison, as_json, lambda: "\n".join([text, *([designs_text(designs)] if designs is not None else [])]))

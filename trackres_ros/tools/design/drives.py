@@ -50,43 +50,45 @@ class DriveCycle:
     recording: Recording | None = None
     notes: tuple[str, ...] = field(default=())
 
-    def conditions(self, given: Collection[str]) -> list[str]:
+    def conditions(self, chosen: Collection[str]) -> list[str]:
         """Recorded ones of load and air, unless given otherwise."""
         series = {} if self.recording is None else self.recording.series
-        return [r for r in OF_PROFILE if r in series and r not in given and np.isfinite(series[r].value).any()]
+        return [r for r in OF_PROFILE if r in series and r not in chosen and np.isfinite(series[r].value).any()]
 
-    def recorded(self, vehicle: Vehicle, given: Collection[str]) -> dict[str, Array]:
+    def recorded(self, vehicle: Vehicle, chosen: Collection[str]) -> dict[str, Array]:
         """Load [N] and air [degC] along the drive, if recorded and not given otherwise. Raises InputError as `along`."""
-        roles, one = self.conditions(given), self.recording
-        return {} if one is None else {role: along(one, role, self.drive.time_s, vehicle.weight, "--cycle") for role in roles}
+        roles, recording = self.conditions(chosen), self.recording
+        if recording is None:
+            return {}
+        return {role: along(recording, role, self.drive.time_s, vehicle.weight, "--cycle") for role in roles}
 
 
-def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
+def read_cycle(text: str, fastest_mps: float) -> DriveCycle:
     """A built-in cycle by its name, a speed profile, or a recording with a speed.
 
     `stages` is ten minutes each at a third, two thirds and all of a speed; `laps` is ten laps of 628 m with a stop after each.
     `fastest_mps`: the greatest speed that a built-in cycle may have. Raises InputError for what is none of them.
     """
-    if given == STAGES:
+    if text == STAGES:
         times, speeds = [0.0], [0.0]
         for share in SHARES:
             times += [times[-1] + RAMP_S, times[-1] + RAMP_S + HOLD_S]
             speeds += [share * fastest_mps] * 2
-        return DriveCycle(given, through_points(np.array(times), np.array(speeds), STEP_S))
-    if given == LAPS:
-        return DriveCycle(given, lap_drive(min(FASTEST_LAP_KMH, KMH_PER_MPS * fastest_mps), LAPS_DRIVEN))
-    path = Path(given)
+        return DriveCycle(text, through_points(np.array(times), np.array(speeds), STEP_S))
+    if text == LAPS:
+        return DriveCycle(text, lap_drive(min(FASTEST_LAP_KMH, KMH_PER_MPS * fastest_mps), LAPS_DRIVEN))
+    path = Path(text)
     if not path.exists():
-        raise InputError("--cycle", given, f"a recording, a speed profile, {' or '.join(BUILT_IN)}", nearest(given, BUILT_IN))
+        raise InputError("--cycle", text, f"a recording, a speed profile, {' or '.join(BUILT_IN)}", nearest(text, BUILT_IN))
     recording = Recording.from_source(open_source([path]))
     if "speed" not in recording.series:
-        raise InputError(f"--cycle {given}", f"roles {', '.join(recording.roles) or 'none'}", "a recording with a speed")
+        raise InputError(f"--cycle {text}", f"roles {', '.join(recording.roles) or 'none'}", "a recording with a speed")
     time, speed = recording.time_s("speed"), recording.series["speed"].value
     usable = np.isfinite(speed)
     at_time, first = np.unique(time[usable], return_index=True)
     drive = through_points(at_time, speed[usable][first], STEP_S)
-    others = [role for role in recording.roles if role not in ("speed", *OF_PROFILE)]
-    notes = (f"{given}: only speed, load and air of the recording are used, not {', '.join(others)}",) if others else ()
+    ignored = [role for role in recording.roles if role not in ("speed", *OF_PROFILE)]
+    notes = (f"{text}: only speed, load and air of the recording are used, not {', '.join(ignored)}",) if ignored else ()
     return DriveCycle(path.name, drive, recording, notes)
 
 
@@ -98,7 +100,7 @@ def check_weight(vehicle: Vehicle, weight: float) -> None:
         raise InputError("--weight-kn", weight / 1e3, allowed)
 
 
-def driven(
+def run_cycle(
     estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None
 ) -> tuple[dict[str, float], dict[str, Array]]:
     """A vehicle on a cycle from cold: totals, see `estimator.energy.taken`, and columns of the estimator, each of shape (times,).
@@ -109,38 +111,38 @@ def driven(
     vehicle = estimator.vehicle
     assert isinstance(vehicle, Vehicle)  # designs have tracks
     check_speed(vehicle, float(np.abs(cycle.drive.speed).max()))
-    known: Mapping[str, float | None] = {"load": weight, "ambient": ambient}
-    recorded = cycle.recorded(vehicle, [role for role, value in known.items() if value is not None])
-    load, air = (value if value is not None else recorded.get(role) for role, value in known.items())
+    choices: Mapping[str, float | None] = {"load": weight, "ambient": ambient}
+    series = cycle.recorded(vehicle, [role for role, value in choices.items() if value is not None])
+    load, air = (value if value is not None else series.get(role) for role, value in choices.items())
     columns = by_column(estimator, run_drive(estimator, cycle.drive, load, air))
     return taken(vehicle, cycle.drive.time_s, columns), columns
 
 
 def left_out(columns: Mapping[str, Array]) -> list[str]:
     """A sentence, if a drive leaves out an effect, of an estimator's columns by name."""
-    some = np.any(columns["reasons"].astype(np.int64) & int(at.Reason.EFFECT_LEFT_OUT))
-    return [at.Reason.EFFECT_LEFT_OUT.text] if some else []
+    has_gaps = np.any(columns["reasons"].astype(np.int64) & int(at.Reason.EFFECT_LEFT_OUT))
+    return [at.Reason.EFFECT_LEFT_OUT.text] if has_gaps else []
 
 
-def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:
+def with_factors(estimator: Estimator, errors: FileErrors, capacity: float = 1.0) -> Estimator:
     """The same vehicle with losses, cooling, heat capacity or radius off by a factor, or bearings or drag by a sum.
 
-    `capacity`: factor on the heat capacity of the belts of `off.track`.
+    `capacity`: factor on the heat capacity of the belts of `errors.track`.
     """
-    changed, k = copy(estimator), estimator.constants
+    variant, k = copy(estimator), estimator.constants
     assert isinstance(estimator.vehicle, Vehicle)
-    tables = [not off.track or name == off.track for name in estimator.vehicle.tracks]
-    factors = np.where(tables, off.loss, 1.0)[:, np.newaxis, np.newaxis]
-    assembly, own = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.Assembly.kind]])
+    tables = [not errors.track or name == errors.track for name in estimator.vehicle.tracks]
+    factors = np.where(tables, errors.loss, 1.0)[:, np.newaxis, np.newaxis]
+    assembly, rows = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.Assembly.kind]])
     for column, factor in (
-        (at.Assembly.film_offset, off.film),
-        (at.Assembly.film_slope, off.film),
+        (at.Assembly.film_offset, errors.film),
+        (at.Assembly.film_slope, errors.film),
         (at.Assembly.capacity, capacity),
-        (at.Assembly.radius, off.radius),
+        (at.Assembly.radius, errors.radius),
     ):
-        assembly[own, column] *= factor
-    changed.vehicle = vehicle = with_errors(estimator.vehicle, off)
-    changed.facts = facts = vehicle_constants(vehicle)
+        assembly[rows, column] *= factor
+    variant.vehicle = vehicle = with_errors(estimator.vehicle, errors)
+    variant.facts = facts = vehicle_constants(vehicle)
     number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
-    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
-    return changed
+    variant.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
+    return variant

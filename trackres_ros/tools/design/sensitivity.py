@@ -19,7 +19,7 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.model.operating_point import INACTIVE, left_out_at
 from trackres_ros.text import decimals, figures, table
 from trackres_ros.tools.design.steady import ALONE, OUTCOMES, WARMEST_K, Array, remarks_on, steady
-from trackres_ros.tools.design.uncertain import absorbed
+from trackres_ros.tools.design.uncertain import absorbing_fits
 from trackres_ros.tools.design.values import scalars, short
 from trackres_ros.tools.engine import LOCAL, results
 from trackres_ros.units import KMH_PER_MPS
@@ -66,29 +66,29 @@ class SensitivityResult:
     nominal: Mapping[str, float]
     std: Mapping[str, float]
     indices: Mapping[str, Mapping[str, Index]]  # by outcome and path
-    held: Mapping[str, str]  # why some values were not varied, by path
+    fixed: Mapping[str, str]  # why some values were not varied, by path
     # draws, in each of which every value is changed in turn; vehicles that were computed for them
     samples: int
-    drawn: int
+    row_count: int
     # draws left out, as one of their vehicles is impossible; and the reason for the first
-    lost: int
+    lost_count: int
     why_lost: str
     remarks: tuple[str, ...]  # on belts outside the rubber data: of the vehicle itself, and how many drawn ones have any
 
     def ranked(self, outcome: str) -> list[str]:
         """Paths, by decreasing share of the uncertainty."""
-        of = self.indices[outcome]
-        return sorted(of, key=lambda path: -of[path].total)
+        indices = self.indices[outcome]
+        return sorted(indices, key=lambda path: -indices[path].total)
 
     def text(self, outcome: str) -> str:
         """The table of one outcome, and which value to measure first."""
-        of, unit, ranked = self.indices[outcome], UNITS[outcome], self.ranked(outcome)
-        paths = list(of)
+        indices, unit, ranked = self.indices[outcome], UNITS[outcome], self.ranked(outcome)
+        paths = list(indices)
         rows = [
             (
-                short(path, paths), decimals(100.0 * of[path].first), f"+- {decimals(100.0 * of[path].first_pm)}",
-                decimals(100.0 * of[path].total), f"+- {decimals(100.0 * of[path].total_pm)}",
-                figures(of[path].low - self.nominal[outcome], 3), figures(of[path].high - self.nominal[outcome], 3),
+                short(path, paths), decimals(100.0 * indices[path].first), f"+- {decimals(100.0 * indices[path].first_pm)}",
+                decimals(100.0 * indices[path].total), f"+- {decimals(100.0 * indices[path].total_pm)}",
+                figures(indices[path].low - self.nominal[outcome], 3), figures(indices[path].high - self.nominal[outcome], 3),
             )
             for path in ranked[:MOST_SHOWN]
         ]  # fmt: skip
@@ -99,14 +99,16 @@ class SensitivityResult:
             f"+- {figures(self.std[outcome], 2)} {unit.replace('K', 'degC')} (one standard deviation, by the ranges of the file)",
             table(rows, head),
         ]
-        rest = [path for path in ranked[MOST_SHOWN:] if of[path].total > 0.0]
-        lines += [f"and {len(rest)} more with smaller shares"] if rest else []
-        lines.append(self._advice([short(path, paths) for path in ranked[:2]], [of[path] for path in ranked[:2]]))
-        for why in dict.fromkeys(self.held.values()):
-            lines.append(f"Held: {', '.join(short(p, list(self.held)) for p, of_it in self.held.items() if of_it == why)}: {why}")
-        if self.lost:
+        remainder = [path for path in ranked[MOST_SHOWN:] if indices[path].total > 0.0]
+        lines += [f"and {len(remainder)} more with smaller shares"] if remainder else []
+        lines.append(self._advice([short(path, paths) for path in ranked[:2]], [indices[path] for path in ranked[:2]]))
+        for reason in dict.fromkeys(self.fixed.values()):
             lines.append(
-                f"{self.lost} of {self.samples} draws are dropped, because their vehicles are impossible: {self.why_lost}"
+                f"Held: {', '.join(short(p, list(self.fixed)) for p, of_it in self.fixed.items() if of_it == reason)}: {reason}"
+            )
+        if self.lost_count:
+            lines.append(
+                f"{self.lost_count} of {self.samples} draws are dropped, because their vehicles are impossible: {self.why_lost}"
             )
         return "\n".join([*lines, *(f"  ! {remark}" for remark in self.remarks)])
 
@@ -114,8 +116,8 @@ class SensitivityResult:
         """What to measure first, of the values with the largest shares."""
         if len(names) == 1:
             return f"Measure {names[0]}: no other value with a range moves it."
-        (first, second), (one, other) = names, largest
-        if one.total - other.total > math.hypot(one.total_pm, other.total_pm):
+        (first, second), (largest_index, second_index) = names, largest
+        if largest_index.total - second_index.total > math.hypot(largest_index.total_pm, second_index.total_pm):
             return f"Measure {first} first, then {second}."
         return f"Measure {first} or {second} first: {self.samples} samples do not decide which has the larger share."
 
@@ -123,12 +125,12 @@ class SensitivityResult:
         """Ready for JSON."""
         return {
             "vehicle": self.vehicle, "speed_mps": self.speed, "ambient_degc": self.ambient, "samples": self.samples,
-            "drawn": self.drawn, "lost": self.lost, "why_lost": self.why_lost,
+            "drawn": self.row_count, "lost": self.lost_count, "why_lost": self.why_lost,
             "nominal": dict(self.nominal), "std": dict(self.std),
             "indices": {
-                outcome: {path: asdict(index) for path, index in of.items()} for outcome, of in self.indices.items()
+                outcome: {path: asdict(index) for path, index in by_path.items()} for outcome, by_path in self.indices.items()
             },
-            "held": dict(self.held), "remarks": list(self.remarks),
+            "held": dict(self.fixed), "remarks": list(self.remarks),
         }  # fmt: skip
 
 
@@ -152,51 +154,51 @@ def sensitivity(
     source, air = str(vehicle.source), vehicle.chassis.ambient if ambient is None else ambient
     nominal = _outcomes(variants(vehicle), {}, speed, air)
     remarks = remarks_on(vehicle, speed, air, [steady(vehicle, speed, air)])
-    ends, held = _ends(vehicle, speed, air, progress)
-    reach = {path: np.abs(np.array(both) - nominal).max(axis=0) for path, both in ends.items()}
-    most = np.fmax.reduce([np.zeros(len(OUTCOMES)), *reach.values()])
+    ends, fixed = _ends(vehicle, speed, air, progress)
+    reach = {path: np.abs(np.array(pair) - nominal).max(axis=0) for path, pair in ends.items()}
+    largest = np.fmax.reduce([np.zeros(len(OUTCOMES)), *reach.values()])
     # A value that ends the balance at one end of its range has no size there, but it moves a lot.
-    little = [path for path, moved in reach.items() if np.isfinite(moved).all() and not np.any(moved > LITTLE * most)]
-    held |= dict.fromkeys(little, f"it moves nothing by {LITTLE:.0%} of what others do")
-    held |= {f"effects.{active.effect.name}": OF_EFFECTS for active in vehicle.active if active.ranges}
-    held |= {f"effects.{name}": INACTIVE for name in left_out_at(vehicle, speed, air)}
-    paths = [path for path in ends if path not in little]
+    small = [path for path, change in reach.items() if np.isfinite(change).all() and not np.any(change > LITTLE * largest)]
+    fixed |= dict.fromkeys(small, f"it moves nothing by {LITTLE:.0%} of what others do")
+    fixed |= {f"effects.{active.effect.name}": OF_EFFECTS for active in vehicle.active if active.ranges}
+    fixed |= {f"effects.{name}": INACTIVE for name in left_out_at(vehicle, speed, air)}
+    paths = [path for path in ends if path not in small]
     if not paths:
         raise InputError(file, "no value with a range that moves an outcome", "at least one", "give ranges in the vehicle file")
     bounds = [(vehicle.parameters[path].low, vehicle.parameters[path].high) for path in paths]
-    lost, why = 0, ""
+    lost, reason = 0, ""
 
     def model(rows: Array) -> Array:
-        nonlocal lost, why
+        nonlocal lost, reason
         pieces = [(i, rows[i : i + PIECE]) for i in range(0, len(rows), PIECE)]
         of_each = partial(outcomes_of, source, paths, speed, air)
-        advance, found = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES) + 1))
+        advance, outcomes = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES) + 1))
         for (i, piece), result in results(of_each, pieces, LOCAL, few=len(rows) <= ALONE):
-            found[i : i + PIECE] = result
+            outcomes[i : i + PIECE] = result
             advance(len(piece))
-        bad = ~np.isfinite(found).all(axis=1)
+        bad = ~np.isfinite(outcomes).all(axis=1)
         lost = int(bad.reshape(-1, len(paths) + 2).any(axis=1).sum())
         if lost:
-            why = _why_not(vehicle, dict(zip(paths, map(float, rows[int(np.argmax(bad))]), strict=True)), speed, air)
+            reason = _why_not(vehicle, dict(zip(paths, map(float, rows[int(np.argmax(bad))]), strict=True)), speed, air)
         if lost > MOST_LOST * samples:
-            given = f"ranges in which {lost} of {samples} draws give an impossible vehicle, because {why}"
-            raise InputError(file, given, f"at most {MOST_LOST:.0%}", "narrow the ranges of values that depend on each other")
-        if outside := int(np.nansum(found[:, -1])):
-            told = "drawn vehicles have belts outside the rubber data: their torque is extrapolated"
-            remarks.append(f"{outside} of {len(rows)} {told}")
-        return found[:, :-1]
+            problem = f"ranges in which {lost} of {samples} draws give an impossible vehicle, because {reason}"
+            raise InputError(file, problem, f"at most {MOST_LOST:.0%}", "narrow the ranges of values that depend on each other")
+        if extrapolated := int(np.nansum(outcomes[:, -1])):
+            text = "drawn vehicles have belts outside the rubber data: their torque is extrapolated"
+            remarks.append(f"{extrapolated} of {len(rows)} {text}")
+        return outcomes[:, :-1]
 
-    of_all, drawn = sobol(paths, bounds, model, samples, seed)
+    of_all, row_count = sobol(paths, bounds, model, samples, seed)
     indices = {
         outcome: {
-            path: Index(*of_all.of[i][path], ends[path][0][i], ends[path][1][i]) for path in paths
+            path: Index(*of_all.by_outcome[i][path], ends[path][0][i], ends[path][1][i]) for path in paths
         }
         for i, outcome in enumerate(OUTCOMES)
     }  # fmt: skip
     std = dict(zip(OUTCOMES, of_all.std, strict=True))
-    named = dict(zip(OUTCOMES, nominal, strict=True))
+    nominal_values = dict(zip(OUTCOMES, nominal, strict=True))
     return SensitivityResult(
-        vehicle.name, speed, air, named, std, indices, held, samples, drawn, lost, why, tuple(remarks)
+        vehicle.name, speed, air, nominal_values, std, indices, fixed, samples, row_count, lost, reason, tuple(remarks)
     )  # fmt: skip
 
 
@@ -204,7 +206,7 @@ def sensitivity(
 class Indices:
     """First and total indices with half-widths, for each outcome by name; and the standard deviation of each outcome."""
 
-    of: list[dict[str, tuple[float, float, float, float]]]
+    by_outcome: list[dict[str, tuple[float, float, float, float]]]
     std: list[float]
 
 
@@ -226,18 +228,18 @@ def sobol(
     outcomes = model(rows)
     # Rows of one point are compared with each other: a substitute for one would look like an effect of the changed value.
     size = len(names) + 2
-    whole = np.isfinite(outcomes).all(axis=1).reshape(-1, size).all(axis=1)
-    outcomes = outcomes[np.repeat(whole, size)]
-    found, std = [], []
+    complete = np.isfinite(outcomes).all(axis=1).reshape(-1, size).all(axis=1)
+    outcomes = outcomes[np.repeat(complete, size)]
+    indices, std = [], []
     for column in outcomes.T:
         std.append(float(column.std()))
         if not np.ptp(column) > 1e-12 * max(1.0, float(np.abs(column).max())):
-            found.append(dict.fromkeys(names, (0.0, 0.0, 0.0, 0.0)))
+            indices.append(dict.fromkeys(names, (0.0, 0.0, 0.0, 0.0)))
             continue
-        of = analysis.analyze(problem, column, calc_second_order=False, num_resamples=RESAMPLES, conf_level=SURE, seed=seed)
-        each = zip(of["S1"], of["S1_conf"], of["ST"], of["ST_conf"], strict=True)
-        found.append({name: tuple(map(float, four)) for name, four in zip(names, each, strict=True)})  # type: ignore[misc]
-    return Indices(found, std), len(rows)
+        result = analysis.analyze(problem, column, calc_second_order=False, num_resamples=RESAMPLES, conf_level=SURE, seed=seed)
+        columns = zip(result["S1"], result["S1_conf"], result["ST"], result["ST_conf"], strict=True)
+        indices.append({name: tuple(map(float, numbers)) for name, numbers in zip(names, columns, strict=True)})  # type: ignore[misc]
+    return Indices(indices, std), len(rows)
 
 
 def outcomes_of(file: str, paths: Sequence[str], speed: float, ambient: float, piece: tuple[int, Array]) -> Array:
@@ -245,13 +247,13 @@ def outcomes_of(file: str, paths: Sequence[str], speed: float, ambient: float, p
 
     `piece`: number of the first one, and the values of each, shape (n, paths).
     """
-    make, found = variants(load(file)), np.full((len(piece[1]), len(OUTCOMES) + 1), np.nan)
-    for row, into in zip(piece[1], found, strict=True):
+    make, outcomes = variants(load(file)), np.full((len(piece[1]), len(OUTCOMES) + 1), np.nan)
+    for row, target in zip(piece[1], outcomes, strict=True):
         with suppress(InputError):
             vehicle = make(dict(zip(paths, map(float, row), strict=True)))
             state = steady(vehicle, speed, ambient)
-            into[:] = *state.outcomes, bool(remarks_on(vehicle, speed, ambient, [state]))
-    return found
+            target[:] = *state.outcomes, bool(remarks_on(vehicle, speed, ambient, [state]))
+    return outcomes
 
 
 def _why_not(vehicle: Vehicle, values: Mapping[str, float], speed: float, ambient: float) -> str:
@@ -272,7 +274,7 @@ def _ends(
     vehicle: Vehicle, speed: float, ambient: float, progress: Callable[[str, int], Callable[[float], None]]
 ) -> tuple[dict[str, tuple[tuple[float, ...], tuple[float, ...]]], dict[str, str]]:
     """Outcomes with each value at either end of its range; and reasons for fixed values."""
-    ends, held, make, fits = {}, {}, variants(vehicle), absorbed(vehicle, speed, ambient)
+    ends, fixed, make, fits = {}, {}, variants(vehicle), absorbing_fits(vehicle, speed, ambient)
     paths = [path for path in scalars(vehicle) if path not in NOT_OF_THE_VEHICLE]
     advance = progress("each value alone", len(paths))
     for path in paths:
@@ -281,37 +283,37 @@ def _ends(
         if quantity.high <= quantity.low:
             continue
         if path in fits:
-            held[path] = f"the fit of {fits[path]} has absorbed its error"
+            fixed[path] = f"the fit of {fits[path]} has absorbed its error"
             continue
         try:
             low, high = (_outcomes(make, {path: value}, speed, ambient) for value in (quantity.low, quantity.high))
             ends[path] = low, high
         except InputError as error:
-            held[path] = f"it cannot change alone: {error.given}; allowed: {error.allowed}"
-    return ends, held
+            fixed[path] = f"it cannot change alone: {error.given}; allowed: {error.allowed}"
+    return ends, fixed
 
 
-def draw_tornado(found: SensitivityResult, outcome: str, path: Path) -> Path:
+def draw_tornado(result: SensitivityResult, outcome: str, path: Path) -> Path:
     """Outcome at the ends of each value's range, and its shares of the variance."""
     from trackres_ros.output.style import BLUE, GREY, ORANGE, picture
 
-    of, ranked = found.indices[outcome], found.ranked(outcome)[:MOST_SHOWN]
-    names, middle = [short(p, list(of)) for p in ranked], found.nominal[outcome]
+    indices, ranked = result.indices[outcome], result.ranked(outcome)[:MOST_SHOWN]
+    names, middle = [short(p, list(indices)) for p in ranked], result.nominal[outcome]
     places = np.arange(len(ranked))[::-1]
     with picture(path, 9.5, 0.8 + 0.36 * len(ranked)) as figure:
-        left, right = figure.subplots(1, 2, sharey=True)
-        left.barh(places, [of[p].low - middle for p in ranked], color=BLUE, label="at its low")
-        left.barh(places, [of[p].high - middle for p in ranked], color=ORANGE, label="at its high")
-        left.set_yticks(places, names)
-        left.set(xlabel=f"change of {NAMES[outcome]} [{UNITS[outcome]}]")
-        left.axvline(0.0, color=GREY, lw=0.8)
-        left.legend(loc="lower right")
-        first = np.array([(of[p].first, of[p].first_pm) for p in ranked])
-        total = np.array([(of[p].total, of[p].total_pm) for p in ranked])
+        bars, shares = figure.subplots(1, 2, sharey=True)
+        bars.barh(places, [indices[p].low - middle for p in ranked], color=BLUE, label="at its low")
+        bars.barh(places, [indices[p].high - middle for p in ranked], color=ORANGE, label="at its high")
+        bars.set_yticks(places, names)
+        bars.set(xlabel=f"change of {NAMES[outcome]} [{UNITS[outcome]}]")
+        bars.axvline(0.0, color=GREY, lw=0.8)
+        bars.legend(loc="lower right")
+        first = np.array([(indices[p].first, indices[p].first_pm) for p in ranked])
+        total = np.array([(indices[p].total, indices[p].total_pm) for p in ranked])
         for shift, name, index, colour in ((0.15, "alone", first, BLUE), (-0.15, "with others", total, ORANGE)):
             value, half = 100.0 * index.T
-            right.errorbar(value, places + shift, xerr=half, fmt="o", ms=4, color=colour, label=name, capsize=2)
-        right.set(xlabel="share of the variance [%]", xlim=(min(0.0, right.get_xlim()[0]), None))
-        right.axvline(0.0, color=GREY, lw=0.8)
-        right.legend(loc="lower right")
+            shares.errorbar(value, places + shift, xerr=half, fmt="o", ms=4, color=colour, label=name, capsize=2)
+        shares.set(xlabel="share of the variance [%]", xlim=(min(0.0, shares.get_xlim()[0]), None))
+        shares.axvline(0.0, color=GREY, lw=0.8)
+        shares.legend(loc="lower right")
     return path

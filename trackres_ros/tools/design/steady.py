@@ -82,26 +82,26 @@ AS_IT_IS = FileErrors()
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class PlainVehicle:
     """A vehicle without its effects at one speed [m/s] in air of a temperature [degC]."""
 
     speed: float
     ambient: float
     kinds: tuple[SteadyAssembly, ...]
 
-    def solve(self, off: FileErrors = AS_IT_IS) -> Steady:
+    def solve(self, errors: FileErrors = AS_IT_IS) -> Steady:
         """Its steady state, with some of it off."""
         way = float(resistance.direction(self.speed))
         cold = warm = force = 0.0
         belts: dict[str, float] = {}
         for kind in self.kinds:
-            here = off if off.track in ("", kind.track) else AS_IT_IS
-            others = kind.bearing + kind.wind
-            others += off.bearing_friction * kind.bearing_each + off.drag_area * kind.wind_each
-            radius, film = here.radius * kind.radius, here.film * kind.film
+            local = errors if errors.track in ("", kind.track) else AS_IT_IS
+            forces = kind.bearing + kind.wind
+            forces += errors.bearing_friction * kind.bearing_each + errors.drag_area * kind.wind_each
+            radius, film = local.radius * kind.radius, local.film * kind.film
             cooled = kind.network.share_outside(film) * film
 
-            def loss(belt: float, course: MonotoneCubic = kind.course, factor: float = here.loss) -> float:
+            def loss(belt: float, course: MonotoneCubic = kind.course, factor: float = local.loss) -> float:
                 return factor * float(np.exp(course(belt)))
 
             def excess(belt: float, loss: Callable[[float], float] = loss, cooled: float = cooled) -> float:
@@ -109,9 +109,9 @@ class Held:
 
             hottest = self.ambient + WARMEST_K
             belt = float(brentq(excess, self.ambient, hottest)) if excess(hottest) < 0.0 else np.nan
-            at_last = loss(belt) * way + others
+            at_last = loss(belt) * way + forces
             count = len(kind.names)
-            cold += count * radius * (here.loss * kind.cold_loss * way + others)
+            cold += count * radius * (local.loss * kind.cold_loss * way + forces)
             warm += count * radius * at_last
             force += count * at_last
             belts |= dict.fromkeys(kind.names, belt)
@@ -135,35 +135,36 @@ def remarks_on(vehicle: Vehicle, speed: ArrayLike, ambient: ArrayLike, states: S
 
     `speed`, `ambient`: of each state [m/s], [degC], shape (states,).
     """
-    names = [one.name for one in vehicle.assemblies]
+    names = [assembly.name for assembly in vehicle.assemblies]
     ambient = np.broadcast_to(np.asarray(ambient, dtype=float), len(states))
     cold = dict.fromkeys(names, ambient)
-    found = {name: np.array([one.belts_degc.get(name, np.nan) for one in states]) for name in names}
-    settled = {name: np.where(np.isnan(belts), ambient + WARMEST_K, belts) for name, belts in found.items()}  # if without balance
-    return list(dict.fromkeys(text for belts in (cold, settled) for text in beyond_data(vehicle, speed, belts)))
+    belts_found = {name: np.array([state.belts_degc.get(name, np.nan) for state in states]) for name in names}
+    hottest = ambient + WARMEST_K  # of a belt without a balance
+    warm = {name: np.where(np.isnan(belts), hottest, belts) for name, belts in belts_found.items()}
+    return list(dict.fromkeys(text for belts in (cold, warm) for text in beyond_data(vehicle, speed, belts)))
 
 
 def solver(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Callable[[FileErrors], Steady]:
     """The steady state of a vehicle as a function of errors of its file; see `steady`."""
     if not vehicle.active:
-        return held(vehicle, speed, ambient, weight).solve
-    return lambda off: _with_effects(with_errors(vehicle, off), speed, ambient, weight, off)
+        return plain_vehicle(vehicle, speed, ambient, weight).solve
+    return lambda errors: _with_effects(with_errors(vehicle, errors), speed, ambient, weight, errors)
 
 
-def with_errors(vehicle: Vehicle, off: FileErrors) -> Vehicle:
+def with_errors(vehicle: Vehicle, errors: FileErrors) -> Vehicle:
     """A vehicle with errors in its values, but for the loss."""
     tracks = {}
     for name, track in vehicle.tracks.items():
-        here, belt = off if off.track in ("", name) else AS_IT_IS, track.belt
-        belt = replace(belt, film_offset=here.film * belt.film_offset, film_slope=here.film * belt.film_slope)
-        tracks[name] = replace(track, belt=belt, sprocket_radius=here.radius * track.sprocket_radius)
-    chassis, area = vehicle.chassis, vehicle.chassis.drag_coefficient * vehicle.chassis.frontal_area + off.drag_area
-    friction = chassis.bearing_friction + off.bearing_friction
+        local, belt = errors if errors.track in ("", name) else AS_IT_IS, track.belt
+        belt = replace(belt, film_offset=local.film * belt.film_offset, film_slope=local.film * belt.film_slope)
+        tracks[name] = replace(track, belt=belt, sprocket_radius=local.radius * track.sprocket_radius)
+    chassis, area = vehicle.chassis, vehicle.chassis.drag_coefficient * vehicle.chassis.frontal_area + errors.drag_area
+    friction = chassis.bearing_friction + errors.bearing_friction
     chassis = replace(chassis, bearing_friction=friction, drag_coefficient=area, frontal_area=1.0)
     return replace(vehicle, tracks=tracks, chassis=chassis)
 
 
-def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Held:
+def plain_vehicle(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> PlainVehicle:
     """A vehicle without its effects at one speed; see `steady`."""
     chassis, nominal = vehicle.chassis, vehicle.nominal_loads()
     loads = nominal if weight is None else weight * nominal / nominal.sum()
@@ -186,38 +187,38 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
         film = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
         for load, course in zip(of_track.tolist(), loss.T, strict=True):
             forces = float(course[0]), load * bearing, load * drag, load * bearing_each, load * drag_each
-            joined, alike = MonotoneCubic(belts, np.log(course)), tuple(names[track, load])
-            kinds[track, load] = SteadyAssembly(track, alike, radius, joined, *forces, film, network)
-    return Held(speed, ambient, tuple(kinds[kind] for kind in names))
+            course_log, same_names = MonotoneCubic(belts, np.log(course)), tuple(names[track, load])
+            kinds[track, load] = SteadyAssembly(track, same_names, radius, course_log, *forces, film, network)
+    return PlainVehicle(speed, ambient, tuple(kinds[kind] for kind in names))
 
 
-def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None, off: FileErrors) -> Steady:
-    kinds = [(one.track, float(load)) for one, load in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)]
-    whole = vehicle.weight if weight is None else weight
-    losses = {name: off.loss for name in vehicle.tracks if off.track in ("", name)}
+def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None, errors: FileErrors) -> Steady:
+    kinds = [(assembly.track, float(load)) for assembly, load in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)]
+    total_weight = vehicle.weight if weight is None else weight
+    losses = {name: errors.loss for name in vehicle.tracks if errors.track in ("", name)}
     models = track_models(vehicle)
 
-    def at(belts: Mapping[tuple[str, float], float]) -> VehicleState:
-        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, whole, losses, models)
+    def state(belts: Mapping[tuple[str, float], float]) -> VehicleState:
+        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, total_weight, losses, models)
 
     def excess(kind: tuple[str, float], degc: float) -> float:
-        own = at({**belts, kind: degc}).assemblies[kinds.index(kind)]
-        return own.heat - own.cooling
+        assembly_state = state({**belts, kind: degc}).assemblies[kinds.index(kind)]
+        return assembly_state.heat - assembly_state.cooling
 
-    def settled(kind: tuple[str, float]) -> bool:
+    def is_settled(kind: tuple[str, float]) -> bool:
         return excess(kind, belts[kind] - TOLERANCE_K) > 0.0 > excess(kind, belts[kind] + TOLERANCE_K)
 
     belts = dict.fromkeys(kinds, ambient)
-    cold = float(at(belts).torque["resistance"])
+    cold = float(state(belts).torque["resistance"])
     for _ in range(PASSES):  # effects may depend on the mean of the belts
         for kind in belts:
             belts[kind] = _balance(partial(excess, kind), ambient)
             if np.isnan(belts[kind]):
                 return Steady(cold, np.nan, np.nan, np.nan)
-        if len(belts) == 1 or all(map(settled, belts)):
+        if len(belts) == 1 or all(map(is_settled, belts)):
             break
-    warm = at(belts)
-    settled_degc = {one.name: belts[kind] for one, kind in zip(vehicle.assemblies, kinds, strict=True)}
+    warm = state(belts)
+    settled_degc = {assembly.name: belts[kind] for assembly, kind in zip(vehicle.assemblies, kinds, strict=True)}
     return Steady(cold, float(warm.torque["resistance"]), warm.belt_degc, warm.force * 1000.0 / J_PER_KWH, settled_degc)
 
 

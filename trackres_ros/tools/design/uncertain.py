@@ -42,7 +42,7 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
     """The slopes at a speed [m/s] and some belt temperatures [degC]."""
 
     def logarithms(track: str) -> Callable[[Vehicle], Array]:
-        return lambda moved: logarithms_at(moved, track, speed, belts_degc, vehicle)
+        return lambda variant: logarithms_at(variant, track, speed, belts_degc, vehicle)
 
     chassis = vehicle.chassis
     friction, area = {BEARING: vehicle.parameters[BEARING].standard_deviation}, drag_area_stds(vehicle)
@@ -52,34 +52,36 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivativ
     return LogDerivatives(belts_degc, of_track, friction, area, sizes)
 
 
-def absorbed(vehicle: Vehicle, speed: float, belt_degc: float) -> dict[str, str]:
+def absorbing_fits(vehicle: Vehicle, speed: float, belt_degc: float) -> dict[str, str]:
     """Fitted values by the paths of the values whose errors they have absorbed.
 
     A value is absorbed if the greater part of its effect at a speed [m/s] and belt temperature is on fitted quantities. The heat
     capacity has no part in it: it does not affect a steady state.
     """
-    found = {AREA: DRAG} if vehicle.parameters[DRAG].flag == FITTED else {}
-    fitted = {name: fits(vehicle, name, 1) for name in vehicle.tracks}
-    if not any(fitted.values()):
-        return found
+    fits_by_path = {AREA: DRAG} if vehicle.parameters[DRAG].flag == FITTED else {}
+    fitted_columns = {name: fits(vehicle, name, 1) for name in vehicle.tracks}
+    if not any(fitted_columns.values()):
+        return fits_by_path
     unfitted = {path: replace(quantity, flag="") for path, quantity in vehicle.parameters.items()}
-    known = slopes_of(replace(vehicle, parameters=unfitted), speed, np.array([belt_degc]))
+    derivatives = slopes_of(replace(vehicle, parameters=unfitted), speed, np.array([belt_degc]))
     # by path, then by fitted value; what no fit has absorbed under an empty name
     parts: defaultdict[str, defaultdict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for name, paths in known.of_track.items():
-        by = {column: of for of, columns in fitted[name].items() for column in columns}
+    for name, paths in derivatives.of_track.items():
+        owners = {column: owner for owner, columns in fitted_columns[name].items() for column in columns}
         for path, slope in paths.items():
             for column in STEADY_COLUMNS:
-                of = by.get(column, ("",))
-                parts[path]["" if path in of else of[0]] += abs(float(slope[column]))
+                owner = owners.get(column, ("",))
+                parts[path]["" if path in owner else owner[0]] += abs(float(slope[column]))
     for path, part in parts.items():
-        left = part.pop("", 0.0)
-        if sum(part.values()) > left:
-            found[path] = max(part, key=part.__getitem__)
-    return found
+        remainder = part.pop("", 0.0)
+        if sum(part.values()) > remainder:
+            fits_by_path[path] = max(part, key=part.__getitem__)
+    return fits_by_path
 
 
-def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array) -> dict[str, Array]:
+def sensitivities(
+    derivatives: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array
+) -> dict[str, Array]:
     """Sensitivity of some outcomes to one standard deviation of each value, by path, shape (outcomes,).
 
     `outcomes`: of errors, and of a factor on the heat capacity, shape (outcomes,); `belts_degc`: belt temperature of the loss in
@@ -87,31 +89,31 @@ def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array],
     """
     nominal = outcomes(FileErrors(), 1.0)
 
-    def by(off: FileErrors, capacity: float = 1.0) -> Array:
-        return (outcomes(off, capacity) - nominal) / STEP
+    def gradient(errors: FileErrors, capacity: float = 1.0) -> Array:
+        return (outcomes(errors, capacity) - nominal) / STEP
 
-    more = 1.0 + STEP
-    found: dict[str, Array] = {}
+    grown = 1.0 + STEP
+    changes: dict[str, Array] = {}
 
     def add(path: str, change: Array) -> None:
-        found[path] = found.get(path, np.zeros_like(nominal)) + change
+        changes[path] = changes.get(path, np.zeros_like(nominal)) + change
 
-    for track, paths in known.of_track.items():
-        per_loss, per_film, per_radius = (by(FileErrors(track, **{name: more})) for name in ("loss", "film", "radius"))
-        per_capacity = by(FileErrors(track), more)
-        for path, of in paths.items():
-            *losses, film, capacity, radius = of.tolist()
-            loss = np.interp(belts_degc, known.belts_degc, losses)
+    for track, paths in derivatives.of_track.items():
+        per_loss, per_film, per_radius = (gradient(FileErrors(track, **{name: grown})) for name in ("loss", "film", "radius"))
+        per_capacity = gradient(FileErrors(track), grown)
+        for path, track_slopes in paths.items():
+            *losses, film, capacity, radius = track_slopes.tolist()
+            loss = np.interp(belts_degc, derivatives.belts_degc, losses)
             add(path, per_loss * loss + per_film * film + per_capacity * capacity + per_radius * radius)
-    friction, area = known.sizes
-    for off, size, of_chassis in (
-        (FileErrors(bearing_friction=STEP * friction), friction, known.bearing_friction),
-        (FileErrors(drag_area=STEP * area), area, known.drag_area),
+    friction, area = derivatives.sizes
+    for errors, size, of_chassis in (
+        (FileErrors(bearing_friction=STEP * friction), friction, derivatives.bearing_friction),
+        (FileErrors(drag_area=STEP * area), area, derivatives.drag_area),
     ):
-        change = by(off)
+        change = gradient(errors)
         for path, std in of_chassis.items():
             add(path, change * (std / size))
-    return found
+    return changes
 
 
 def difference_std(
@@ -122,16 +124,16 @@ def difference_std(
 
     An equal value has one error in both files; the narrower of its two ranges holds.
     """
-    one, other = changes
-    common = own = np.zeros_like(next(iter(one.values())))
-    for path in {**one, **other}:
+    first, second = changes
+    common = separate = np.zeros_like(next(iter(first.values())))
+    for path in {**first, **second}:
         quantities = [vehicle.parameters[path] for vehicle in vehicles if path in vehicle.parameters]
         stds = [quantity.standard_deviation for quantity in quantities]
-        alike = len(quantities) == len(vehicles) and quantities[0].value == quantities[1].value
-        if alike and min(stds) == 0.0:
+        is_same = len(quantities) == len(vehicles) and quantities[0].value == quantities[1].value
+        if is_same and min(stds) == 0.0:
             continue
-        if alike and path in one and path in other:
-            common = common + (min(stds) * (other[path] / stds[1] - one[path] / stds[0])) ** 2
+        if is_same and path in first and path in second:
+            common = common + (min(stds) * (second[path] / stds[1] - first[path] / stds[0])) ** 2
         else:
-            own = own + sum(change[path] ** 2 for change in changes if path in change)
-    return np.sqrt(common), np.sqrt(common + own)
+            separate = separate + sum(change[path] ** 2 for change in changes if path in change)
+    return np.sqrt(common), np.sqrt(common + separate)

@@ -21,7 +21,7 @@ ALLOWED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Varied:
+class Variation:
     """Values of a vehicle file that change together, by their paths; their unit; and the value of each, point by point."""
 
     paths: tuple[str, ...]
@@ -39,72 +39,76 @@ def scalars(vehicle: Vehicle) -> list[str]:
     return [path for path, quantity in vehicle.parameters.items() if isinstance(quantity.value, float)]
 
 
-def meant(vehicle: Vehicle, given: str) -> tuple[str, ...]:
+def full_paths(vehicle: Vehicle, text: str) -> tuple[str, ...]:
     """The paths of an abbreviation: a full path, or enough of its words in their order, as belt.thickness.
 
     A value of several axles, tracks or wheels means all of them, as axles.load. Raises InputError if there is none, or several
     that are not the same of several parts.
     """
-    known = scalars(vehicle)
-    if given in known:
-        return (given,)
-    words = [_stem(word) for word in re.split(r"[._]", given) if word]
-    found = [path for path in known if words and _in_order(words, [_stem(word) for word in re.split(r"[._]", path)])]
-    if found and len({_part(path) for path in found}) == 1:
-        return tuple(found)
-    if found:
-        raise InputError("--vary", given, f"one of {', '.join(found)}")
-    names = [short(path, known) for path in known]
-    guess = nearest(given, known) or nearest(given, names)
+    scalar_paths = scalars(vehicle)
+    if text in scalar_paths:
+        return (text,)
+    words = [_stem(word) for word in re.split(r"[._]", text) if word]
+    paths = [path for path in scalar_paths if words and _in_order(words, [_stem(word) for word in re.split(r"[._]", path)])]
+    if paths and len({_part(path) for path in paths}) == 1:
+        return tuple(paths)
+    if paths:
+        raise InputError("--vary", text, f"one of {', '.join(paths)}")
+    names = [short(path, scalar_paths) for path in scalar_paths]
+    guess = nearest(text, scalar_paths) or nearest(text, names)
     allowed = f"a single number of {vehicle.name} by its path or its last words: {', '.join(names)}"
-    raise InputError("--vary", given, allowed, guess)
+    raise InputError("--vary", text, allowed, guess)
 
 
 def _part(path: str) -> tuple[str, ...]:
     """A path without the names of axles, tracks and wheels."""
     words = path.split(".")
-    return tuple("" if before in NAMED else word for before, word in zip(["", *words], words, strict=False))
+    return tuple("" if parent in NAMED else word for parent, word in zip(["", *words], words, strict=False))
 
 
 def _stem(word: str) -> str:
     return word.lower().removesuffix("s")
 
 
-def _in_order(words: Sequence[str], of: Sequence[str]) -> bool:
-    rest = iter(of)
-    return all(any(word == there for there in rest) for word in words)
+def _in_order(words: Sequence[str], path_words: Sequence[str]) -> bool:
+    remaining = iter(path_words)
+    return all(any(word == candidate for candidate in remaining) for word in words)
 
 
-def varied(vehicle: Vehicle, given: str) -> Varied:
+def variation(vehicle: Vehicle, text: str) -> Variation:
     """Parse `PATH=A:B:N`, `PATH=A:B`, `PATH=A,B,C` and `PATH`; the last takes the range of the file.
 
     A number with a percent sign is a change of the file's value: `PATH=-20%:+20%:5`, `PATH=+20%`. A single change is compared
     with the file's value. Raises InputError if it is none of these.
     """
-    name, equals, values = given.partition("=")
-    paths = meant(vehicle, name.strip())
+    name, equals, values = text.partition("=")
+    paths = full_paths(vehicle, name.strip())
     quantities = [vehicle.parameters[path] for path in paths]
     unit = quantities[0].unit
     if not equals:
-        return Varied(paths, unit, tuple(_between(q.low, q.high, USUAL_COUNT) for q in quantities))
-    found, relative = _numbers(values, given)
+        return Variation(paths, unit, tuple(_even_values(q.low, q.high, USUAL_COUNT) for q in quantities))
+    changes, relative = _numbers(values, text)
     if not relative:
-        return Varied(paths, unit, (found,) * len(paths))
+        return Variation(paths, unit, (changes,) * len(paths))
     if unit == DEGREES:
-        raise InputError("--vary", given, f"values in {DEGREES}", f"a percentage of {DEGREES} is meaningless")
-    if len(found) == 1:
-        found = (0.0, *found)
-    now = [q.value for q in quantities if isinstance(q.value, float)]
-    return Varied(paths, unit, tuple(tuple(float(f"{of * (1.0 + 0.01 * change):.10g}") for change in found) for of in now))
+        raise InputError("--vary", text, f"values in {DEGREES}", f"a percentage of {DEGREES} is meaningless")
+    if len(changes) == 1:
+        changes = (0.0, *changes)
+    file_values = [q.value for q in quantities if isinstance(q.value, float)]
+    return Variation(
+        paths,
+        unit,
+        tuple(tuple(float(f"{file_value * (1.0 + 0.01 * change):.10g}") for change in changes) for file_value in file_values),
+    )
 
 
-def _numbers(values: str, given: str) -> tuple[tuple[float, ...], bool]:
+def _numbers(values: str, text: str) -> tuple[tuple[float, ...], bool]:
     """The numbers, and whether they are changes [%]."""
     try:
         parts = re.split("[:,]", values)
         ends = parts[:2] if ":" in values else parts
-        relative = all(one.strip().endswith("%") for one in ends)
-        numbers = [float(one.strip().removesuffix("%") if relative else one) for one in ends]
+        relative = all(part.strip().endswith("%") for part in ends)
+        numbers = [float(part.strip().removesuffix("%") if relative else part) for part in ends]
         if not all(map(math.isfinite, numbers)) or (":" in values and "," in values):
             raise ValueError
         if ":" not in values:
@@ -113,20 +117,20 @@ def _numbers(values: str, given: str) -> tuple[tuple[float, ...], bool]:
         (count,) = map(int, parts[2:] or [str(USUAL_COUNT)])
         if not 2 <= count <= MOST_COUNT:
             raise ValueError
-        return _between(low, high, count), relative
+        return _even_values(low, high, count), relative
     except ValueError:
-        raise InputError("--vary", given, ALLOWED) from None
+        raise InputError("--vary", text, ALLOWED) from None
 
 
-def _between(low: float, high: float, count: int) -> tuple[float, ...]:
+def _even_values(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{low + i * (high - low) / (count - 1):.10g}") for i in range(count))
 
 
-def short(path: str, others: Sequence[str] = ()) -> str:
+def short(path: str, paths: Sequence[str] = ()) -> str:
     """The last two words of a path, or more if these are ambiguous."""
     parts = path.split(".")
     for count in range(2, len(parts)):
         name = ".".join(parts[-count:])
-        if not any(other != path and other.endswith(name) for other in others):
+        if not any(rival != path and rival.endswith(name) for rival in paths):
             return name
     return path

@@ -28,13 +28,13 @@ OF_LIMIT = {"limit": "limit", "limit_reached": "reached", "limit_day": "day", "l
 COLUMNS = ("vehicle", *OF_CHANGE, "alike", *OF_LIMIT, "text", "ended")
 
 
-def alerts(found: Mapping[str, Any]) -> list[dict[str, Any]]:
+def alerts(trends: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One row for each change of each vehicle, with the columns `COLUMNS`; None for a missing value.
 
-    `found`: from `trends.trends`.
+    `trends`: from `trends.trends`.
     """
     rows = []
-    for name, vehicle in found["vehicles"].items():
+    for name, vehicle in trends["vehicles"].items():
         for change in vehicle["changes"]:
             forecast = change["forecast"] or {}
             row = {"vehicle": name, **{key: change[key] for key in OF_CHANGE}, "alike": " ".join(change["alike"])}
@@ -81,12 +81,12 @@ def post_alerts(url: str, folder: Path, rows: Sequence[Mapping[str, Any]]) -> st
     data = json.dumps(content, allow_nan=False).encode()
     headers = {"Content-Type": "application/json", "User-Agent": f"trackres/{__version__}"}
     parts = urlsplit(url)
-    where = f"{parts.scheme}://{parts.hostname}{f':{parts.port}' if parts.port else ''}"
+    host = f"{parts.scheme}://{parts.hostname}{f':{parts.port}' if parts.port else ''}"
     try:
         with build_opener(_NoRedirect).open(Request(url, data, headers, method="POST"), timeout=TIMEOUT_S):
             return ""
     except HTTPError as error:
         with error:
-            return f"{where} answered {error.code} {one_line(str(error.reason))}"
+            return f"{host} answered {error.code} {one_line(str(error.reason))}"
     except (OSError, HTTPException, ValueError) as error:
-        return f"{where}: {one_line(str(getattr(error, 'reason', '') or error) or type(error).__name__)}"
+        return f"{host}: {one_line(str(getattr(error, 'reason', '') or error) or type(error).__name__)}"

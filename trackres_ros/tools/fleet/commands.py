@@ -119,18 +119,18 @@ def run_command(
             for line in diagnose_periods(dataset, fleet, counts.urls, engine, workers, hide, progress):
                 click.echo(f"trackres: {line}", err=True)
         with print_warnings():
-            found = trends(dataset, limits_of(output, {}))
-        found["alerts"] = rows = alerts(found)
+            fleet_trends = trends(dataset, limits_of(output, {}))
+        fleet_trends["alerts"] = rows = alerts(fleet_trends)
         with file_set():
             write_alerts(output / FILE, rows)
-            pages = write_pages(output, found, dataset)
-    done = {"found": counts.found, "kept": counts.kept, "good": counts.good, "broken": counts.broken}
+            pages = write_pages(output, fleet_trends, dataset)
+    run_counts = {"found": counts.found, "kept": counts.kept, "good": counts.good, "broken": counts.broken}
 
     def text() -> str:
         head = f"{counts.found} recordings: {counts.kept} unchanged, {counts.good} new, {counts.broken} unusable"
-        return "\n".join([head, *sentences(found), f"{pages}"])
+        return "\n".join([head, *sentences(fleet_trends), f"{pages}"])
 
-    result = {"run": done, **found, "page": str(pages)}
+    result = {"run": run_counts, **fleet_trends, "page": str(pages)}
     return _reported(_alerted(output, rows, webhook, exit_code), result, as_json, text)
 
 
@@ -142,7 +142,7 @@ def run_command(
 @options.seed(1)
 @options.folder("Folder to write into.")
 @options.json
-def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
+def sample_command(output: Path, as_json: bool, **arguments: Any) -> None:
     """Write a simulated fleet in which up to three vehicles change; answers.json lists them, and the options.
 
     A vehicle needs two recordings to change, so give --days at least twice --every.
@@ -155,7 +155,7 @@ def sample_command(output: Path, as_json: bool, **drawn: Any) -> None:
 
     watch(output)
     with ExitStack() as bars:
-        fleet = write_sample(output, on_begin=lambda total: bars.enter_context(progress("driving", total)), **drawn)
+        fleet = write_sample(output, on_begin=lambda total: bars.enter_context(progress("driving", total)), **arguments)
     count, changes = sum(len(vehicle.days) for vehicle in fleet), sum(vehicle.hidden is not None for vehicle in fleet)
     emit(
         {"recordings": count, "vehicles": len(fleet), "changes": changes, "folder": str(output)},
@@ -203,20 +203,20 @@ def trend_command(
         checked_url(webhook)
     watch(file)
     with print_warnings():
-        found = trends(FleetDataset.existing(folder), limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
-    found["alerts"] = rows = alerts(found)
+        result = trends(FleetDataset.existing(folder), limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
+    result["alerts"] = rows = alerts(result)
     if file is not None:
         write_alerts(file, rows)
     code = _alerted(folder, rows, webhook, exit_code)
-    return _reported(code, found, as_json, lambda: with_written("\n".join(sentences(found)), [file] if file else []))
+    return _reported(code, result, as_json, lambda: with_written("\n".join(sentences(result)), [file] if file else []))
 
 
 def _alerted(folder: Path, rows: Sequence[Mapping[str, Any]], webhook: str | None, exit_code: bool) -> int:
     """Send the alerts, and choose the exit code."""
     from trackres_ros.tools.fleet.alerts import post_alerts
 
-    if webhook is not None and rows and (why := post_alerts(webhook, folder, rows)):
-        click.echo(f"trackres: the webhook failed: {why}", err=True)
+    if webhook is not None and rows and (problem := post_alerts(webhook, folder, rows)):
+        click.echo(f"trackres: the webhook failed: {problem}", err=True)
         return NOT_SENT
     return CHANGED if exit_code and rows else 0
 
@@ -233,13 +233,13 @@ def _reported(code: int, result: dict[str, Any], as_json: bool, text: Callable[[
     return code
 
 
-def _limit(given: str) -> tuple[str, float]:
+def _limit(text: str) -> tuple[str, float]:
     from trackres_ros.tools.fleet.vehicles import HIGHEST_LIMIT
 
-    name, equals, value = given.partition("=")
+    name, equals, value = text.partition("=")
     try:
         if not (equals and 0.0 <= float(value) <= HIGHEST_LIMIT):
             raise ValueError
         return name, float(value)
     except ValueError:
-        raise InputError("--limit", given, "PARAMETER=VALUE with a finite VALUE from 0 on, as bearing_friction=0.012") from None
+        raise InputError("--limit", text, "PARAMETER=VALUE with a finite VALUE from 0 on, as bearing_friction=0.012") from None

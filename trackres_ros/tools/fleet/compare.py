@@ -46,166 +46,171 @@ class Side:
     outdated: tuple[dict[str, str], ...] = ()  # recordings of a fleet that are not used, see `trends.of_present_files`
 
 
-def compare(one: str, other: str) -> dict[str, Any]:
+def compare(first: str, second: str) -> dict[str, Any]:
     """Compute the differences between two results, ready for JSON; see `trackres compare`.
 
     Raises InputError if one cannot be compared, or both have nothing in common.
     """
-    sides = _of_one_file(side(one), side(other))
+    sides = _of_one_file(side(first), side(second))
     names = [name for name in sides[0].names if name in sides[1].names]
     if not names:
-        raise InputError(f"{one}, {other}", "no common parameter", "two with parameters in common")
-    at = [[s.names.index(name) for name in names] for s in sides]
-    change = sides[1].value[at[1]] - sides[0].value[at[0]]
-    parts = [s.covariance[np.ix_(i, i)] for s, i in zip(sides, at, strict=True)]
+        raise InputError(f"{first}, {second}", "no common parameter", "two with parameters in common")
+    columns = [[s.names.index(name) for name in names] for s in sides]
+    change = sides[1].value[columns[1]] - sides[0].value[columns[0]]
+    parts = [s.covariance[np.ix_(i, i)] for s, i in zip(sides, columns, strict=True)]
     covariance = parts[0] + parts[1]
     if all(s.design for s in sides):  # equal values of both files have equal errors
         covariance[change == 0.0, :] = covariance[:, change == 0.0] = 0.0
     std = np.sqrt(np.diag(covariance))
-    most = -float(ndtri(0.5 * SURE / len(names)))
-    listed = []
+    limit = -float(ndtri(0.5 * SURE / len(names)))
+    rows = []
     for i, name in enumerate(names):
         (one_value, one_std), (other_value, other_std) = (
-            (float(s.value[j[i]]), float(np.sqrt(s.covariance[j[i], j[i]]))) for s, j in zip(sides, at, strict=True)
+            (float(s.value[j[i]]), float(np.sqrt(s.covariance[j[i], j[i]]))) for s, j in zip(sides, columns, strict=True)
         )
-        beyond = bool(abs(change[i]) > most * std[i]) if std[i] > 0.0 else bool(change[i] != 0.0)
-        listed.append(
+        differs = bool(abs(change[i]) > limit * std[i]) if std[i] > 0.0 else bool(change[i] != 0.0)
+        rows.append(
             {
-                "parameter": name, "unit": sides[0].units[at[0][i]], "one": one_value, "one_std": one_std, "other": other_value,
-                "other_std": other_std, "difference": float(change[i]), "difference_std": float(std[i]), "differs": beyond,
+                "parameter": name, "unit": sides[0].units[columns[0][i]], "one": one_value, "one_std": one_std,
+                "other": other_value, "other_std": other_std,
+                "difference": float(change[i]), "difference_std": float(std[i]), "differs": differs,
             }
         )  # fmt: skip
-    known = std > 0.0
+    certain = std > 0.0
     chance = 1.0
-    if known.any():
-        scaled = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
-        apart = change[known] / std[known]
-        chance = float(chdtrc(int(known.sum()), apart @ np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) @ apart))
+    if certain.any():
+        scaled = covariance[np.ix_(certain, certain)] / np.outer(std[certain], std[certain])
+        scaled_change = change[certain] / std[certain]
+        chance = float(
+            chdtrc(int(certain.sum()), scaled_change @ np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) @ scaled_change)
+        )
     return {
-        "one": sides[0].title, "other": sides[1].title, "parameters": listed, "threshold_std": most, "chance_of_all": chance,
+        "one": sides[0].title, "other": sides[1].title, "parameters": rows, "threshold_std": limit, "chance_of_all": chance,
         "not_compared": _not_compared(*sides), "outdated": [row for s in sides for row in s.outdated],
     }  # fmt: skip
 
 
-def _of_one_file(one: Side, other: Side) -> tuple[Side, Side]:
+def _of_one_file(first: Side, second: Side) -> tuple[Side, Side]:
     """Both sides, with the factors of the other one on the values of the file of the first, where both files are known."""
-    times = {name: x / one.of_file[name] for name, x in other.of_file.items() if name in one.of_file}
-    scale = np.array([times.get(name, 1.0) for name in other.names])
-    bounds = {name: (times.get(name, 1.0) * x, unit) for name, (x, unit) in other.bounds.items()}
-    return one, replace(other, value=scale * other.value, covariance=np.outer(scale, scale) * other.covariance, bounds=bounds)
+    times = {name: x / first.of_file[name] for name, x in second.of_file.items() if name in first.of_file}
+    scale = np.array([times.get(name, 1.0) for name in second.names])
+    bounds = {name: (times.get(name, 1.0) * x, unit) for name, (x, unit) in second.bounds.items()}
+    return first, replace(
+        second, value=scale * second.value, covariance=np.outer(scale, scale) * second.covariance, bounds=bounds
+    )
 
 
-def _not_compared(one: Side, other: Side) -> list[dict[str, Any]]:
+def _not_compared(first_side: Side, second_side: Side) -> list[dict[str, Any]]:
     """Parameters that only one has, or that have no interval in one, with both values and the reason."""
     values = [
         {**{name: (float(x), unit) for name, x, unit in zip(s.names, s.value, s.units, strict=True)}, **s.bounds}
-        for s in (one, other)
+        for s in (first_side, second_side)
     ]
-    listed = []
+    rows = []
     for name in dict.fromkeys([*values[0], *values[1]]):
-        if name in one.names and name in other.names:
+        if name in first_side.names and name in second_side.names:
             continue
-        absent = [side for side, of in zip(("one", "other"), values, strict=True) if name not in of]
-        at_bound = [side for side, of in (("one", one.bounds), ("other", other.bounds)) if name in of]
-        (first, unit), (second, of_other) = (of.get(name, (None, "")) for of in values)
-        listed.append(
+        lacking = [side for side, entries in zip(("one", "other"), values, strict=True) if name not in entries]
+        at_bound = [side for side, entries in (("one", first_side.bounds), ("other", second_side.bounds)) if name in entries]
+        (first, unit), (second, of_other) = (entries.get(name, (None, "")) for entries in values)
+        rows.append(
             {
                 "parameter": name, "unit": unit or of_other, "one": first, "other": second,
-                "why": f"not in {absent[0]}" if absent else f"only a bound is known in {' and in '.join(at_bound)}",
+                "why": f"not in {lacking[0]}" if lacking else f"only a bound is known in {' and in '.join(at_bound)}",
             }
         )  # fmt: skip
-    return listed
+    return rows
 
 
-def compare_text(found: Mapping[str, Any]) -> str:
+def compare_text(comparison: Mapping[str, Any]) -> str:
     """The table, and its conclusion."""
     rows = []
-    for q in found["parameters"]:
+    for q in comparison["parameters"]:
         spread = max(q["difference_std"], 1e-3 * abs(q["difference"]), 1e-12)
-        reach = found["threshold_std"] * q["difference_std"]
-        one, other, change, std = alike((q["one"], q["other"], q["difference"], reach), spread)
+        reach = comparison["threshold_std"] * q["difference_std"]
+        first, second, change, std = alike((q["one"], q["other"], q["difference"], reach), spread)
         unit = "" if q["unit"] == "1" else q["unit"]
-        rows.append((q["parameter"], unit, one, other, change, std, "yes" if q["differs"] else "no"))
+        rows.append((q["parameter"], unit, first, second, change, std, "yes" if q["differs"] else "no"))
     head = ("parameter", "unit", "one", "other", "difference", "+- (95 % for all)", "differs")
-    differs = [q["parameter"] for q in found["parameters"] if q["differs"]]
+    differs = [q["parameter"] for q in comparison["parameters"] if q["differs"]]
     if differs:
         end = f"Beyond its uncertainty: {', '.join(differs)}."
-    elif found["chance_of_all"] < SURE:
+    elif comparison["chance_of_all"] < SURE:
         end = (
             "No parameter differs beyond its uncertainty; all together do "
-            f"(chance {figures(found['chance_of_all'], 1)}): which of them cannot be told."
+            f"(chance {figures(comparison['chance_of_all'], 1)}): which of them cannot be told."
         )
     else:
         end = "None of these parameters differs beyond its uncertainty."
-    lines = [f"one: {found['one']}", f"other: {found['other']}", table(rows, head), end]
-    for q in found["not_compared"]:
+    lines = [f"one: {comparison['one']}", f"other: {comparison['other']}", table(rows, head), end]
+    for q in comparison["not_compared"]:
         values = (f"{side} {'-' if q[side] is None else figures(q[side], 4)}" for side in ("one", "other"))
         unit = "" if q["unit"] == "1" else f" [{q['unit']}]"
         lines.append(f"Not compared: {q['parameter']}{unit}: {', '.join(values)}: {q['why']}")
     return "\n".join(lines)
 
 
-def side(given: str) -> Side:
+def side(text: str) -> Side:
     """Result of a name: see `ALLOWED`. Raises InputError if it is none of those."""
-    path, marks = Path(given), [mark.start() for mark in re.finditer("[:@]", given)]
-    for end in (len(given), *reversed(marks)):
-        if end and (Path(given[:end]) / ROWS).is_dir():
-            return _of_fleet(Path(given[:end]), given[end:], given)
+    path, marks = Path(text), [mark.start() for mark in re.finditer("[:@]", text)]
+    for end in (len(text), *reversed(marks)):
+        if end and (Path(text[:end]) / ROWS).is_dir():
+            return _of_fleet(Path(text[:end]), text[end:], text)
     if marks and not path.exists():
-        folder, slash, name = given.rpartition("/")
-        raise InputError(given, f"no results of a fleet in {folder + slash + re.split('[:@]', name)[0] or '.'}", ALLOWED)
+        folder, slash, name = text.rpartition("/")
+        raise InputError(text, f"no results of a fleet in {folder + slash + re.split('[:@]', name)[0] or '.'}", ALLOWED)
     if (path / REPORT).is_file() or path.name == REPORT:
         return _of_report(path / REPORT if path.is_dir() else path)
     if path.is_dir():
-        raise InputError(given, "a folder of something else", ALLOWED)
+        raise InputError(text, "a folder of something else", ALLOWED)
     try:
-        return _of_design(given)
+        return _of_design(text)
     except InputError as error:
         if error.where == "vehicle":
-            raise InputError(given, "nothing of that name", ALLOWED) from None
+            raise InputError(text, "nothing of that name", ALLOWED) from None
         raise
 
 
-def _of_fleet(folder: Path, which: str, given: str) -> Side:
+def _of_fleet(folder: Path, suffix: str, text: str) -> Side:
     """`which`: the end of DIR:VEHICLE@DAY, with a day, month or year."""
     rows, _ = without_overlaps(without_copies(FleetDataset.existing(folder).rows([*TEXTS, *NUMBERS]))[0])
     good = [row for row in rows if row["status"] == "good"]
     names = sorted({row["vehicle"] for row in good})
-    vehicle, day = which.removeprefix(":"), ""
-    if "@" in which and vehicle not in names:
+    vehicle, day = suffix.removeprefix(":"), ""
+    if "@" in suffix and vehicle not in names:
         vehicle, _, day = vehicle.rpartition("@")
     if vehicle and vehicle not in names:
-        raise InputError(given, vehicle, f"one of {some_of(names)}", nearest(vehicle, names))
+        raise InputError(text, vehicle, f"one of {some_of(names)}", nearest(vehicle, names))
     of_vehicle = [row for row in good if vehicle in ("", row["vehicle"])]
-    chosen = [row for row in of_vehicle if day in ("", row["day"], row["day"][: len("2025-06")], row["day"][: len("2025")])]
-    if not chosen:
+    selection = [row for row in of_vehicle if day in ("", row["day"], row["day"][: len("2025-06")], row["day"][: len("2025")])]
+    if not selection:
         days = sorted({row["day"] for row in of_vehicle})
         raise InputError(
-            given,
+            text,
             day or "no recording",
             f"a day, month or year from {days[0]} to {days[-1]}" if days else "a recording that is compared",
         )
-    present, outdated = of_present_files(chosen, present_values(folder))
-    if present:
-        chosen = present
+    current, outdated = of_present_files(selection, present_values(folder))
+    if current:
+        selection = current
     else:  # all are of an older file
-        chosen, outdated = of_present_files(chosen, {})
-    wanted, last = {row["url"] for row in chosen}, {row["vehicle"]: row for row in chosen}
+        selection, outdated = of_present_files(selection, {})
+    urls, last = {row["url"] for row in selection}, {row["vehicle"]: row for row in selection}
     of_same_file = (row for row in good if of_one_file(row, last.get(row["vehicle"], row)))
-    types = [data for data in Vehicles.of(of_same_file) if wanted <= set(data.urls)]
+    types = [data for data in Vehicles.by_type(of_same_file) if urls <= set(data.urls)]
     if not types:
-        raise InputError(given, "vehicles of several types", "those of one", "name a vehicle: DIR:VEHICLE")
-    whole = pool(types[0])
-    own = np.array([url in wanted for url in whole.of.urls])
-    of, precision, linear = whole.likelihoods(own)
+        raise InputError(text, "vehicles of several types", "those of one", "name a vehicle: DIR:VEHICLE")
+    pooled = pool(types[0])
+    mask = np.array([url in urls for url in pooled.data.urls])
+    chosen_data, precision, linear = pooled.likelihoods(mask)
     # The scatter of recordings is estimated from all, the parameters from those chosen alone, with the vehicle file's ranges.
-    covariance = np.linalg.inv(np.eye(len(of.names)) + precision.sum(axis=0))
+    covariance = np.linalg.inv(np.eye(len(chosen_data.names)) + precision.sum(axis=0))
     mean = covariance @ linear.sum(axis=0)
-    scale = np.outer(of.std, of.std)
-    title = f"{given} ({len(of)} recordings{f', without {len(outdated)} of an older vehicle file' if outdated else ''})"
-    value, covariance = of.nominal + of.std * mean, scale * covariance
-    of_file = {name: x for row in chosen for name, x in zip(of.names, row[OF_FILE] or (), strict=False) if x}
-    return Side(title, of.names, of.units, value, covariance, of_file=of_file, outdated=tuple(outdated))
+    scale = np.outer(chosen_data.std, chosen_data.std)
+    title = f"{text} ({len(chosen_data)} recordings{f', without {len(outdated)} of an older vehicle file' if outdated else ''})"
+    value, covariance = chosen_data.nominal + chosen_data.std * mean, scale * covariance
+    of_file = {name: x for row in selection for name, x in zip(chosen_data.names, row[OF_FILE] or (), strict=False) if x}
+    return Side(title, chosen_data.names, chosen_data.units, value, covariance, of_file=of_file, outdated=tuple(outdated))
 
 
 def _of_report(path: Path) -> Side:
@@ -214,56 +219,56 @@ def _of_report(path: Path) -> Side:
         parameters = dict(content["base"]["refitted"])
         for effect in content["effects"]:
             parameters |= {f"{effect['name']}.{name}": q for name, q in effect["parameters"].items()}
-        known = {name for name, q in parameters.items() if q["ci95"] and None not in q["ci95"]}
-        listed = [
+        certain = {name for name, q in parameters.items() if q["ci95"] and None not in q["ci95"]}
+        entries = [
             (name, str(q["unit"]), float(q["value"]), (q["ci95"][1] - q["ci95"][0]) / (2.0 * TWO_SIDED_95))
             for name, q in parameters.items()
-            if name in known
+            if name in certain
         ]
-        bounds = {name: (float(q["value"]), str(q["unit"])) for name, q in parameters.items() if name not in known}
+        bounds = {name: (float(q["value"]), str(q["unit"])) for name, q in parameters.items() if name not in certain}
         of_file = {name: float(q["of_file"]) for name, q in parameters.items() if q.get("of_file")}
-        if not all(std >= 0.0 for *_, std in listed):
+        if not all(std >= 0.0 for *_, std in entries):
             raise ValueError("an interval whose end is before its beginning")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(str(path), f"{type(error).__name__}: {error}", "report.json of trackres diagnose") from None
-    return replace(_uncorrelated(str(path.parent), listed), bounds=bounds, of_file=of_file)
+    return replace(_uncorrelated(str(path.parent), entries), bounds=bounds, of_file=of_file)
 
 
-def _of_design(given: str) -> Side:
+def _of_design(text: str) -> Side:
     from trackres_ros.diagnosis.base.loading import load_base
 
-    path = find_vehicle(given)
+    path = find_vehicle(text)
     base = load_base(path).base
-    listed = [(q.name, q.unit, q.nominal, q.std if np.isfinite(q.std) else 0.0) for q in base.parameters]
+    entries = [(q.name, q.unit, q.nominal, q.std if np.isfinite(q.std) else 0.0) for q in base.parameters]
     of_file = {q.name: q.of_file for q in base.parameters if q.of_file is not None}
-    return replace(_uncorrelated(f"{given}, as its file has it", listed), design=True, of_file=of_file)
+    return replace(_uncorrelated(f"{text}, as its file has it", entries), design=True, of_file=of_file)
 
 
-def _uncorrelated(title: str, listed: list[tuple[str, str, float, float]]) -> Side:
-    names, units, values, stds = zip(*listed, strict=True) if listed else ((), (), (), ())
+def _uncorrelated(title: str, entries: list[tuple[str, str, float, float]]) -> Side:
+    names, units, values, stds = zip(*entries, strict=True) if entries else ((), (), (), ())
     return Side(title, tuple(names), tuple(units), np.array(values), np.diag(np.array(stds) ** 2))
 
 
-def draw_overlay(found: Mapping[str, Any], path: Path) -> Path:
+def draw_overlay(comparison: Mapping[str, Any], path: Path) -> Path:
     """Each parameter of both with its 95 % interval, over how sure the difference is."""
-    with picture(path, 8.0, 1.4 + 0.45 * len(found["parameters"])) as figure:
-        listed, axes = found["parameters"], figure.subplots()
-        for row, q in enumerate(listed):
+    with picture(path, 8.0, 1.4 + 0.45 * len(comparison["parameters"])) as figure:
+        rows, axes = comparison["parameters"], figure.subplots()
+        for row, q in enumerate(rows):
             unit = q["difference_std"] or float(np.hypot(q["one_std"], q["other_std"])) or abs(q["difference"]) or 1.0
             middle = 0.5 * (q["one"] + q["other"])
-            for side, (which, colour) in enumerate(zip(("one", "other"), COLOURS, strict=True)):
-                label = found[which] if row == 0 else None
-                spread = TWO_SIDED_95 * q[f"{which}_std"] / unit
+            for side, (key, colour) in enumerate(zip(("one", "other"), COLOURS, strict=True)):
+                label = comparison[key] if row == 0 else None
+                spread = TWO_SIDED_95 * q[f"{key}_std"] / unit
                 axes.errorbar(
-                    [(q[which] - middle) / unit], [row + 0.15 * (2 * side - 1)], xerr=[spread], fmt="o", color=colour, label=label
+                    [(q[key] - middle) / unit], [row + 0.15 * (2 * side - 1)], xerr=[spread], fmt="o", color=colour, label=label
                 )
-        axes.set_yticks(range(len(listed)), [f"{q['parameter']}{' *' if q['differs'] else ''}" for q in listed])
+        axes.set_yticks(range(len(rows)), [f"{q['parameter']}{' *' if q['differs'] else ''}" for q in rows])
         axes.invert_yaxis()
         axes.axvline(0.0, color="0.8", zorder=0)
         label = "distance from the mean of both, in standard deviations of the difference (* differs)"
-        drawn = {q["parameter"] for q in listed}
-        if rest := [v["path"] for v in found.get("values", ()) if v["path"].rpartition(".")[2] not in drawn]:
-            label += f"\nnot drawn, but different in the files: {some_of(rest)}"
+        shown_names = {q["parameter"] for q in rows}
+        if missing := [v["path"] for v in comparison.get("values", ()) if v["path"].rpartition(".")[2] not in shown_names]:
+            label += f"\nnot drawn, but different in the files: {some_of(missing)}"
         axes.set_xlabel(label)
         figure.legend(loc="outside upper center", ncols=1)
     return path

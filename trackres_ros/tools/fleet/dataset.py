@@ -55,10 +55,10 @@ class CachedRow:
     inputs: str
     content: str
     copy_of: str  # the recording of equal content that counts instead; empty if this one counts
-    broken: bool
+    is_broken: bool
 
     @classmethod
-    def of(cls, file: Path, row: Mapping[str, Any]) -> CachedRow:
+    def from_row(cls, file: Path, row: Mapping[str, Any]) -> CachedRow:
         """That of a row in a file."""
         content, copy_of = (row.get(name) or "" for name in ("content", "copy_of"))
         return cls(file, row["stamp"], row["inputs"], content, copy_of, row["status"] != GOOD)
@@ -85,24 +85,24 @@ class FleetDataset:
         """Make the folder; remove partial files of a killed run."""
         rows = self.folder / ROWS
         rows.mkdir(parents=True, exist_ok=True)
-        for left in rows.rglob(f"*{PART}"):
-            left.unlink(missing_ok=True)
+        for leftover in rows.rglob(f"*{PART}"):
+            leftover.unlink(missing_ok=True)
 
     def index(self) -> dict[str, CachedRow]:
         """Present rows, by the recording's URL. A run killed between writing a row and removing the old one leaves two:
         the older is removed.
         """
-        found: dict[str, CachedRow] = {}
+        rows_by_url: dict[str, CachedRow] = {}
         for file in sorted(self._files(), key=lambda path: path.stat().st_mtime_ns):
-            row = self._whole(file)
+            row = self._row_in(file)
             if row is None:
                 file.unlink(missing_ok=True)
                 continue
-            before = found.get(row["url"])
-            if before is not None:
-                before.file.unlink(missing_ok=True)
-            found[row["url"]] = CachedRow.of(file, row)
-        return found
+            older = rows_by_url.get(row["url"])
+            if older is not None:
+                older.file.unlink(missing_ok=True)
+            rows_by_url[row["url"]] = CachedRow.from_row(file, row)
+        return rows_by_url
 
     def put(self, row: Mapping[str, Any], replaces: Path | None) -> Path:
         """Write a row in the place of an older one."""
@@ -121,14 +121,14 @@ class FleetDataset:
             replaces.unlink(missing_ok=True)
         return path
 
-    def of(self, kept: CachedRow) -> dict[str, Any]:
+    def row(self, cached: CachedRow) -> dict[str, Any]:
         """One complete row."""
-        row = self._whole(kept.file)
+        row = self._row_in(cached.file)
         if row is None:
-            raise InputError(str(kept.file), "a damaged row", "one that trackres fleet wrote", "run trackres fleet again")
+            raise InputError(str(cached.file), "a damaged row", "one that trackres fleet wrote", "run trackres fleet again")
         return row
 
-    def _whole(self, file: Path) -> dict[str, Any] | None:
+    def _row_in(self, file: Path) -> dict[str, Any] | None:
         """The row of a file; None where the file is damaged."""
         try:
             rows = self._table([file])
@@ -144,12 +144,12 @@ class FleetDataset:
     def _read(self, files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
         """Rows of files. A damaged file or row is skipped with a warning."""
         try:
-            found = self._table(files, columns)
+            rows = self._table(files, columns)
         except _unreadable() as error:
             if len(files) > 1:
                 return [row for file in files for row in self._read([file], columns)]
             return _left_out(str(files[0]), str(error))
-        return [row for row in found if not (why := unsound(row)) or _left_out(row["__filename"], why)]
+        return [row for row in rows if not (reason := unsound(row)) or _left_out(row["__filename"], reason)]
 
     def _table(self, files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
         import pyarrow as pa
@@ -163,8 +163,8 @@ class FleetDataset:
             partitioning=dataset.partitioning(of_path, flavor="hive"),
             partition_base_dir=str(self.folder / ROWS),
         )
-        found = rows.to_table(columns=[*(rows.schema.names if columns is None else columns), "__filename"]).to_pylist()
-        return [dict(row) for row in found]
+        entries = rows.to_table(columns=[*(rows.schema.names if columns is None else columns), "__filename"]).to_pylist()
+        return [dict(row) for row in entries]
 
     def _files(self) -> Iterator[Path]:
         return (self.folder / ROWS).glob(f"vehicle=*/day=*/*{SUFFIX}")
@@ -194,8 +194,8 @@ def unsound(row: Mapping[str, Any]) -> str:
     return ""
 
 
-def _left_out(file: str, why: str) -> list[dict[str, Any]]:
-    warnings.warn(f"{file} is damaged ({one_line(why)}) and skipped; trackres fleet rewrites it", stacklevel=2)
+def _left_out(file: str, reason: str) -> list[dict[str, Any]]:
+    warnings.warn(f"{file} is damaged ({one_line(reason)}) and skipped; trackres fleet rewrites it", stacklevel=2)
     return []
 
 

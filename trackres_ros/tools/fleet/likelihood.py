@@ -60,46 +60,46 @@ class Evidence:
     notes: tuple[str, ...]  # assumptions of the gate
 
 
-def evidence(recording: Recording, loaded: LoadedBase) -> Evidence:
+def evidence(recording: Recording, base_file: LoadedBase) -> Evidence:
     """Fit the base to one recording, and expand its likelihood about the fit.
 
     Raises InputError if the recording cannot be compared, with the reason.
     """
-    gated = gate([recording], loaded.known)
+    gated = gate([recording], base_file.known)
     (session,) = gated.sessions
-    whole = Problem(loaded.base, gated.sessions, (session.used,))
+    problem = Problem(base_file.base, gated.sessions, (session.used,))
     training = _training(session)
-    fitted = fit(Problem(loaded.base, gated.sessions, (training,)), weather(session, loaded.base), largest_root=SHORT_ROOT)
-    own = np.array([f.key[0] != Headwind.name for f in fitted.free])
-    precision, linear, std = quadratic(whole, fitted)
-    precision, linear, std = *whatever_others(precision, linear, own), std[own]
-    free = [f for f, kept in zip(fitted.free, own, strict=True) if kept]
-    of_file = {q.name: q.of_file for q in loaded.base.parameters}
-    by_file = loaded.base.predict(gated.sessions, loaded.base.nominal, ())[0].torque
-    refit, used, held = fitted.predicted[0].torque, session.used, session.used & ~training
-    torque = float(np.abs(session.torque[used]).mean())
+    result = fit(Problem(base_file.base, gated.sessions, (training,)), weather(session, base_file.base), largest_root=SHORT_ROOT)
+    columns = np.array([f.key[0] != Headwind.name for f in result.free])
+    precision, linear, std = quadratic(problem, result)
+    precision, linear, std = *marginal(precision, linear, columns), std[columns]
+    parameters = [f for f, is_kept in zip(result.free, columns, strict=True) if is_kept]
+    of_file = {q.name: q.of_file for q in base_file.base.parameters}
+    by_file = base_file.base.predict(gated.sessions, base_file.base.nominal, ())[0].torque
+    refit, in_use, holdout = result.predicted[0].torque, session.used, session.used & ~training
+    torque = float(np.abs(session.torque[in_use]).mean())
 
     def error(expected: Array, mask: NDArray[np.bool_]) -> float:
         return float(np.abs(session.torque - expected)[mask].mean()) if mask.any() else float("nan")
 
-    left = (session.torque - refit)[used]
-    speed, weight, ambient = (float(series[used].mean()) for series in (np.abs(session.speed), session.weight, session.ambient))
+    residual = (session.torque - refit)[in_use]
+    speed, weight, ambient = (float(series[in_use].mean()) for series in (np.abs(session.speed), session.weight, session.ambient))
     return Evidence(
-        names=tuple(map(name_of, free)),
-        units=tuple(f.unit for f in free),
-        nominal=np.array([f.nominal for f in free]),
+        names=tuple(map(name_of, parameters)),
+        units=tuple(f.unit for f in parameters),
+        nominal=np.array([f.nominal for f in parameters]),
         std=std,
-        of_file=tuple(of_file.get(name_of(f)) for f in free),
-        point=fitted.point[own],
-        covariance=fitted.covariance[np.ix_(own, own)],
+        of_file=tuple(of_file.get(name_of(f)) for f in parameters),
+        point=result.point[columns],
+        covariance=result.covariance[np.ix_(columns, columns)],
         precision=precision,
         linear=linear,
-        compared_s=float(used.sum() * session.step),
-        residual_mean=float(left.mean()),
-        residual_std=float(left.std()),
-        mismatch=error(by_file, used) / max(torque, 1e-9),
-        held_out_file=error(by_file, held),
-        held_out_refit=error(refit, held),
+        compared_s=float(in_use.sum() * session.step),
+        residual_mean=float(residual.mean()),
+        residual_std=float(residual.std()),
+        mismatch=error(by_file, in_use) / max(torque, 1e-9),
+        held_out_file=error(by_file, holdout),
+        held_out_refit=error(refit, holdout),
         mean_torque=torque,
         mean_speed=speed,
         mean_weight=weight,
@@ -126,31 +126,31 @@ def weather(session: DriveSession, base: Base) -> list[Effect]:
     return [narrowed(Headwind(), WIND_MPS, STRONGEST_WIND_MPS)]
 
 
-def whatever_others(precision: Array, linear: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
+def marginal(precision: Array, linear: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
     """A marginal quadratic log-likelihood of some parameters; the others have a prior standard deviation of 1.
 
-    `precision`, `linear`: of all p parameters, shapes (p, p) and (p,); `kept`: which are kept, shape (p,).
+    `precision`, `linear`: of all p parameters, shapes (p, p) and (p,); `mask`: which are kept, shape (p,).
     """
-    across = precision[np.ix_(kept, ~kept)]
-    by = np.linalg.solve(precision[np.ix_(~kept, ~kept)] + np.eye(int((~kept).sum())), across.T).T
-    return precision[np.ix_(kept, kept)] - by @ across.T, linear[kept] - by @ linear[~kept]
+    across = precision[np.ix_(mask, ~mask)]
+    gain = np.linalg.solve(precision[np.ix_(~mask, ~mask)] + np.eye(int((~mask).sum())), across.T).T
+    return precision[np.ix_(mask, mask)] - gain @ across.T, linear[mask] - gain @ linear[~mask]
 
 
-def quadratic(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
+def quadratic(problem: Problem, result: Fit) -> tuple[Array, Array, Array]:
     """The log-likelihood of a problem about a fit, without priors, shapes (p, p) and (p,), and the scales (p,) of the parameters;
     see `Evidence.precision`.
     """
-    free, point = fitted.free, fitted.point
-    nominal = np.array([f.nominal for f in free])
-    std = np.array([f.std if np.isfinite(f.std) else f.scale for f in free])
-    left = problem.residuals(problem.predict(*fitted.model_at(point)))
-    noises = problem.noises(left, SHORT_ROOT)
-    white = problem.white(left, noises)
+    parameters, point = result.free, result.point
+    nominal = np.array([f.nominal for f in parameters])
+    std = np.array([f.std if np.isfinite(f.std) else f.scale for f in parameters])
+    residuals = problem.residuals(problem.predict(*result.model_at(point)))
+    noises = problem.noises(residuals, SHORT_ROOT)
+    white = problem.white(residuals, noises)
 
-    def expected(at: Array) -> Array:
-        return np.concatenate(problem.expected(problem.predict(*fitted.model_at(at))))
+    def expected(values: Array) -> Array:
+        return np.concatenate(problem.expected(problem.predict(*result.model_at(values))))
 
-    columns = valid_rows(problem.white(problem.split(jacobian(expected, point, free)), noises)) * std
+    columns = valid_rows(problem.white(problem.split(jacobian(expected, point, parameters)), noises)) * std
     slope = of_rows(problem, white, lambda noise, w: noise.weights(w) * w, noises)  # of the log-likelihood
     precision = columns.T @ columns  # Fisher's: innovations over their standard deviation have an information of 1 each
     return precision, columns.T @ slope + precision @ ((point - nominal) / std), std
@@ -160,5 +160,5 @@ def _training(session: DriveSession) -> NDArray[np.bool_]:
     """Data of the fit: without the last laps, unless there is only one."""
     if len(np.unique(session.block[session.used])) < 2:
         return session.used
-    chosen = split((session,)).training_mask(session)
-    return chosen if chosen.any() else session.used
+    mask = split((session,)).training_mask(session)
+    return mask if mask.any() else session.used

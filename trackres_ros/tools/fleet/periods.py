@@ -19,10 +19,10 @@ from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.documents import parse_json
 from trackres_ros.files.file_sets import file_set, settle
 from trackres_ros.files.own_files import read, remove, write
-from trackres_ros.tools.engine import done, engine, why
+from trackres_ros.tools.engine import engine, failure_text, run_pieces
 from trackres_ros.tools.fleet.dataset import FleetDataset
 from trackres_ros.tools.fleet.recordings import is_there
-from trackres_ros.tools.fleet.task import NO_DAY, check_unchanged, fetched, may_pass
+from trackres_ros.tools.fleet.task import NO_DAY, check_unchanged, local_copies, may_pass
 from trackres_ros.tools.fleet.trends import without_copies, without_overlaps
 from trackres_ros.tools.fleet.vehicles import Fleet, FleetVehicle
 
@@ -67,45 +67,45 @@ def diagnose_periods(
     new = [period for period in periods(dataset, fleet, urls, hide) if not _is_kept(dataset.folder, period)]
     if not new:
         return []
-    stayed = []
+    messages = []
     with bar("diagnoses", len(new)) as advance, engine(address, workers) as client:
-        for period, result in done(client, diagnose_period, new):
+        for period, result in run_pieces(client, diagnose_period, new):
             place = dataset.folder / DIAGNOSES / period.place
             if isinstance(result, BaseException) and (place / REPORT).is_file():
-                stayed.append(f"{place}: the report is still the earlier one ({why(result)})")
+                messages.append(f"{place}: the report is still the earlier one ({failure_text(result)})")
             elif isinstance(result, BaseException):  # no fault of the recordings: it is tried again the next time
-                _put(dataset.folder, replace(period, inputs=""), {REASON: one_line(why(result)).encode()})
+                _put(dataset.folder, replace(period, inputs=""), {REASON: one_line(failure_text(result)).encode()})
             else:
                 _put(dataset.folder, period, result)
             advance(1)
-    return stayed
+    return messages
 
 
 def periods(dataset: FleetDataset, fleet: Fleet, urls: Container[str], hide: tuple[str, ...]) -> list[Period]:
     """Vehicles and months of the recordings that this run found; where none is left the report stays as it is."""
     columns = ["url", "vehicle", "day", "status", "start_s", "duration_s", "content", "copy_of", "inputs"]
     rows, _ = without_overlaps(without_copies(dataset.rows(columns))[0])
-    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for row in rows:
         if row["status"] == "good" and row["day"] != NO_DAY and row["vehicle"] in fleet.vehicles:
-            found.setdefault((row["vehicle"], row["day"][:7]), []).append(row)
-    listed = []
-    for (name, month), of in sorted(found.items()):
-        if any(row["url"] in urls for row in of):
+            groups.setdefault((row["vehicle"], row["day"][:7]), []).append(row)
+    result = []
+    for (name, month), group in sorted(groups.items()):
+        if any(row["url"] in urls for row in group):
             # Of all rows: a deleted recording still has its row, so that its month is not diagnosed again without it.
-            digest = hashlib.sha256("\0".join(f"{row['content']} {row['inputs']}" for row in of).encode()).hexdigest()
-            listed.append(Period(fleet.vehicles[name], month, tuple(row["url"] for row in of), hide, digest))
-    return listed
+            digest = hashlib.sha256("\0".join(f"{row['content']} {row['inputs']}" for row in group).encode()).hexdigest()
+            result.append(Period(fleet.vehicles[name], month, tuple(row["url"] for row in group), hide, digest))
+    return result
 
 
-def _chosen(urls: Sequence[str]) -> list[str]:
+def _sample(urls: Sequence[str]) -> list[str]:
     """Some recordings, evenly over those that are still there. Raises OSError without any."""
     while urls:
-        chosen = [urls[i] for i in np.unique(np.linspace(0, len(urls) - 1, RECORDINGS).round().astype(int))]
-        gone = [url for url in chosen if not is_there(url)]
-        if not gone:
-            return chosen
-        urls = [url for url in urls if url not in gone]
+        sample = [urls[i] for i in np.unique(np.linspace(0, len(urls) - 1, RECORDINGS).round().astype(int))]
+        missing = [url for url in sample if not is_there(url)]
+        if not missing:
+            return sample
+        urls = [url for url in urls if url not in missing]
     raise FileNotFoundError("all recordings of this month are gone")
 
 
@@ -118,18 +118,18 @@ def diagnose_period(period: Period) -> dict[str, bytes]:
 
     vehicle = period.vehicle
     check_unchanged(vehicle)
-    with tempfile.TemporaryDirectory(prefix="trackres-") as folder, fetched(_chosen(period.urls)) as paths:
+    with tempfile.TemporaryDirectory(prefix="trackres-") as folder, local_copies(_sample(period.urls)) as paths:
         try:
-            found = tr.diagnose(paths, vehicle.file, topics=vehicle.topics, hide=period.hide, quick=True)
+            result = tr.diagnose(paths, vehicle.file, topics=vehicle.topics, hide=period.hide, quick=True)
         except InputError as error:
             if may_pass(error):
                 raise
             return {REASON: str(error).encode()}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a page that cannot be drawn: the command checked earlier
-            found.report(Path(folder) / "report")
-        written = Path(folder) / "report"
-        return {path.relative_to(written).as_posix(): path.read_bytes() for path in written.rglob("*") if path.is_file()}
+            result.report(Path(folder) / "report")
+        report = Path(folder) / "report"
+        return {path.relative_to(report).as_posix(): path.read_bytes() for path in report.rglob("*") if path.is_file()}
 
 
 def verdicts(folder: Path, rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, str]]]:
@@ -137,11 +137,11 @@ def verdicts(folder: Path, rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[
 
     `rows`: without copies. A report of recordings that are another vehicle's now is not shown; deleted ones keep their rows.
     """
-    found: dict[str, dict[str, dict[str, str]]] = {}
-    there = {(quote(row["vehicle"], safe=""), (row["day"] or "")[: len("2025-06")]) for row in rows}
+    result: dict[str, dict[str, dict[str, str]]] = {}
+    present = {(quote(row["vehicle"], safe=""), (row["day"] or "")[: len("2025-06")]) for row in rows}
     for inputs in sorted((folder / DIAGNOSES).glob(f"*/*/{INPUTS}")):
         place = inputs.parent
-        if (place.parent.name, place.name) not in there:
+        if (place.parent.name, place.name) not in present:
             continue
         report = place / REPORT
         if report.is_file():
@@ -149,8 +149,8 @@ def verdicts(folder: Path, rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[
             verdict = {**_verdict(report), "page": page.relative_to(folder).as_posix() if page.is_file() else ""}
         else:
             verdict = {"status": "refused", "text": (place / REASON).read_text(encoding="utf-8", errors="replace"), "page": ""}
-        found.setdefault(place.parent.name, {})[place.name] = verdict
-    return found
+        result.setdefault(place.parent.name, {})[place.name] = verdict
+    return result
 
 
 def _verdict(report: Path) -> dict[str, str]:

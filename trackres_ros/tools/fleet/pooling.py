@@ -56,20 +56,20 @@ class Vehicles:
     urls: tuple[str, ...]  # of the recordings
 
     @classmethod
-    def of(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
+    def by_type(cls, rows: Iterable[Mapping[str, Any]]) -> list[Vehicles]:
         """Those of each type among good rows, of one file for each vehicle: equal files, also behind factors, are of one type."""
         good = [row for row in rows if row["status"] == "good"]
-        behind: dict[Hashable, dict[str, tuple[float | None, ...]]] = {}
+        file_values: dict[Hashable, dict[str, tuple[float | None, ...]]] = {}
         for row in good:
             if any(row.get(OF_FILE) or ()):
-                behind.setdefault(type_of(row), {})[row["vehicle"]] = tuple(row[OF_FILE])
+                file_values.setdefault(type_of(row), {})[row["vehicle"]] = tuple(row[OF_FILE])
         types: dict[Hashable, list[Mapping[str, Any]]] = {}
         for row in good:
-            known = behind.get(type_of(row), {})
+            values = file_values.get(type_of(row), {})
             # Rows of earlier versions lack what factors multiply: it is that of the others, if they agree.
-            otherwise = next(iter(known.values())) if len(set(known.values())) == 1 else None
-            types.setdefault((type_of(row), known.get(row["vehicle"], otherwise)), []).append(row)
-        return [cls._of_type(of) for of in types.values()]
+            common = next(iter(values.values())) if len(set(values.values())) == 1 else None
+            types.setdefault((type_of(row), values.get(row["vehicle"], common)), []).append(row)
+        return [cls._of_type(group) for group in types.values()]
 
     @classmethod
     def _of_type(cls, rows: list[Mapping[str, Any]]) -> Vehicles:
@@ -95,7 +95,7 @@ class Vehicles:
     def __len__(self) -> int:
         return len(self.vehicle)
 
-    def some(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Vehicles:
+    def subset(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Vehicles:
         """Part of the recordings."""
         return replace(
             self,
@@ -112,28 +112,28 @@ class Vehicles:
 class Pooled:
     """Parameters of a type, in standard deviations of its vehicle file about its values."""
 
-    of: Vehicles
+    data: Vehicles
     # of the type, shapes (p,) and (p, p)
     mean: Array
     covariance: Array
     follows: Array  # change per `AMBIENT_STEP_K` of air temperature, shape (p,)
     # covariances among vehicles, and among recordings of one, shape (p, p)
-    between: Array
-    within: Array
+    vehicle_scatter: Array
+    recording_scatter: Array
     weight: Array  # of each recording, shape (n,): an outlier of its vehicle scatters as `within` over its weight
     by_vehicle: dict[str, tuple[Array, Array]]  # mean and covariance of each vehicle
 
     def likelihoods(self, rows: NDArray[np.bool_]) -> tuple[Vehicles, Array, Array]:
         """Some recordings; their precision and linear term without the dependence on the air and reduced by their scatter."""
-        of = self.of.some(rows)
-        linear = of.linear - np.einsum("nij,j,n->ni", of.precision, self.follows, of.air)
-        return of, *softened(of.precision, np.asarray(linear), _scatter(self.within, self.weight[rows]))
+        data = self.data.subset(rows)
+        linear = data.linear - np.einsum("nij,j,n->ni", data.precision, self.follows, data.air)
+        return data, *softened(data.precision, np.asarray(linear), _scatter(self.recording_scatter, self.weight[rows]))
 
     def value(self, vehicle: str | None, name: str) -> tuple[float, float]:
         """A parameter's value and standard deviation in its unit, of a vehicle or of the type."""
         mean, covariance = (self.mean, self.covariance) if vehicle is None else self.by_vehicle[vehicle]
-        i = self.of.names.index(name)
-        return float(self.of.nominal[i] + self.of.std[i] * mean[i]), float(self.of.std[i] * np.sqrt(covariance[i, i]))
+        i = self.data.names.index(name)
+        return float(self.data.nominal[i] + self.data.std[i] * mean[i]), float(self.data.std[i] * np.sqrt(covariance[i, i]))
 
 
 def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Array]:
@@ -145,12 +145,12 @@ def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Arr
     mixed = np.eye(precision.shape[-1]) + precision @ spread
     softer = np.asarray(np.linalg.solve(mixed, precision))
     softer = np.asarray(0.5 * (softer + np.swapaxes(softer, -1, -2)))
-    moved = np.asarray(np.linalg.solve(mixed, linear[..., np.newaxis])[..., 0])
-    return softer, moved
+    slope = np.asarray(np.linalg.solve(mixed, linear[..., np.newaxis])[..., 0])
+    return softer, slope
 
 
-def _scatter(within: Array, weight: Array) -> Array:
-    return np.asarray(within / weight[:, np.newaxis, np.newaxis])
+def _scatter(recording_scatter: Array, weight: Array) -> Array:
+    return np.asarray(recording_scatter / weight[:, np.newaxis, np.newaxis])
 
 
 def pool(data: Vehicles) -> Pooled:
@@ -161,27 +161,29 @@ def pool(data: Vehicles) -> Pooled:
     """
     if not len(data):
         raise InputError("recordings", "no comparable recording", "at least one")
-    between, within = _spreads(data)
+    vehicle_scatter, recording_scatter = _spreads(data)
     weight = np.ones(len(data))
     for _ in range(TURNS):
-        weight = _off(data, between, within, weight).weight
-    p, (type_, vehicles) = len(data.names), _means(data, between, within, weight)
+        weight = _scatter_of(data, vehicle_scatter, recording_scatter, weight).weight
+    p, (type_, vehicles) = len(data.names), _means(data, vehicle_scatter, recording_scatter, weight)
     by_vehicle = {name: (v.itself.mean[:p], v.itself.covariance[:p, :p]) for name, v in vehicles.items()}
-    return Pooled(data, type_.mean[:p], type_.covariance[:p, :p], type_.mean[p:], between, within, weight, by_vehicle)
+    return Pooled(
+        data, type_.mean[:p], type_.covariance[:p, :p], type_.mean[p:], vehicle_scatter, recording_scatter, weight, by_vehicle
+    )
 
 
-class Known(NamedTuple):
+class Estimate(NamedTuple):
     """Mean and covariance of the parameters at `AMBIENT_DEGC` and of their dependence on the air, shapes (2p,) and (2p, 2p)."""
 
     mean: Array
     covariance: Array
 
 
-class KnownVehicle(NamedTuple):
+class VehicleEstimate(NamedTuple):
     """A vehicle, and its deviation from its type."""
 
-    itself: Known
-    off: Known
+    itself: Estimate
+    deviation: Estimate
 
 
 def _spreads(data: Vehicles) -> tuple[Array, Array]:
@@ -190,18 +192,18 @@ def _spreads(data: Vehicles) -> tuple[Array, Array]:
     """
     p = len(data.names)
     if len(data) > MOST_ROWS:
-        data = data.some(np.sort(np.random.default_rng(0).choice(len(data), MOST_ROWS, replace=False)))
-    between, within = VEHICLES_STD**2 * np.eye(p), RECORDINGS_STD**2 * np.eye(p)
-    first_between, first_within = between, within
+        data = data.subset(np.sort(np.random.default_rng(0).choice(len(data), MOST_ROWS, replace=False)))
+    vehicle_scatter, recording_scatter = VEHICLES_STD**2 * np.eye(p), RECORDINGS_STD**2 * np.eye(p)
+    first_vehicle, first_recording = vehicle_scatter, recording_scatter
     weight, count = np.ones(len(data)), len(np.unique(data.vehicle))
     for _ in range(ROUNDS):
-        off, before = _off(data, between, within, weight), np.diag(within)
-        weight = off.weight
-        within = (np.einsum("n,nij->ij", weight, off.recordings) + WORTH * first_within) / (len(data) + WORTH)
-        between = (off.vehicles + WORTH * first_between) / (count + WORTH)
-        if np.abs(np.diag(within) / before - 1.0).max() < SETTLED:
+        scatter, last = _scatter_of(data, vehicle_scatter, recording_scatter, weight), np.diag(recording_scatter)
+        weight = scatter.weight
+        recording_scatter = (np.einsum("n,nij->ij", weight, scatter.recordings) + WORTH * first_recording) / (len(data) + WORTH)
+        vehicle_scatter = (scatter.vehicles + WORTH * first_vehicle) / (count + WORTH)
+        if np.abs(np.diag(recording_scatter) / last - 1.0).max() < SETTLED:
             break
-    return between, within
+    return vehicle_scatter, recording_scatter
 
 
 class Scatter(NamedTuple):
@@ -214,49 +216,51 @@ class Scatter(NamedTuple):
     weight: Array
 
 
-def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Scatter:
+def _scatter_of(data: Vehicles, vehicle_scatter: Array, recording_scatter: Array, weight: Array) -> Scatter:
     p = len(data.names)
-    names, of = np.unique(data.vehicle, return_inverse=True)
-    vehicles = _means(data, between, within, weight)[1]
-    known, apart = zip(*(vehicles[str(name)] for name in names), strict=True)
-    one = np.stack((np.ones_like(data.air), data.air), axis=1)
+    names, index = np.unique(data.vehicle, return_inverse=True)
+    vehicles = _means(data, vehicle_scatter, recording_scatter, weight)[1]
+    estimates, deviations = zip(*(vehicles[str(name)] for name in names), strict=True)
+    design = np.stack((np.ones_like(data.air), data.air), axis=1)
     # The mean of each recording, given its vehicle, and its covariance.
-    means, covariances = np.array([k.mean for k in known])[of], np.array([k.covariance for k in known])[of]
-    mean = np.einsum("na,nai->ni", one, means.reshape(-1, 2, p))
-    unsure = np.einsum("na,nb,naibj->nij", one, one, covariances.reshape(-1, 2, p, 2, p))
+    means, covariances = np.array([k.mean for k in estimates])[index], np.array([k.covariance for k in estimates])[index]
+    mean = np.einsum("na,nai->ni", design, means.reshape(-1, 2, p))
+    unsure = np.einsum("na,nb,naibj->nij", design, design, covariances.reshape(-1, 2, p, 2, p))
     # The deviation of each recording: its own likelihood, and the present scatter.
-    spread = _scatter(within, weight)
+    spread = _scatter(recording_scatter, weight)
     narrowed = np.linalg.solve(np.eye(p) + spread @ data.precision, spread)
-    off = np.einsum("nij,nj->ni", narrowed, data.linear - np.einsum("nij,nj->ni", data.precision, mean))
+    deviation = np.einsum("nij,nj->ni", narrowed, data.linear - np.einsum("nij,nj->ni", data.precision, mean))
     pulled = narrowed @ data.precision
-    squares = narrowed + np.einsum("ni,nj->nij", off, off) + pulled @ unsure @ np.swapaxes(pulled, 1, 2)
-    distance = np.einsum("ij,nij->n", np.linalg.inv(within), squares)
-    among = np.sum([(np.outer(k.mean, k.mean) + k.covariance)[:p, :p] for k in apart], axis=0)
-    return Scatter(among, squares, (DEGREES + p) / (DEGREES + distance))
+    squares = narrowed + np.einsum("ni,nj->nij", deviation, deviation) + pulled @ unsure @ np.swapaxes(pulled, 1, 2)
+    distance = np.einsum("ij,nij->n", np.linalg.inv(recording_scatter), squares)
+    vehicle_squares = np.sum([(np.outer(k.mean, k.mean) + k.covariance)[:p, :p] for k in deviations], axis=0)
+    return Scatter(vehicle_squares, squares, (DEGREES + p) / (DEGREES + distance))
 
 
-def _means(data: Vehicles, between: Array, within: Array, weight: Array) -> tuple[Known, dict[str, KnownVehicle]]:
+def _means(
+    data: Vehicles, vehicle_scatter: Array, recording_scatter: Array, weight: Array
+) -> tuple[Estimate, dict[str, VehicleEstimate]]:
     """Estimate of the type, and of each vehicle from all data, given their scatter."""
     p = len(data.names)
-    softer, moved = softened(data.precision, data.linear, _scatter(within, weight))
+    softer, slopes = softened(data.precision, data.linear, _scatter(recording_scatter, weight))
     # The same likelihoods, of the parameters at `AMBIENT_DEGC` and of their dependence on the air, twice as many.
-    one, n = np.stack((np.ones_like(data.air), data.air), axis=1), len(data)
-    both = np.einsum("na,nb,nij->naibj", one, one, softer).reshape(n, 2 * p, 2 * p)
-    linear = np.einsum("na,ni->nai", one, moved).reshape(n, 2 * p)
+    design, n = np.stack((np.ones_like(data.air), data.air), axis=1), len(data)
+    joint = np.einsum("na,nb,nij->naibj", design, design, softer).reshape(n, 2 * p, 2 * p)
+    linear = np.einsum("na,ni->nai", design, slopes).reshape(n, 2 * p)
     starts = np.concatenate(([0], np.flatnonzero(data.vehicle[1:] != data.vehicle[:-1]) + 1))
-    both, linear = np.add.reduceat(both, starts), np.add.reduceat(linear, starts)
+    joint, linear = np.add.reduceat(joint, starts), np.add.reduceat(linear, starts)
     spread = np.zeros((2 * p, 2 * p))
-    spread[:p, :p] = between
-    softer, moved = softened(both, linear, spread)
+    spread[:p, :p] = vehicle_scatter
+    softer, slopes = softened(joint, linear, spread)
     prior = np.diag(np.concatenate((np.ones(p), np.full(p, FOLLOWS_STD**-2.0))))
     covariance = np.linalg.inv(prior + softer.sum(axis=0))
-    type_ = Known(covariance @ moved.sum(axis=0), covariance)
+    type_ = Estimate(covariance @ slopes.sum(axis=0), covariance)
     vehicles = {}
-    for start, precision, right in zip(starts, both, linear, strict=True):
+    for start, precision, right in zip(starts, joint, linear, strict=True):
         narrowed = np.linalg.solve(np.eye(2 * p) + spread @ precision, spread)
         pulled = narrowed @ precision
-        off = Known(narrowed @ (right - precision @ type_.mean), narrowed + pulled @ covariance @ pulled.T)
-        kept = np.eye(2 * p) - pulled
-        itself = Known(type_.mean + off.mean, narrowed + kept @ covariance @ kept.T)
-        vehicles[str(data.vehicle[start])] = KnownVehicle(itself, off)
+        deviation = Estimate(narrowed @ (right - precision @ type_.mean), narrowed + pulled @ covariance @ pulled.T)
+        remainder = np.eye(2 * p) - pulled
+        itself = Estimate(type_.mean + deviation.mean, narrowed + remainder @ covariance @ remainder.T)
+        vehicles[str(data.vehicle[start])] = VehicleEstimate(itself, deviation)
     return type_, vehicles

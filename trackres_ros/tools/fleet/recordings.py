@@ -30,32 +30,36 @@ class FoundRecording:
     problem: str = ""  # why it cannot be used; empty if it can
 
 
-def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
+def find_recordings(places: Sequence[str]) -> Iterator[FoundRecording]:
     """All recordings at some places, each once, in the order of the places and of their names.
 
     Raises MissingExtraError without fsspec, or its library for such a URL.
     """
-    seen: set[str] = set()
-    for place in given:
-        for found in map(_printable, _at(place)):
-            if found.url not in seen:
-                seen.add(found.url)
-                yield found
+    urls: set[str] = set()
+    for place in places:
+        for recording in map(_printable, _recordings_at(place)):
+            if recording.url not in urls:
+                urls.add(recording.url)
+                yield recording
 
 
-def _printable(found: FoundRecording) -> FoundRecording:
+def _printable(recording: FoundRecording) -> FoundRecording:
     """The same, if all programs can write its name; else its name with escapes, as a place that cannot be read."""
-    url = encodable(found.url)
-    return found if url == found.url else replace(found, url=url, problem=found.problem or "its name is not UTF-8; rename it")
+    url = encodable(recording.url)
+    return (
+        recording
+        if url == recording.url
+        else replace(recording, url=url, problem=recording.problem or "its name is not UTF-8; rename it")
+    )
 
 
 def is_there(url: str) -> bool:
     """Whether a recording that was once found still exists."""
-    system, path = _opened(url)
+    system, path = _open(url)
     return bool(system.exists(path))
 
 
-def _opened(place: str) -> tuple[Any, str]:
+def _open(place: str) -> tuple[Any, str]:
     """The file system of a place, and its path there. A path that exists is one, even with `::`, which chains URLs."""
     from fsspec import filesystem
     from fsspec.core import url_to_fs
@@ -68,51 +72,51 @@ def _opened(place: str) -> tuple[Any, str]:
     return system, path
 
 
-def _at(place: str) -> Iterator[FoundRecording]:
+def _recordings_at(place: str) -> Iterator[FoundRecording]:
     try:
         import fsspec  # noqa: F401
     except ImportError:
         raise MissingExtraError("trackres fleet", "fsspec", "fleet") from None
     protocol = place.partition("://")[0] if "://" in place else ""
     try:
-        system, path = _opened(place)
+        system, path = _open(place)
     except ImportError as error:
         module = "s3fs" if protocol in ("s3", "s3a") else str(error).split()[1] if len(str(error).split()) > 1 else protocol
         raise InputError(place, f"{protocol}://", "a URL that an installed library opens", f"pip install {module}") from None
     except ValueError as error:
         raise InputError(place, f"{protocol}://", f"a path, or a URL that fsspec knows ({error})") from None
     try:
-        yield from _listed(system, path, place)
+        yield from _list(system, path, place)
     except (OSError, ValueError) as error:  # a bucket without access, a network failure: reported, and the others continue
-        yield FoundRecording(place, "", _why(error))
+        yield FoundRecording(place, "", _error_text(error))
 
 
-def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
+def _list(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
     if any(sign in path for sign in WILD) and not (_is_local(system) and system.exists(path)):
         matches = sorted(system.glob(path))
         if not matches:
             yield FoundRecording(place, "", "nothing matches it")
-        above = {parent for match in matches for parent in PurePosixPath(match).parents}
-        results = tuple(f"{folder}/" for folder in above if _holds_results(system, str(folder)))
+        parents = {parent for match in matches for parent in PurePosixPath(match).parents}
+        results = tuple(f"{folder}/" for folder in parents if _holds_results(system, str(folder)))
         for match in matches:
             if not match.startswith(results):
-                yield from _one(system, match, sought=False)
+                yield from _recording_at(system, match, by_name=False)
     elif not system.exists(path):
         yield FoundRecording(place, "", "nothing is there")
     else:
         empty = True
-        for found in _one(system, path, sought=True):
+        for recording in _recording_at(system, path, by_name=True):
             empty = False
-            yield found
+            yield recording
         if empty:
             yield FoundRecording(place, "", f"a folder without a recording ({', '.join(SUFFIXES)})")
 
 
-def _one(system: Any, path: str, sought: bool) -> Iterator[FoundRecording]:
-    """Recordings at a path; a file of another kind only if it was `sought` by name."""
+def _recording_at(system: Any, path: str, by_name: bool) -> Iterator[FoundRecording]:
+    """Recordings at a path; a file of another kind only if it was named (`by_name`)."""
     if system.isdir(path):
-        yield from _inside(system, path, [os.path.realpath(path)])
-    elif sought or path.lower().endswith(SUFFIXES):
+        yield from _walk(system, path, [os.path.realpath(path)])
+    elif by_name or path.lower().endswith(SUFFIXES):
         yield FoundRecording(_url(system, path), _stamp([system.info(path)]))
 
 
@@ -121,10 +125,10 @@ def _holds_results(system: Any, folder: str) -> bool:
     return _is_local(system) and system.isfile(f"{folder}/{LOCK}") and system.isdir(f"{folder}/{ROWS}")
 
 
-def _inside(system: Any, folder: str, searched: list[str]) -> Iterator[FoundRecording]:
+def _walk(system: Any, folder: str, visited: list[str]) -> Iterator[FoundRecording]:
     """Recordings in a folder, by name, then those in its folders; a folder that cannot be read is one with a problem.
 
-    `searched`: real paths of the given folder and of linked ones. A link into one of them is not followed: it may be a loop.
+    `visited`: real paths of the given folder and of linked ones. A link into one of them is not followed: it may be a loop.
     """
     errors: list[OSError] = []
     # One level at a time: a walk of fsspec asks `on_error` about its first folder alone, and leaves out others that fail.
@@ -134,20 +138,20 @@ def _inside(system: Any, folder: str, searched: list[str]) -> Iterator[FoundReco
         if OF_A_BAG in files:
             yield FoundRecording(_url(system, folder), _stamp([files[name] for name in sorted(files)]))
             return
-        linked = {name: info for name, info in files.items() if info.get("islink") and system.isdir(info["name"])}
+        links = {name: info for name, info in files.items() if info.get("islink") and system.isdir(info["name"])}
         for name in sorted(files):
-            if name.lower().endswith(SUFFIXES) and name not in linked:
+            if name.lower().endswith(SUFFIXES) and name not in links:
                 yield FoundRecording(_url(system, str(PurePosixPath(folder) / name)), _stamp([files[name]]))
-        for name, info in sorted({**folders, **linked}.items()):
+        for name, info in sorted({**folders, **links}.items()):
             path = info["name"].rstrip("/")
-            if name in linked:
+            if name in links:
                 target = PurePosixPath(os.path.realpath(path))
-                if any(target.is_relative_to(known) for known in searched):
+                if any(target.is_relative_to(folder_seen) for folder_seen in visited):
                     continue
-                searched.append(str(target))
-            yield from _inside(system, path, searched)
+                visited.append(str(target))
+            yield from _walk(system, path, visited)
     for error in errors:
-        yield FoundRecording(_url(system, folder), "", _why(error))
+        yield FoundRecording(_url(system, folder), "", _error_text(error))
 
 
 def _url(system: Any, path: str) -> str:
@@ -159,13 +163,13 @@ def _is_local(system: Any) -> bool:
     return (system.protocol if isinstance(system.protocol, str) else system.protocol[0]) in ("file", "local")
 
 
-def _why(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return one_line(f"{type(error).__name__}: {getattr(error, 'strerror', None) or error}")
 
 
 def _stamp(infos: Sequence[dict[str, Any]]) -> str:
     parts = []
     for info in infos:
-        changed = next((str(info[name]) for name in CHANGED if info.get(name) is not None), "")
-        parts.append(f"{info.get('size')} {changed}")
+        time = next((str(info[name]) for name in CHANGED if info.get(name) is not None), "")
+        parts.append(f"{info.get('size')} {time}")
     return parts[0] if len(parts) == 1 else hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

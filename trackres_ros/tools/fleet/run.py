@@ -19,10 +19,10 @@ from trackres_ros.errors import InputError
 from trackres_ros.files.documents import parse_json
 from trackres_ros.files.own_files import read, write
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.tools.engine import LOCAL, dashboard, done, engine, why
+from trackres_ros.tools.engine import LOCAL, dashboard, engine, failure_text, run_pieces
 from trackres_ros.tools.fleet.dataset import CachedRow, FleetDataset
 from trackres_ros.tools.fleet.recordings import LOCK, FoundRecording, find_recordings
-from trackres_ros.tools.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken
+from trackres_ros.tools.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken_row
 from trackres_ros.tools.fleet.vehicles import HIGHEST_LIMIT, Fleet
 
 MOST_READ = 200
@@ -74,7 +74,7 @@ def run(
         with engine(address, workers) as client:
             if page := dashboard(client):
                 on_dashboard(page)
-            for row in rows(done(client, analyse, chain([first], new))):
+            for row in rows(run_pieces(client, analyse, chain([first], new))):
                 this_run.put(row)
                 advance(1)
     this_run.mark_copies()
@@ -91,47 +91,47 @@ class _Run:
     def __init__(self, recordings: Sequence[str], fleet: Fleet, dataset: FleetDataset, hide: tuple[str, ...]) -> None:
         self._recordings, self._fleet, self._dataset, self._hide = recordings, fleet, dataset, hide
         self._index, self.counts = dataset.index(), RunCounts()
-        within = f"{dataset.folder.resolve()}/"
-        for url, before in list(self._index.items()):
+        prefix = f"{dataset.folder.resolve()}/"
+        for url, cached in list(self._index.items()):
             # A place that could not be read may be readable now; earlier versions took results for recordings.
-            if not before.stamp or url.startswith(within):
+            if not cached.stamp or url.startswith(prefix):
                 self._index.pop(url).file.unlink(missing_ok=True)
 
     def tasks(self) -> Iterator[Task]:
         """New and changed recordings; rows of those without a known vehicle are written at once."""
-        for found in find_recordings(self._recordings):
-            self.counts.urls.add(found.url)
-            task = _task(found, self._fleet, self._hide)
+        for recording in find_recordings(self._recordings):
+            self.counts.urls.add(recording.url)
+            task = _task(recording, self._fleet, self._hide)
             inputs = task.inputs if isinstance(task, Task) else UNKNOWN
-            before = self._index.get(found.url)
-            if before is not None and _is_kept(before, found, inputs):
-                if before.broken:
-                    self._unusable(self._dataset.of(before)["reason"])
+            cached = self._index.get(recording.url)
+            if cached is not None and _is_kept(cached, recording, inputs):
+                if cached.is_broken:
+                    self._unusable(self._dataset.row(cached)["reason"])
                 else:
                     self.counts.kept += 1
             elif isinstance(task, Task):
-                yield task if before is None or before.inputs != inputs else replace(task, known=before.content)
+                yield task if cached is None or cached.inputs != inputs else replace(task, content=cached.content)
             else:
-                self.put(broken(found, NO_VEHICLE, UNKNOWN, task))
+                self.put(broken_row(recording, NO_VEHICLE, UNKNOWN, task))
 
     def how_many(self) -> int:
         """Number of tasks, to estimate the remaining time."""
         count = 0
-        for found in find_recordings(self._recordings):
-            task = _task(found, self._fleet, self._hide)
-            count += isinstance(task, Task) and not _is_kept(self._index.get(found.url), found, task.inputs)
+        for recording in find_recordings(self._recordings):
+            task = _task(recording, self._fleet, self._hide)
+            count += isinstance(task, Task) and not _is_kept(self._index.get(recording.url), recording, task.inputs)
         return count
 
     def put(self, row: dict[str, Any]) -> None:
         """Write a row into the dataset and count it."""
-        before = self._index.get(row["url"])
-        same = row["status"] == SAME
-        if same and before is not None:
-            row = {**self._dataset.of(before), "stamp": row["stamp"]}
-        self._index[row["url"]] = CachedRow.of(self._dataset.put(row, before.file if before else None), row)
+        cached = self._index.get(row["url"])
+        is_same = row["status"] == SAME
+        if is_same and cached is not None:
+            row = {**self._dataset.row(cached), "stamp": row["stamp"]}
+        self._index[row["url"]] = CachedRow.from_row(self._dataset.put(row, cached.file if cached else None), row)
         if row["status"] == BROKEN:
             self._unusable(row["reason"])
-        elif same:
+        elif is_same:
             self.counts.kept += 1
         else:
             self.counts.good += 1
@@ -149,18 +149,18 @@ class _Run:
         for url, row in self._index.items():
             by_content.setdefault(row.content or url, []).append(url)
         for urls in by_content.values():
-            first, *others = sorted(urls, key=self._rank)
-            for url, copy_of in ((first, ""), *((other, first) for other in others)):
+            first, *copies = sorted(urls, key=self._rank)
+            for url, copy_of in ((first, ""), *((copy, first) for copy in copies)):
                 row = self._index[url]
-                copy_of = "" if row.broken and url in self.counts.urls else copy_of
+                copy_of = "" if row.is_broken and url in self.counts.urls else copy_of
                 if row.copy_of != copy_of:
-                    self._dataset.put({**self._dataset.of(row), "copy_of": copy_of}, row.file)
+                    self._dataset.put({**self._dataset.row(row), "copy_of": copy_of}, row.file)
 
     def _rank(self, url: str) -> tuple[object, ...]:
         """Order of recordings with equal content: found and usable, found, then the one that counted, or was written last."""
         row = self._index[url]
         if url in self.counts.urls:
-            return 0, row.broken, url
+            return 0, row.is_broken, url
         return 1, bool(row.copy_of), -row.file.stat().st_mtime_ns, url
 
 
@@ -168,22 +168,24 @@ def rows(results: Iterable[tuple[Task, Any]]) -> Iterator[dict[str, Any]]:
     """Rows from the engine's results."""
     for task, result in results:
         if isinstance(result, BaseException):
-            yield broken(FoundRecording(task.url, task.stamp), task.vehicle.name, AGAIN, f"{task.url}: {why(result)}")
+            yield broken_row(
+                FoundRecording(task.url, task.stamp), task.vehicle.name, AGAIN, f"{task.url}: {failure_text(result)}"
+            )
         else:
             yield result
 
 
-def _task(found: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | str:
-    if found.problem:
-        return f"{found.url}: {found.problem}"
+def _task(recording: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | str:
+    if recording.problem:
+        return f"{recording.url}: {recording.problem}"
     try:
-        return Task(found.url, found.stamp, fleet.vehicle_of(found.url), hide)
+        return Task(recording.url, recording.stamp, fleet.vehicle_of(recording.url), hide)
     except InputError as error:
         return str(error)
 
 
-def _is_kept(kept: CachedRow | None, found: FoundRecording, inputs: str) -> bool:
-    return kept is not None and (kept.stamp, kept.inputs) == (found.stamp, inputs)
+def _is_kept(cached: CachedRow | None, recording: FoundRecording, inputs: str) -> bool:
+    return cached is not None and (cached.stamp, cached.inputs) == (recording.stamp, inputs)
 
 
 @contextmanager
@@ -198,8 +200,8 @@ def alone(folder: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             lock.seek(0)
-            given = f"{folder}, in use by another run ({lock.read(MOST_READ).strip() or 'of unknown number'})"
-            raise InputError("--output", given, "a folder that no other run uses", "wait until it ends") from None
+            problem = f"{folder}, in use by another run ({lock.read(MOST_READ).strip() or 'of unknown number'})"
+            raise InputError("--output", problem, "a folder that no other run uses", "wait until it ends") from None
         except OSError:  # a file system without locks
             yield
             return
@@ -215,12 +217,12 @@ def check_limits(fleet: Fleet) -> None:
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.tools.fleet.likelihood import parameters_of
 
-    known: dict[Path, tuple[str, ...]] = {}
+    names: dict[Path, tuple[str, ...]] = {}
     for vehicle in fleet.vehicles.values():
         for name in vehicle.limits:
-            if vehicle.file not in known:
-                known[vehicle.file] = parameters_of(load_base(vehicle.file).base)
-            one_of(name, f"limits of {vehicle.name}", known[vehicle.file])
+            if vehicle.file not in names:
+                names[vehicle.file] = parameters_of(load_base(vehicle.file).base)
+            one_of(name, f"limits of {vehicle.name}", names[vehicle.file])
 
 
 def keep_limits(folder: Path, fleet: Fleet) -> None:
@@ -233,22 +235,24 @@ def keep_limits(folder: Path, fleet: Fleet) -> None:
 def present_values(folder: Path) -> dict[str, str]:
     """Digests of the values of the vehicle files in the last run, by vehicle; empty where an earlier version ran."""
     try:
-        kept = parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["values"]
-        return {name: str(values) for name, values in kept.items()}
+        content = parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["values"]
+        return {name: str(values) for name, values in content.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}
 
 
-def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str | None, dict[str, float]]:
+def limits_of(folder: Path, limits: Mapping[str, float]) -> dict[str | None, dict[str, float]]:
     """Limits of the last run by vehicle, and the given ones, which are those of all vehicles, by None; see `trends.trends`."""
     try:
-        kept = parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["limits"]
+        content = parse_json(read(folder / LIMITS, MOST_LIMITS_BYTES))["limits"]
         # Version 0.1.0 wrote a number by parameter for all vehicles, instead of a mapping by vehicle.
-        every = _usable({name: of for name, of in kept.items() if not isinstance(of, dict)})
-        own: dict[str | None, dict[str, float]] = {name: _usable(of) for name, of in kept.items() if isinstance(of, dict)}
-        return {**own, None: {**every, **given}}
+        common = _usable({name: values for name, values in content.items() if not isinstance(values, dict)})
+        by_vehicle: dict[str | None, dict[str, float]] = {
+            name: _usable(values) for name, values in content.items() if isinstance(values, dict)
+        }
+        return {**by_vehicle, None: {**common, **limits}}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {None: dict(given)}
+        return {None: dict(limits)}
 
 
 def _usable(limits: Mapping[str, Any]) -> dict[str, float]:

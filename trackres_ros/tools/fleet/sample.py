@@ -63,7 +63,7 @@ class DrawnVehicle:
 
 
 def draw_fleet(
-    vehicles: int, days: int, every: float, minutes: float, changes: Sequence[tuple[str, str, float]], seed: int
+    vehicles: int, days: int, interval: float, minutes: float, changes: Sequence[tuple[str, str, float]], seed: int
 ) -> list[DrawnVehicle]:
     """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in random order.
 
@@ -71,23 +71,23 @@ def draw_fleet(
     two.
     """
     rng = np.random.default_rng([seed, *b"fleet"])
-    found = []
-    every = min(every, float(days))
-    room = 1.0 - minutes * 60.0 / (every * DAY_S)
+    drawn_vehicles = []
+    interval = min(interval, float(days))
+    room = 1.0 - minutes * 60.0 / (interval * DAY_S)
     if room <= 0.0:
-        raise InputError("--every", f"{every:g} days between recordings of {minutes:g} minutes", "longer than a recording")
+        raise InputError("--every", f"{interval:g} days between recordings of {minutes:g} minutes", "longer than a recording")
     share = min(1.0, room / (LATEST - EARLIEST))
-    count = max(1, int(days / every))
+    count = max(1, int(days / interval))
     for i in range(vehicles):
         build = np.clip(rng.normal(1.0, VEHICLES_DIFFER, 5), 0.8, 1.2)
-        begins = (np.arange(count) + share * rng.uniform(EARLIEST, LATEST, count)) * every
-        hidden = None
+        begins = (np.arange(count) + share * rng.uniform(EARLIEST, LATEST, count)) * interval
+        change = None
         if i < len(changes) and count > 1:
             parameter, kind, size = changes[i]
-            hidden = Hidden(parameter, kind, int(rng.integers(max(1, count // 4), max(2, count // 2 + 1))), size)
+            change = Hidden(parameter, kind, int(rng.integers(max(1, count // 4), max(2, count // 2 + 1))), size)
         factors = dict(zip(PARAMETERS, map(float, build), strict=True))
-        found.append(DrawnVehicle("", factors, int(rng.integers(2**31)), tuple(map(float, begins)), hidden))
-    return [replace(found[j], name=f"truck-{i + 1:02d}") for i, j in enumerate(rng.permutation(vehicles))]
+        drawn_vehicles.append(DrawnVehicle("", factors, int(rng.integers(2**31)), tuple(map(float, begins)), change))
+    return [replace(drawn_vehicles[j], name=f"truck-{i + 1:02d}") for i, j in enumerate(rng.permutation(vehicles))]
 
 
 def change_at(vehicle: DrawnVehicle, number: int) -> float:
@@ -138,19 +138,19 @@ def _check_same(folder: Path, options: Mapping[str, float]) -> None:
         return
     allowed = "a folder that is empty, or that holds an earlier sample with the same options"
     try:
-        kept = parse_json(read(folder / ANSWERS, MOST_BYTES))["options"]
-        given = " ".join(f"--{name} {kept[name]}" for name in options)
+        content = parse_json(read(folder / ANSWERS, MOST_BYTES))["options"]
+        text = " ".join(f"--{name} {content[name]}" for name in options)
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError("-o", f"{folder}, which has other content", allowed, "give another folder") from None
-    if kept != options:
-        raise InputError("-o", f"{folder}, a sample with {given}", allowed, "give these options or another folder")
+    if content != options:
+        raise InputError("-o", f"{folder}, a sample with {text}", allowed, "give these options or another folder")
 
 
 def begin_recordings(folder: Path, fleet: Sequence[DrawnVehicle], minutes: float) -> list[tuple[Path, DrawnVehicle, int, float]]:
     """Write fleet.yaml; of each recording its folder, vehicle, number and length [min]."""
     folder.mkdir(parents=True, exist_ok=True)
-    described = {v.name: {"file": VEHICLE, "limits": {BEARING: BEARING_LIMIT}} for v in fleet}
-    write(folder / FLEET, yaml.safe_dump({"vehicles": described}, sort_keys=False).encode())
+    entries = {v.name: {"file": VEHICLE, "limits": {BEARING: BEARING_LIMIT}} for v in fleet}
+    write(folder / FLEET, yaml.safe_dump({"vehicles": entries}, sort_keys=False).encode())
     return [(folder / RECORDINGS, v, number, minutes) for v in fleet for number in range(len(v.days))]
 
 

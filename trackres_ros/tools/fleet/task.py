@@ -34,13 +34,13 @@ MEGA = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Task of one recording; `known` is the digest of the content of a valid row."""
+    """Task of one recording; `content` is the digest of the content of a valid row."""
 
     url: str
     stamp: str
     vehicle: FleetVehicle
     hide: tuple[str, ...] = ()
-    known: str = ""
+    content: str = ""
 
     @property
     def inputs(self) -> str:
@@ -49,32 +49,32 @@ class Task:
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
-def broken(found: FoundRecording, vehicle: str, inputs: str, reason: str) -> dict[str, Any]:
+def broken_row(recording: FoundRecording, vehicle: str, inputs: str, reason: str) -> dict[str, Any]:
     """The row of a recording that cannot be used."""
-    row = {"url": found.url, "stamp": found.stamp, "vehicle": vehicle, "day": NO_DAY, "inputs": inputs}
+    row = {"url": recording.url, "stamp": recording.stamp, "vehicle": vehicle, "day": NO_DAY, "inputs": inputs}
     return {**row, "status": BROKEN, "reason": one_line(reason)}
 
 
 def analyse(task: Task) -> dict[str, Any]:
     """The row of one recording: a broken one is a row with its reason."""
     began = time.perf_counter()
-    row = broken(FoundRecording(task.url, task.stamp), task.vehicle.name, AGAIN, "")
-    here = task.url
+    row = broken_row(FoundRecording(task.url, task.stamp), task.vehicle.name, AGAIN, "")
+    place = task.url
     try:
         check_unchanged(task.vehicle)
         row["inputs"] = task.inputs
-        with fetched((task.url,)) as (path,):
-            here = str(path)
+        with local_copies((task.url,)) as (path,):
+            place = str(path)
             row |= {"content": _content(path)}
-            if row["content"] == task.known:
+            if row["content"] == task.content:
                 return {**row, "status": SAME}
-            row |= _analysed(path, task, row)
-            row["notes"] = [note.replace(here, task.url) for note in row["notes"]]
+            row |= _good_row(path, task, row)
+            row["notes"] = [note.replace(place, task.url) for note in row["notes"]]
     except InputError as error:
-        row |= {"reason": str(error).replace(here, task.url), "inputs": AGAIN if may_pass(error) else row["inputs"]}
+        row |= {"reason": str(error).replace(place, task.url), "inputs": AGAIN if may_pass(error) else row["inputs"]}
     except (OSError, MemoryError, ImportError) as error:
-        what = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-        row |= {"reason": one_line(f"{task.url}: {what}"), "inputs": AGAIN}
+        cause = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        row |= {"reason": one_line(f"{task.url}: {cause}"), "inputs": AGAIN}
     except Exception as error:  # no recording may end a run; its error is in its row
         row["reason"] = one_line(f"{type(error).__name__}: {error} (a bug: please report it, with the file)")
     return {**row, "took_s": time.perf_counter() - began}
@@ -82,10 +82,10 @@ def analyse(task: Task) -> dict[str, Any]:
 
 def check_unchanged(vehicle: FleetVehicle) -> None:
     """Raise InputError if its vehicle or topics file has changed since the run began, or cannot be read."""
-    for what, file, sha in (("vehicle", vehicle.file, vehicle.sha), ("topics", vehicle.topics, vehicle.topics_sha)):
+    for kind, file, sha in (("vehicle", vehicle.file, vehicle.sha), ("topics", vehicle.topics, vehicle.topics_sha)):
         if file is not None and digest(file) != sha:
-            given = f"a {what} file that was modified during the run"
-            raise InputError(str(file), given, f"an unmodified {what} file", "run again")
+            problem = f"a {kind} file that was modified during the run"
+            raise InputError(str(file), problem, f"an unmodified {kind} file", "run again")
 
 
 def may_pass(error: BaseException | None) -> bool:
@@ -98,19 +98,19 @@ def may_pass(error: BaseException | None) -> bool:
     return False
 
 
-def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
+def _good_row(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
     import trackres_ros as tr
     from trackres_ros.tools.fleet.likelihood import evidence
 
     recording = tr.read(path, topics=task.vehicle.topics)
     start_s = recording.start_ns * 1e-9
     times = recording.time_s("speed")
-    found = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
-    row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": found}
-    of, recording = task.vehicle, recording.without(task.hide)
-    loaded, vehicle = _vehicle(of.file, of.sha)
-    row |= {"vehicle_values": of.values, **_replayed(recording, vehicle)}
-    likelihood = asdict(evidence(recording, loaded.with_topics(recording.topics)))
+    findings = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
+    row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": findings}
+    fleet_vehicle, recording = task.vehicle, recording.without(task.hide)
+    base_file, vehicle = _vehicle(fleet_vehicle.file, fleet_vehicle.sha)
+    row |= {"vehicle_values": fleet_vehicle.values, **_replayed(recording, vehicle)}
+    likelihood = asdict(evidence(recording, base_file.with_topics(recording.topics)))
     upper = np.triu_indices(len(likelihood["names"]))
     for name in ("covariance", "precision"):
         likelihood[name] = likelihood[name][upper]
@@ -154,29 +154,29 @@ def _day(start_s: float) -> str:
 
 
 @contextmanager
-def fetched(urls: Sequence[str]) -> Iterator[list[Path]]:
+def local_copies(urls: Sequence[str]) -> Iterator[list[Path]]:
     """Recordings as local paths; remote ones are fetched, and removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="trackres-") as folder:
-        found = []
+        paths = []
         for i, url in enumerate(urls):
             if "://" not in url:
-                found.append(Path(url))
+                paths.append(Path(url))
                 continue
             from fsspec.core import url_to_fs
 
             system, path = url_to_fs(url)
-            here = Path(folder) / str(i) / PurePosixPath(path).name
-            here.parent.mkdir()
-            system.get(path, str(here), recursive=system.isdir(path))
-            found.append(here)
-        yield found
+            local = Path(folder) / str(i) / PurePosixPath(path).name
+            local.parent.mkdir()
+            system.get(path, str(local), recursive=system.isdir(path))
+            paths.append(local)
+        yield paths
 
 
 def _content(path: Path) -> str:
     """Digest of a recording's content, independent of its name."""
-    found = hashlib.sha256()
+    digest_sum = hashlib.sha256()
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
         if file.is_file():
             with file.open("rb") as stream:
-                hashlib.file_digest(stream, lambda: found)
-    return found.hexdigest()
+                hashlib.file_digest(stream, lambda: digest_sum)
+    return digest_sum.hexdigest()

@@ -52,16 +52,16 @@ def day_of(time_s: float) -> str:
     return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d")
 
 
-def _dated(row: Mapping[str, Any]) -> bool:
+def _has_day(row: Mapping[str, Any]) -> bool:
     return bool(row["start_s"] > FIRST_DAY_S)
 
 
 def without_copies(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
     """Rows without those that the run marked as copies of another one, and the excluded ones, with the reason."""
-    there = {row["url"] for row in rows}
-    copies = [row for row in rows if row["copy_of"] in there]
+    urls = {row["url"] for row in rows}
+    copies = [row for row in rows if row["copy_of"] in urls]
     left_out = [_left_out(row, f"it has the same content as {row['copy_of']}, which is used") for row in copies]
-    return [row for row in rows if row["copy_of"] not in there], left_out
+    return [row for row in rows if row["copy_of"] not in urls], left_out
 
 
 def _left_out(row: Mapping[str, Any], reason: str) -> dict[str, str]:
@@ -73,25 +73,25 @@ def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[st
 
     Of recordings that begin at the same time, the longest stays.
     """
-    kept: list[Mapping[str, Any]] = []
+    separate: list[Mapping[str, Any]] = []
     left_out: list[dict[str, str]] = []
-    before: Mapping[str, Any] | None = None  # the vehicle's last good one with a day
+    last: Mapping[str, Any] | None = None  # the vehicle's last good one with a day
     for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, -(row["duration_s"] or 0.0), row["url"])):
-        timed = row["status"] == "good" and row["day"] != NO_DAY
-        if before is not None and before["vehicle"] != row["vehicle"]:
-            before = None
-        if before is not None and timed and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
-            left_out.append(_left_out(row, f"its clock overlaps with {before['url']}: of one vehicle only one can be right"))
+        is_timed = row["status"] == "good" and row["day"] != NO_DAY
+        if last is not None and last["vehicle"] != row["vehicle"]:
+            last = None
+        if last is not None and is_timed and row["start_s"] < last["start_s"] + last["duration_s"] - OVERLAP_S:
+            left_out.append(_left_out(row, f"its clock overlaps with {last['url']}: of one vehicle only one can be right"))
         else:
-            kept.append(row)
-            before = row if timed else before
-    return kept, left_out
+            separate.append(row)
+            last = row if is_timed else last
+    return separate, left_out
 
 
-def of_one_file(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+def of_one_file(row: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
     """Whether the vehicle file had the same values for both; in rows of earlier versions only the fitted ones are known."""
-    values, others = row["vehicle_values"], other["vehicle_values"]
-    return type_of(row) == type_of(other) and (values == others or None in (values, others))
+    values, second_values = row["vehicle_values"], second["vehicle_values"]
+    return type_of(row) == type_of(second) and (values == second_values or None in (values, second_values))
 
 
 def of_present_files(
@@ -105,7 +105,7 @@ def of_present_files(
     rows = list(rows)
     latest = {}
     for row in sorted(rows, key=lambda row: row["vehicle_values"] is not None):  # those of earlier versions have no digest
-        if None in (now := present.get(row["vehicle"]), row["vehicle_values"]) or row["vehicle_values"] == now:
+        if None in (digest := present.get(row["vehicle"]), row["vehicle_values"]) or row["vehicle_values"] == digest:
             latest[row["vehicle"]] = row
 
     def is_present(row: Mapping[str, Any]) -> bool:
@@ -127,83 +127,83 @@ def trends(
     only one to report; by default all. Raises InputError if there is nothing to compare, a limit of all vehicles of an unknown
     parameter, or no such vehicle.
     """
-    every = dataset.rows([*TEXTS, *NUMBERS])
-    rows, copies = without_copies(every)
-    kept, overlapping = without_overlaps(rows)
-    good, outdated = of_present_files((row for row in kept if row["status"] == "good"), present_values(dataset.folder))
+    all_rows = dataset.rows([*TEXTS, *NUMBERS])
+    rows, copies = without_copies(all_rows)
+    separate, overlapping = without_overlaps(rows)
+    good, outdated = of_present_files((row for row in separate if row["status"] == "good"), present_values(dataset.folder))
     if not good:
-        broken = Counter(row["reason"] for row in [*outdated, *rows] if row["reason"]).most_common(1)
-        raise InputError(str(dataset.folder), "no comparable recording", "one at least", broken[0][0] if broken else "")
-    named = sorted({row["vehicle"] for row in good})
-    if vehicle is not None and vehicle not in named:
-        why = next((row["reason"] for row in outdated if row["vehicle"] == vehicle), nearest(vehicle, named))
-        raise InputError("--name", vehicle, f"one of {some_of(named)}", why)
-    types = [pool(data) for data in Vehicles.of(good)]
-    known = sorted({name for of in types for name in of.of.names})
+        reasons = Counter(row["reason"] for row in [*outdated, *rows] if row["reason"]).most_common(1)
+        raise InputError(str(dataset.folder), "no comparable recording", "one at least", reasons[0][0] if reasons else "")
+    names = sorted({row["vehicle"] for row in good})
+    if vehicle is not None and vehicle not in names:
+        reason = next((row["reason"] for row in outdated if row["vehicle"] == vehicle), nearest(vehicle, names))
+        raise InputError("--name", vehicle, f"one of {some_of(names)}", reason)
+    types = [pool(data) for data in Vehicles.by_type(good)]
+    parameters = sorted({name for pooled in types for name in pooled.data.names})
     for name in limits.get(None, {}):  # `run.check_limits` checks a vehicle's own ones, also of one without a usable recording
-        one_of(name, "--limit", known)
+        one_of(name, "--limit", parameters)
     by_vehicle: dict[str, list[Mapping[str, Any]]] = {}
     for row in good:
         by_vehicle.setdefault(row["vehicle"], []).append(row)
     vehicles = {
-        name: _vehicle(of, name, by_vehicle[name], {**limits.get(name, {}), **limits.get(None, {})}, rate)
-        for of in types
-        for name in of.by_vehicle
+        name: _vehicle(pooled, name, by_vehicle[name], {**limits.get(name, {}), **limits.get(None, {})}, rate)
+        for pooled in types
+        for name in pooled.by_vehicle
         if vehicle in (None, name)
     }
 
-    def own(of: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-        return [row for row in of if vehicle in (None, row["vehicle"])]
+    def own(pooled: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+        return [row for row in pooled if vehicle in (None, row["vehicle"])]
 
     bad = [row for row in own(rows) if row["status"] != "good"]
     return {
-        "recordings": len(own(every)),
+        "recordings": len(own(all_rows)),
         "compared": len(own(good)),
         "broken": [_left_out(row, row["reason"]) for row in bad],
         "copies": own(copies),
         "overlapping": own(overlapping),
         "outdated": own(outdated),
-        "undated": [_left_out(row, UNDATED) for row in own(good) if not _dated(row)],
+        "undated": [_left_out(row, UNDATED) for row in own(good) if not _has_day(row)],
         "false_alarms_per_vehicle_year": rate,
         "expected_false_alarms": sum(v["expected_false_alarms"] for v in vehicles.values()),
         "vehicle_years": sum(v["years"] for v in vehicles.values()),
-        "types": [_type(of) for of in types],
+        "types": [_type(pooled) for pooled in types],
         "vehicles": dict(sorted(vehicles.items())),
         "months": _months(own(good)),
     }
 
 
-def _type(of: Pooled) -> dict[str, Any]:
+def _type(pooled: Pooled) -> dict[str, Any]:
     parameters = {}
-    for i, name in enumerate(of.of.names):
-        value, std = of.value(None, name)
-        scale = float(of.of.std[i])
+    for i, name in enumerate(pooled.data.names):
+        value, std = pooled.value(None, name)
+        scale = float(pooled.data.std[i])
         parameters[name] = {
-            "unit": of.of.units[i],
-            "file": float(of.of.nominal[i]),
+            "unit": pooled.data.units[i],
+            "file": float(pooled.data.nominal[i]),
             "value": value,
             "std": std,
-            "between_vehicles": scale * float(of.between[i, i] ** 0.5),
-            "between_recordings": scale * float(of.within[i, i] ** 0.5),
-            "per_10_k_of_air": scale * float(of.follows[i]),
+            "between_vehicles": scale * float(pooled.vehicle_scatter[i, i] ** 0.5),
+            "between_recordings": scale * float(pooled.recording_scatter[i, i] ** 0.5),
+            "per_10_k_of_air": scale * float(pooled.follows[i]),
         }
-    return {"vehicles": sorted(of.by_vehicle), "recordings": len(of.of), "parameters": parameters}
+    return {"vehicles": sorted(pooled.by_vehicle), "recordings": len(pooled.data), "parameters": parameters}
 
 
 def _vehicle(
-    of: Pooled, name: str, rows: Sequence[Mapping[str, Any]], limits: Mapping[str, float], rate: float
+    pooled: Pooled, name: str, rows: Sequence[Mapping[str, Any]], limits: Mapping[str, float], rate: float
 ) -> dict[str, Any]:
     values = {}
-    for i, parameter in enumerate(of.of.names):
-        value, std = of.value(name, parameter)
-        typical = of.value(None, parameter)[0]
-        unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i, i] ** 0.5), 1e-9))
+    for i, parameter in enumerate(pooled.data.names):
+        value, std = pooled.value(name, parameter)
+        typical = pooled.value(None, parameter)[0]
+        unusual = float((pooled.by_vehicle[name][0][i] - pooled.mean[i]) / max(float(pooled.vehicle_scatter[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
-    changes, least, allowed = vehicle_changes(of, name, rate)
-    in_file = dict(zip(of.of.names, of.of.nominal.tolist(), strict=True))
-    starts = [row["start_s"] for row in rows if _dated(row)]
+    changes, threshold_gain, allowed = vehicle_changes(pooled, name, rate)
+    in_file = dict(zip(pooled.data.names, pooled.data.nominal.tolist(), strict=True))
+    starts = [row["start_s"] for row in rows if _has_day(row)]
     years = (max(starts) - min(starts)) / YEAR_S if starts else 0.0
-    watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names)) if starts else []
+    parameters_shown = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(pooled.data.names)) if starts else []
     return {
         "recordings": len(rows),
         "first_day": day_of(min(starts)) if starts else None,
@@ -214,34 +214,39 @@ def _vehicle(
         "mismatch": _mean_mismatch(rows, False),
         "values": values,
         "changes": [_change(c, max(starts), limits.get(c.parameter), in_file[c.parameter]) for c in changes],
-        "least_gain": least if np.isfinite(least) else None,  # None with too few recordings to look for a change
+        "least_gain": threshold_gain
+        if np.isfinite(threshold_gain)
+        else None,  # None with too few recordings to look for a change
         "expected_false_alarms": allowed * years,
-        "levels": {parameter: [[float(x) for x in series] for series in levels(of, name, parameter)] for parameter in watched},
+        "levels": {
+            parameter: [[float(x) for x in series] for series in levels(pooled, name, parameter)]
+            for parameter in parameters_shown
+        },
     }
 
 
-def _change(found: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any]:
+def _change(change: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any]:
     content = {
-        "parameter": found.parameter,
-        "alike": list(found.alike),
-        "kind": found.kind,
-        "since": day_of(found.since_s),
-        "known": day_of(found.known_s),
-        "since_s": found.since_s,
-        "known_s": found.known_s,
-        "ended": None if found.ended_s is None else day_of(found.ended_s),
-        "ended_s": found.ended_s,
-        "recordings_until_known": found.recordings,
-        "before": found.before,
-        "size": found.size,
-        "size_std": found.size_std,
-        "relative": found.relative if np.isfinite(found.relative) else None,
-        "gain": found.gain,
+        "parameter": change.parameter,
+        "alike": list(change.rivals),
+        "kind": change.kind,
+        "since": day_of(change.since_s),
+        "known": day_of(change.known_s),
+        "since_s": change.since_s,
+        "known_s": change.known_s,
+        "ended": None if change.ended_s is None else day_of(change.ended_s),
+        "ended_s": change.ended_s,
+        "recordings_until_known": change.recordings,
+        "before": change.level,
+        "size": change.size,
+        "size_std": change.size_std,
+        "relative": change.relative if np.isfinite(change.relative) else None,
+        "gain": change.gain,
     }
-    return content | {"forecast": forecast(found, last_s, limit, in_file)}
+    return content | {"forecast": forecast(change, last_s, limit, in_file)}
 
 
-def forecast(found: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any] | None:
+def forecast(change: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any] | None:
     """When a trend reaches its limit: the day, and its 95 % interval; None without a limit,
     or without a trend towards it.
 
@@ -249,31 +254,31 @@ def forecast(found: VehicleChange, last_s: float, limit: float | None, in_file: 
     begin beyond. The present slope is assumed to continue. The interval has the uncertainty of the present value, the slope
     and the beginning.
     """
-    if limit is None or not found.lines:
+    if limit is None or not change.lines:
         return None
-    line = found.lines[0]
-    if (limit - line.now) * found.size <= 0.0:
-        reached = any((limit - begin) * found.size > 0.0 for begin in (found.before, in_file))
-        return {"limit": limit, "reached": True, "day": None, "from": None, "to": None} if reached else None
-    if line.slope * found.size <= 0.0:  # another change has ended it
+    line = change.lines[0]
+    if (limit - line.value) * change.size <= 0.0:
+        is_reached = any((limit - begin) * change.size > 0.0 for begin in (change.level, in_file))
+        return {"limit": limit, "reached": True, "day": None, "from": None, "to": None} if is_reached else None
+    if line.slope * change.size <= 0.0:  # another change has ended it
         return None
-    spans = [_span(line, limit) for line in found.lines if line.behind <= 0.5 * TWO_SIDED_95**2]
-    ends = (limit - line.now) / line.slope, min(first for first, _ in spans), max(last for _, last in spans)
-    far = FARTHEST_YEARS * 365.25
-    shown = [day_of(last_s + end * DAY_S) if end < far else None for end in ends]
-    return {"limit": limit, "reached": False, "day": shown[0], "from": shown[1], "to": shown[2]}
+    spans = [_span(line, limit) for line in change.lines if line.deficit <= 0.5 * TWO_SIDED_95**2]
+    ends = (limit - line.value) / line.slope, min(first for first, _ in spans), max(last for _, last in spans)
+    horizon = FARTHEST_YEARS * 365.25
+    days_shown = [day_of(last_s + end * DAY_S) if end < horizon else None for end in ends]
+    return {"limit": limit, "reached": False, "day": days_shown[0], "from": days_shown[1], "to": days_shown[2]}
 
 
 def _span(line: TrendLine, limit: float) -> tuple[float, float]:
     """First and last day from now on which the limit is within the line's 95 % interval: E. C. Fieller, Journal of the Royal
     Statistical Society B 16 (1954) 175.
     """
-    away, wide = limit - line.now, TWO_SIDED_95**2 - 2.0 * line.behind
+    away, wide = limit - line.value, TWO_SIDED_95**2 - 2.0 * line.deficit
     # (away - slope t)^2 <= wide (now_var + 2 both t + slope_var t^2), as a square in t
-    square, rest = line.slope**2 - wide * line.slope_var, away**2 - wide * line.now_var
-    half = away * line.slope + wide * line.both
-    top = half + float(np.sqrt(max(half**2 - square * rest, 0.0)))
-    first = 0.0 if rest <= 0.0 or top <= 0.0 else rest / top
+    square, constant = line.slope**2 - wide * line.slope_var, away**2 - wide * line.value_var
+    half = away * line.slope + wide * line.covariance
+    top = half + float(np.sqrt(max(half**2 - square * constant, 0.0)))
+    first = 0.0 if constant <= 0.0 or top <= 0.0 else constant / top
     return first, max(top / square, 0.0) if square > 0.0 else np.inf
 
 
@@ -284,10 +289,12 @@ def without_load(row: Mapping[str, Any]) -> bool:
 
 def _months(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
     """By vehicle and month: number of recordings, and their mean mismatch; separately for those without a load."""
-    found: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
+    groups: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
     for row in rows:
-        found.setdefault(row["vehicle"], {}).setdefault(row["day"][:7], []).append(row)
-    return {vehicle: {month: _month(of) for month, of in sorted(months.items())} for vehicle, months in sorted(found.items())}
+        groups.setdefault(row["vehicle"], {}).setdefault(row["day"][:7], []).append(row)
+    return {
+        vehicle: {month: _month(group) for month, group in sorted(months.items())} for vehicle, months in sorted(groups.items())
+    }
 
 
 def _month(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -301,20 +308,20 @@ def _month(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _mean_mismatch(rows: Sequence[Mapping[str, Any]], unloaded: bool) -> float | None:
     """Of those without a load, or of the others."""
-    found = [row["mismatch"] for row in rows if without_load(row) is unloaded]
-    return float(np.mean(found)) if found else None
+    values = [row["mismatch"] for row in rows if without_load(row) is unloaded]
+    return float(np.mean(values)) if values else None
 
 
 def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
     """A change in a sentence."""
-    past, how = ("rose", "rises") if c["size"] > 0 else ("fell", "falls")
-    what = f"{c['parameter']} {past} at once on {c['since']}"
+    past_verb, verb = ("rose", "rises") if c["size"] > 0 else ("fell", "falls")
+    phrase = f"{c['parameter']} {past_verb} at once on {c['since']}"
     if c["kind"] == RAMP:
-        what = f"{c['parameter']} {past if c['ended'] else how} gradually since {c['since']}"
+        phrase = f"{c['parameter']} {past_verb if c['ended'] else verb} gradually since {c['since']}"
     size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)} (95 %)"
     if c["relative"] is not None:
         size += f", {100.0 * c['relative']:+.0f} %"
-    text = f"{vehicle}: {what}, by {size}, known on {c['known']}"
+    text = f"{vehicle}: {phrase}, by {size}, known on {c['known']}"
     if c["ended"]:
         text += f", and came back by {c['ended']}"
     if c["alike"]:
@@ -328,27 +335,27 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
     return text
 
 
-def sentences(found: Mapping[str, Any]) -> list[str]:
+def sentences(result: Mapping[str, Any]) -> list[str]:
     """Findings as lines of text."""
-    changed = [change_sentence(name, c) for name, v in found["vehicles"].items() for c in v["changes"]]
-    count = len(found["vehicles"])
-    head = [f"{found['compared']} of {found['recordings']} recordings of {number_of(count, 'vehicle')} compared"]
-    few = sum(v["least_gain"] is None for v in found["vehicles"].values())
-    if not changed and few < count:
+    changes = [change_sentence(name, c) for name, v in result["vehicles"].items() for c in v["changes"]]
+    count = len(result["vehicles"])
+    head = [f"{result['compared']} of {result['recordings']} recordings of {number_of(count, 'vehicle')} compared"]
+    short = sum(v["least_gain"] is None for v in result["vehicles"].values())
+    if not changes and short < count:
         head.append("No vehicle has changed significantly")
-    rate, here = figures(found["false_alarms_per_vehicle_year"]), figures(found["expected_false_alarms"], 2)
-    lines = [*head, *changed, f"Expected false alarms: at most {rate} per vehicle and year, {here} here"]
-    if few:
-        lines.append(f"{number_of(few, 'vehicle has', 'vehicles have')} too few recordings to look for a change")
-    for name in sorted({row["vehicle"] for row in found["outdated"]} - found["vehicles"].keys()):
+    rate, expected = figures(result["false_alarms_per_vehicle_year"]), figures(result["expected_false_alarms"], 2)
+    lines = [*head, *changes, f"Expected false alarms: at most {rate} per vehicle and year, {expected} here"]
+    if short:
+        lines.append(f"{number_of(short, 'vehicle has', 'vehicles have')} too few recordings to look for a change")
+    for name in sorted({row["vehicle"] for row in result["outdated"]} - result["vehicles"].keys()):
         lines.append(f"{name}: not compared, as none of its recordings was analysed with its present file")
-    unloaded = sum(v["without_load"] for v in found["vehicles"].values())
+    unloaded = sum(v["without_load"] for v in result["vehicles"].values())
     if unloaded:
         have = number_of(unloaded, "recording has", "recordings have")
         lines.append(f"{have} no load: the mismatch may come from the payload, and has no colour")
-    for kind, why in LEFT_OUT.items():
-        if found[kind]:
-            lines.append(f"{number_of(len(found[kind]), 'recording')} {why}: {found[kind][0]['url']}")
-    if found["broken"]:
-        lines.append(f"{number_of(len(found['broken']), 'unusable recording')}, the first: {found['broken'][0]['reason']}")
+    for kind, reason in LEFT_OUT.items():
+        if result[kind]:
+            lines.append(f"{number_of(len(result[kind]), 'recording')} {reason}: {result[kind][0]['url']}")
+    if result["broken"]:
+        lines.append(f"{number_of(len(result['broken']), 'unusable recording')}, the first: {result['broken'][0]['reason']}")
     return lines

@@ -70,11 +70,11 @@ class Fleet:
 
     def vehicle_of(self, url: str) -> FleetVehicle:
         """Vehicle of a recording. Raises InputError if it belongs to none, or to several."""
-        of = [vehicle for vehicle in self.vehicles.values() if vehicle.owns(url)]
-        if len(of) == 1:
-            return of[0]
-        if of:
-            names = ", ".join(vehicle.name for vehicle in of[:3])
+        owners = [vehicle for vehicle in self.vehicles.values() if vehicle.owns(url)]
+        if len(owners) == 1:
+            return owners[0]
+        if owners:
+            names = ", ".join(vehicle.name for vehicle in owners[:3])
             raise InputError(url, f"a recording of {names}", "one vehicle", "make the recordings patterns of fleet.yaml narrower")
         raise InputError(
             url,
@@ -107,25 +107,25 @@ def read_fleet(path: Path) -> Fleet:
 
 
 def _vehicle(path: Path, name: str, entry: Entry | str) -> FleetVehicle:
-    where = f"{path}: vehicles.{name}"
+    place = f"{path}: vehicles.{name}"
     if name in NOT_A_NAME or any(sign in name for sign in FORBIDDEN_IN_NAMES) or not name.isprintable():
-        raise InputError(where, name, "a name that may be that of a folder")
+        raise InputError(place, name, "a name that may be that of a folder")
     entry = Entry(entry) if isinstance(entry, str) else entry
-    file = _beside(path, entry.file, f"{where}.file", find_vehicle)
-    topics = None if entry.topics is None else _beside(path, entry.topics, f"{where}.topics", find_topics)
+    file = _resolve(path, entry.file, f"{place}.file", find_vehicle)
+    topics = None if entry.topics is None else _resolve(path, entry.topics, f"{place}.topics", find_topics)
     patterns = (entry.recordings,) if isinstance(entry.recordings, str) else entry.recordings
     shas = digest(file), digest_of_values(file)
     return FleetVehicle(name, file, *shas, patterns, topics, digest(topics) if topics else "", entry.limits)
 
 
-def _beside(path: Path, given: str, where: str, find: Callable[[str], Path]) -> Path:
-    local = path.parent / given
+def _resolve(path: Path, name: str, place: str, find: Callable[[str], Path]) -> Path:
+    local = path.parent / name
     if local.is_file():
         return local.resolve()
     try:
-        return find(given).resolve()
+        return find(name).resolve()
     except InputError as error:
-        raise InputError(where, error.given, error.allowed, error.remedy) from None
+        raise InputError(place, error.given, error.allowed, error.remedy) from None
 
 
 def digest(path: Path) -> str:
@@ -140,13 +140,13 @@ def digest_of_values(path: Path) -> str:
     return _digest(repr(values).encode(), values, path.parent)
 
 
-def _digest(own: bytes, content: Any, folder: Path) -> str:
-    found = hashlib.sha256(own)
+def _digest(data: bytes, content: Any, folder: Path) -> str:
+    checksum = hashlib.sha256(data)
     for name in sorted(_texts(content)):  # whichever key names a file: rubber, effects, databases of buses
         with suppress(OSError, ValueError):  # most texts are no paths, and some are too long for one
             if (folder / name).is_file():
-                found.update((folder / name).read_bytes())
-    return found.hexdigest()
+                checksum.update((folder / name).read_bytes())
+    return checksum.hexdigest()
 
 
 def _texts(content: Any) -> set[str]:

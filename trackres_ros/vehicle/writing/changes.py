@@ -59,19 +59,19 @@ class FileChanges:
 
     def names_of(self, kind: str) -> list[str]:
         """Names of all changes to `vehicle`, `surroundings` or `sensor`, including those by place."""
-        by_place = (BY_PLACE[one.kind] for one in self.route if kind == "surroundings")
+        by_place = (BY_PLACE[route_map.kind] for route_map in self.route if kind == "surroundings")
         return [*by_place, *(active.effect.name for active in self.of(kind))]
 
     def range_of(self, parameter: str) -> tuple[float, float] | None:
         """The interval of a parameter of the base."""
-        found = self.intervals.get(("", parameter))
-        return None if found is None else (found.low, found.high)
+        interval = self.intervals.get(("", parameter))
+        return None if interval is None else (interval.low, interval.high)
 
 
 def _with_ranges(active: Active, intervals: Mapping[tuple[str, str], Interval]) -> Active:
     ranges = {}
     for name, value in active.values.items():
-        found = intervals.get((active.effect.name, name))
-        if found is not None:
-            ranges[name] = (min(found.low, value), max(found.high, value))
+        interval = intervals.get((active.effect.name, name))
+        if interval is not None:
+            ranges[name] = (min(interval.low, value), max(interval.high, value))
     return Active(active.effect, active.values, ranges)

@@ -18,7 +18,7 @@ NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0
 
 
 def sensor_lines(
-    sensors: Sequence[Active], recorded: Mapping[str, Mapping[str, TopicBinding]], torque_scale: float
+    sensors: Sequence[Active], bindings_by_name: Mapping[str, Mapping[str, TopicBinding]], torque_scale: float
 ) -> dict[str, str]:
     """Lines for the topics file by role, which correct the effects of sensors and replace the bindings of the recordings.
 
@@ -27,17 +27,24 @@ def sensor_lines(
     as of two sides, get a line each; the offset is divided among them.
     """
     names: dict[str, dict[str, list[str]]] = {}
-    for name, bindings in recorded.items() if sensors else ():
+    for name, bindings in bindings_by_name.items() if sensors else ():
         for role, line in _lines(sensors, bindings, torque_scale).items():
             names.setdefault(role, {}).setdefault(line, []).append(one_line(name))
-    each = [(role, line, "" if len(of) == len(recorded) else ", ".join(of)) for role in names for line, of in names[role].items()]
-    return {f"{role} of {of}" if of else role: f"{line}  # {of}" if of else line for role, line, of in each}
+    entries = [
+        (role, line, "" if len(recordings) == len(bindings_by_name) else ", ".join(recordings))
+        for role in names
+        for line, recordings in names[role].items()
+    ]
+    return {
+        f"{role} of {recordings}" if recordings else role: f"{line}  # {recordings}" if recordings else line
+        for role, line, recordings in entries
+    }
 
 
 def replaced(lines: Mapping[str, str]) -> str:
     """Where such lines belong; those of several recordings cannot be in one file."""
-    several = any(" of " in role for role in lines)
-    return f"in the topics file{' of each recording' if several else ''}, replace the line of the role with"
+    has_names = any(" of " in role for role in lines)
+    return f"in the topics file{' of each recording' if has_names else ''}, replace the line of the role with"
 
 
 def _lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
@@ -48,5 +55,7 @@ def _lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torq
         role: replace(torque, delay_s=torque.delay_s + terms.sensor_delay)
         for role, torque in corrected("torque", of_torque, bindings).items()
     }
-    after = corrected("speed", Conversion(terms.speed_factor), bindings) | torques
-    return {role: line_of(role, one) for role, one in after.items() if one != bindings.get(role, TopicBinding())}
+    new_bindings = corrected("speed", Conversion(terms.speed_factor), bindings) | torques
+    return {
+        role: line_of(role, binding) for role, binding in new_bindings.items() if binding != bindings.get(role, TopicBinding())
+    }

@@ -41,36 +41,38 @@ Range = tuple[float, float] | None
 
 
 @file_set()
-def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
+def write_track_vehicle(vehicle: Vehicle, path: Path, changes: FileChanges, text: str) -> list[Path]:
     """Write a track vehicle with the accepted changes, and what a diagnosis found of the surroundings; return all its files.
 
     The first is the vehicle file. Of a diagnosis the surroundings are next, if there are any. `text` is their origin, for the
     comments.
     """
-    document = opened(vehicle.source)
+    document = open_document(vehicle.source)
     rubber = copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name)
     document.set(("rubber", "file"), rubber)
     for key, method in (("hysteresis", vehicle.hysteresis), ("thermal", vehicle.thermal)):
         document.set(("model", key), method)
-    if kept.values is not None:
-        _set_values(document, vehicle, kept.values, kept)
-    files = finish(document, vehicle.name, _effect_files(vehicle.source), vehicle.surroundings, path, kept, text, vehicle.route)
+    if changes.values is not None:
+        _set_values(document, vehicle, changes.values, changes)
+    files = finish(
+        document, vehicle.name, _effect_files(vehicle.source), vehicle.surroundings, path, changes, text, vehicle.route
+    )
     return [*files, path.parent / rubber]
 
 
 @file_set()
-def write_road_vehicle(vehicle: RoadVehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
+def write_road_vehicle(vehicle: RoadVehicle, path: Path, changes: FileChanges, text: str) -> list[Path]:
     """The same of a vehicle on wheels."""
-    document = opened(vehicle.source)
-    for name, value in (kept.values or {}).items():
+    document = open_document(vehicle.source)
+    for name, value in (changes.values or {}).items():
         old = vehicle.parameters[f"{SECTION}.{name}"]
-        set_quantity(document, (SECTION, name), old, value, kept.range_of(name), ROAD_LOAD[name], kept.by)
-    return finish(document, vehicle.name, _effect_files(vehicle.source), vehicle.surroundings, path, kept, text, vehicle.route)
+        set_quantity(document, (SECTION, name), old, value, changes.range_of(name), ROAD_LOAD[name], changes.by)
+    return finish(document, vehicle.name, _effect_files(vehicle.source), vehicle.surroundings, path, changes, text, vehicle.route)
 
 
-def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float], kept: FileChanges) -> None:
-    def put(path: tuple[str, ...], value: float, learned: Range, limits: Mapping[str, Limits]) -> None:
-        set_quantity(document, path, vehicle.parameters[".".join(path)], value, learned, limits[path[-1]], kept.by)
+def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float], changes: FileChanges) -> None:
+    def set_value(path: tuple[str, ...], value: float, learned: Range, limits: Mapping[str, Limits]) -> None:
+        set_quantity(document, path, vehicle.parameters[".".join(path)], value, learned, limits[path[-1]], changes.by)
 
     for section, name, limits in (
         ("rubber", "loss_modulus_scale", RUBBER),
@@ -79,22 +81,22 @@ def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float
         ("rubber", "conductivity", RUBBER),
     ):
         if name in values:
-            put((section, name), values[name], kept.range_of(name), limits)
+            set_value((section, name), values[name], changes.range_of(name), limits)
 
     def scaled(name: str, old: float) -> list[float]:  # its value, and the ends of its interval
-        return [old * scale for scale in (values.get(name, 1.0), *(kept.range_of(name) or ()))]
+        return [old * scale for scale in (values.get(name, 1.0), *(changes.range_of(name) or ()))]
 
     capacity = [_heat_capacity(vehicle, scale) for scale in scaled("capacity_scale", 1.0)]
-    put(("rubber", "heat_capacity"), capacity[0], _range(capacity[1:]), RUBBER)
+    set_value(("rubber", "heat_capacity"), capacity[0], _range(capacity[1:]), RUBBER)
     first = vehicle.track_of(vehicle.assemblies[0]).belt
     for name, track in vehicle.tracks.items():
         belt, over_first = ("tracks", name, "belt"), track.belt.surface_share / first.surface_share
         for film, old in (("film_offset", track.belt.film_offset), ("film_slope", track.belt.film_slope)):
             value, *ends = scaled("film_scale", old)
-            put((*belt, film), value, _range(ends if old else ()), BELT)  # 0 stays as uncertain as it is
+            set_value((*belt, film), value, _range(ends if old else ()), BELT)  # 0 stays as uncertain as it is
         if "surface_share" in values:
-            share, *ends = (over_first * x for x in (values["surface_share"], *(kept.range_of("surface_share") or ())))
-            put((*belt, "surface_share"), share, _range(ends), BELT)
+            share, *ends = (over_first * x for x in (values["surface_share"], *(changes.range_of("surface_share") or ())))
+            set_value((*belt, "surface_share"), share, _range(ends), BELT)
 
 
 def _set_disturbance(document: Document, learned: LearnedDisturbance) -> None:
@@ -125,40 +127,40 @@ def _heat_capacity(vehicle: Vehicle, scale: float) -> float:
 
 def rubber_share(vehicle: Vehicle, track: str = "") -> float:
     """Share of the rubber, without cords, in the heat capacity of the belt of a track, by default of all belts together."""
-    belts = [vehicle.tracks[track or one.track].belt for one in vehicle.assemblies]
-    cords, whole = (
+    belts = [vehicle.tracks[track or assembly.track].belt for assembly in vehicle.assemblies]
+    cords, total = (
         sum(heat_capacity(belt, rubber) for belt in belts)
         for rubber in (replace(vehicle.rubber, heat_capacity=0.0), vehicle.rubber)
     )
-    return float(1.0 - cords / whole)
+    return float(1.0 - cords / total)
 
 
-def opened(source: Path) -> Document:
+def open_document(source: Path) -> Document:
     """A vehicle file to be changed, without the comment of an earlier fit at its top."""
     lines = read_text(source, "YAML file", MOST_BYTES).splitlines(keepends=True)
     comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    written = next((i for i in range(comments) if lines[i].startswith(WRITTEN)), -1)
-    return Document("".join(lines[written + 1 :]))
+    first = next((i for i in range(comments) if lines[i].startswith(WRITTEN)), -1)
+    return Document("".join(lines[first + 1 :]))
 
 
 def set_quantity(
-    document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: Limits, by: str
+    document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: Limits, command: str
 ) -> None:
     """A fitted value with its interval as the range, which is read as +-2 standard deviations. Without one it keeps the old
     range, and unchanged values keep their notation.
 
-    `by` is the command that found it.
+    `command` is the command that found it.
     """
     if learned is None and isinstance(old.value, float) and _figures(value) == _figures(old.value):
         return
     low, high = (old.low, old.high) if learned is None else learned
     low, high = (min(max(x, limits.low), limits.high) for x in (low, high))
     span = [_figures(min(low, value)), _figures(max(high, value))]
-    again = old.reason.startswith(REFITTED) and "; before it " in old.reason
-    before = old.reason.partition("; before it ")[2] if again else f"{old.value:g} ({old.flag}): {old.reason}"
-    reason = f"{REFITTED} {by}; before it {before}"
-    given = {"value": _figures(value), "range": span, "flag": "A" if learned is None else FITTED, "reason": reason}
-    for key, new in given.items():
+    is_refit = old.reason.startswith(REFITTED) and "; before it " in old.reason
+    origin = old.reason.partition("; before it ")[2] if is_refit else f"{old.value:g} ({old.flag}): {old.reason}"
+    reason = f"{REFITTED} {command}; before it {origin}"
+    entries = {"value": _figures(value), "range": span, "flag": "A" if learned is None else FITTED, "reason": reason}
+    for key, new in entries.items():
         document.set((*path, key), new)
 
 
@@ -168,7 +170,7 @@ def finish(
     effect_files: Sequence[Path],
     surroundings: Sequence[Active],
     path: Path,
-    kept: FileChanges,
+    changes: FileChanges,
     text: str,
     route: Sequence[RouteMap] = (),
 ) -> list[Path]:
@@ -177,34 +179,34 @@ def finish(
     Only a diagnosis writes, replaces or removes surroundings. For any other command the given ones stay where they are: they
     hold for the new vehicle file too.
     """
-    if kept.disturbance is not None:
-        _set_disturbance(document, kept.disturbance)
-    diagnosed = kept.by == DIAGNOSE
-    added = kept.of("vehicle")
-    around = [*surroundings, *kept.of("surroundings")] if diagnosed else []
-    own = [*effect_files, *sources_of(added)]
-    names = _copied([*own, *sources_of(around)], path.parent)
-    document.add("effects", {active.effect.name: _values(active) for active in added})
-    if own:
-        document.set(("effect_files",), _named(own, names))
+    if changes.disturbance is not None:
+        _set_disturbance(document, changes.disturbance)
+    diagnosed = changes.by == DIAGNOSE
+    effects = changes.of("vehicle")
+    around = [*surroundings, *changes.of("surroundings")] if diagnosed else []
+    own_files = [*effect_files, *sources_of(effects)]
+    names = _copied([*own_files, *sources_of(around)], path.parent)
+    document.add("effects", {active.effect.name: _values(active) for active in effects})
+    if own_files:
+        document.set(("effect_files",), _copy_names(own_files, names))
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
-    write(path, kept.amend(_comment(note + text) + (edited or document.plain())).encode())
+    write(path, changes.amend(_comment(note + text) + (edited or document.plain())).encode())
     copies = [path.parent / name for name in names.values()]
     if not diagnosed:
         return [path, *copies]
     site_file, route_file = _free_places(path)
-    learned = {one.kind for one in kept.route}
-    route = [*kept.route, *(one for one in route if one.kind not in learned)]
+    learned = {route_map.kind for route_map in changes.route}
+    route = [*changes.route, *(route_map for route_map in route if route_map.kind not in learned)]
     if not around and not route:
-        earlier = _text(site_file)
-        if DIAGNOSED in earlier:
+        old_text = _text(site_file)
+        if DIAGNOSED in old_text:
             remove(site_file)  # of an earlier diagnosis: it would look like this one's
-            if f"route: {route_file.name}\n" in earlier:
+            if f"route: {route_file.name}\n" in old_text:
                 remove(route_file)
         return [path, *copies]
     lines = ["schema: 1", f"vehicle: {flow(name)}"]
-    files = _named(sources_of(around), names)
+    files = _copy_names(sources_of(around), names)
     lines += [f"effect_files: {flow(files)}"] if files else []
     lines += [f"route: {route_file.name}"] if route else []
     lines += ["effects:" if around else "effects: {}"]
@@ -219,9 +221,9 @@ def _free_places(path: Path) -> tuple[Path, Path]:
     """Where surroundings and route go beside a vehicle file: into those of an earlier diagnosis, but into no other file."""
     for count in itertools.count(1):
         site, route = (path.with_name(_numbered(Path(name), count).name) for name in (SURROUNDINGS_FILE, ROUTE_FILE))
-        earlier = _text(site)
-        ours = DIAGNOSED in earlier
-        if (ours or is_free(site)) and ((ours and f"route: {route.name}\n" in earlier) or is_free(route)):
+        old_text = _text(site)
+        ours = DIAGNOSED in old_text
+        if (ours or is_free(site)) and ((ours and f"route: {route.name}\n" in old_text) or is_free(route)):
             break
     return site, route
 
@@ -240,16 +242,16 @@ def _comment(text: str) -> str:
 
 
 def _values(active: Active) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for q in (q for q in active.effect.parameters if not q.is_fixed):
-        value = _within(active.values[q.name], q.low, q.high)
+        value = _short_value(active.values[q.name], q.low, q.high)
         span = active.ranges.get(q.name)
-        limited = [_within(x, q.low, q.high) for x in span] if span else []
-        found[q.name] = {"value": value, "range": limited} if limited else value
-    return found
+        span_values = [_short_value(x, q.low, q.high) for x in span] if span else []
+        entries[q.name] = {"value": value, "range": span_values} if span_values else value
+    return entries
 
 
-def _within(value: float, low: float, high: float) -> float:
+def _short_value(value: float, low: float, high: float) -> float:
     """With few figures, unless that exceeds the bounds."""
     value = min(max(value, low), high)
     short = _figures(value)
@@ -275,7 +277,7 @@ def _copied(sources: Iterable[Path], folder: Path) -> dict[Path, str]:
     return {source: copied(source, folder, Path("effects") / source.name) for source in dict.fromkeys(sources)}
 
 
-def _named(sources: Iterable[Path], names: Mapping[Path, str]) -> list[str]:
+def _copy_names(sources: Iterable[Path], names: Mapping[Path, str]) -> list[str]:
     return list(dict.fromkeys(names[source] for source in sources))
 
 

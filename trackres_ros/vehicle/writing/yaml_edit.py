@@ -22,12 +22,12 @@ class Document:
     def __init__(self, text: str) -> None:
         self._text = text
         self._root = yaml.compose(text, Loader=LOADER)
-        self._wanted = _unshared(yaml.load(text, LOADER))
+        self._goal = _unshared(yaml.load(text, LOADER))
         self._edits: dict[tuple[int, int], str] = {}
 
     def set(self, path: Path, value: Any) -> None:
         """Replace a value, or add a new key at the top."""
-        _inside(self._wanted, path[:-1])[path[-1]] = value
+        _inside(self._goal, path[:-1])[path[-1]] = value
         node = self._find(path)
         if node is None:
             self._append(f"{path[-1]}: {flow(value)}")
@@ -39,7 +39,7 @@ class Document:
         """Add entries to a mapping at the top level, or create it with them."""
         if not entries:
             return
-        self._wanted.setdefault(key, {}).update(entries)
+        self._goal.setdefault(key, {}).update(entries)
         lines = [f"{name}: {flow(value)}" for name, value in entries.items()]
         node = self._find((key,))
         if node is None:
@@ -52,9 +52,9 @@ class Document:
             if self._text[end - 1] == "\n":
                 self._edits[end, end] = "".join(f"{indent}{line}\n" for line in lines)
             else:
-                at = self._text.find("\n", end)
-                at = len(self._text) if at < 0 else at
-                self._edits[at, at] = "".join(f"\n{indent}{line}" for line in lines)
+                position = self._text.find("\n", end)
+                position = len(self._text) if position < 0 else position
+                self._edits[position, position] = "".join(f"\n{indent}{line}" for line in lines)
 
     def put_section(self, key: str, entries: Mapping[str, Any]) -> None:
         """Write a mapping at the top level, one entry a line, replacing an existing one."""
@@ -69,18 +69,18 @@ class Document:
         for (start, end), new in sorted(self._edits.items(), reverse=True):
             text = text[:start] + new + text[end:]
         try:
-            return text if yaml.load(text, LOADER) == self._wanted else None
+            return text if yaml.load(text, LOADER) == self._goal else None
         except yaml.YAMLError:
             return None
 
     def plain(self) -> str:
         """The same content without comments and layout."""
-        return yaml.safe_dump(self._wanted, sort_keys=False, allow_unicode=True, width=130)
+        return yaml.safe_dump(self._goal, sort_keys=False, allow_unicode=True, width=130)
 
     def _append(self, entry: str) -> None:
         end = len(self._text)
-        before = self._edits.get((end, end), "" if self._text.endswith("\n") else "\n")
-        self._edits[end, end] = f"{before}\n{entry}\n"
+        text = self._edits.get((end, end), "" if self._text.endswith("\n") else "\n")
+        self._edits[end, end] = f"{text}\n{entry}\n"
 
     def _find(self, path: Path) -> Any:
         node = self._root
@@ -98,12 +98,12 @@ def _child(node: yaml.Node, key: str) -> yaml.Node | None:
     if not isinstance(node, yaml.MappingNode):
         return None
     merged: list[yaml.Node] = []
-    for at, value in node.value:
-        if at.value == key:
+    for name, value in node.value:
+        if name.value == key:
             return value  # type: ignore[no-any-return]
-        if at.tag == "tag:yaml.org,2002:merge":
+        if name.tag == "tag:yaml.org,2002:merge":
             merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
-    return next((found for one in merged if (found := _child(one, key)) is not None), None)
+    return next((child for mapping in merged if (child := _child(mapping, key)) is not None), None)
 
 
 def _end(node: yaml.Node) -> int:

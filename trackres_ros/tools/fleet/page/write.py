@@ -31,7 +31,7 @@ SHOWN = (
 
 
 @file_set()
-def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -> Path:
+def write_pages(folder: Path, trends: Mapping[str, Any], dataset: FleetDataset) -> Path:
     """Write index.html and vehicles/NAME.html alone, and remove pages of others; return the first path.
 
     Raises MissingExtraError without jinja2.
@@ -40,28 +40,28 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
         "trackres_ros.tools.fleet.page", "the pages of a fleet", "fleet", figures=figures, decimals=decimals, percent=percent
     )
     style = environment.get_template("style.css").render()
-    counted, _ = without_copies(dataset.rows(list(SHOWN)))
-    diagnosed = verdicts(folder, counted)
+    all_rows, _ = without_copies(dataset.rows(list(SHOWN)))
+    diagnosed = verdicts(folder, all_rows)
     rows: dict[str, list[Mapping[str, Any]]] = {}
-    for row in counted:
+    for row in all_rows:
         rows.setdefault(row["vehicle"], []).append(row)
     names = sorted(rows.keys() - {NO_VEHICLE})
     pages = {name: f"{VEHICLES}/{quote(name, safe='')}.html" for name in names}
-    months = sorted({month for of in found["months"].values() for month in of})
-    cells = [cell["mismatch"] for of in found["months"].values() for cell in of.values()]
+    months = sorted({month for months_of in trends["months"].values() for month in months_of})
+    cells = [cell["mismatch"] for months_of in trends["months"].values() for cell in months_of.values()]
     worst = max((mismatch for mismatch in cells if mismatch is not None), default=0.0)
     text = environment.get_template("index.html").render(
-        style=style, found=found, months=months, pages=pages, lines=sentences(found),
+        style=style, found=trends, months=months, pages=pages, lines=sentences(trends),
         shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
     )  # fmt: skip
-    for earlier in {*(folder / VEHICLES).glob("*.html")} - {folder / page for page in pages.values()}:
-        remove(earlier)
+    for page_file in {*(folder / VEHICLES).glob("*.html")} - {folder / page for page in pages.values()}:
+        remove(page_file)
     for name in names:
-        vehicle = found["vehicles"].get(name)
-        type_ = next((t for t in found["types"] if name in t["vehicles"]), None)
+        vehicle = trends["vehicles"].get(name)
+        type_ = next((t for t in trends["types"] if name in t["vehicles"]), None)
         units = {key: q["unit"] for key, q in type_["parameters"].items()} if type_ else {}
         pictures = [
-            (key, drawn(levels, key, units.get(key, ""), [c for c in vehicle["changes"] if c["parameter"] == key]))
+            (key, svg_plot(levels, key, units.get(key, ""), [c for c in vehicle["changes"] if c["parameter"] == key]))
             for key, levels in (vehicle["levels"] if vehicle else {}).items()
         ]
         page = environment.get_template("vehicle.html").render(
@@ -87,7 +87,7 @@ def percent(share: float | None) -> str:
     return "-" if share is None or share != share else f"{100.0 * share:.1f} %"
 
 
-def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequence[Mapping[str, Any]]) -> str:
+def svg_plot(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequence[Mapping[str, Any]]) -> str:
     """Values with their standard deviations over time, and the beginnings and ends of changes.
 
     `levels`: times [s since 1970], values and standard deviations; `changes`: of this parameter.
@@ -98,26 +98,26 @@ def drawn(levels: Sequence[Sequence[float]], name: str, unit: str, changes: Sequ
     low, high = _range(value, std)
     begin, end = float(time.min()), float(max(time.max(), time.min() + 86400.0))
 
-    def x(at: float) -> float:
-        return LEFT + (WIDTH - LEFT - RIGHT) * (at - begin) / (end - begin)
+    def x(position: float) -> float:
+        return LEFT + (WIDTH - LEFT - RIGHT) * (position - begin) / (end - begin)
 
-    def y(at: float) -> float:
-        return TOP + (HEIGHT - TOP - BOTTOM) * (high - min(max(at, low), high)) / (high - low)
+    def y(position: float) -> float:
+        return TOP + (HEIGHT - TOP - BOTTOM) * (high - min(max(position, low), high)) / (high - low)
 
     parts = []
     ticks = np.linspace(low, high, TICKS)
-    for at, text in zip(ticks, alike([float(t) for t in ticks], (high - low) / TICKS), strict=True):
-        parts.append(f'<line class="grid" x1="{LEFT:g}" x2="{WIDTH - RIGHT:g}" y1="{y(at):.1f}" y2="{y(at):.1f}"/>')
-        parts.append(f'<text x="{LEFT - 6:g}" y="{y(at) + 4:.1f}" text-anchor="end">{text}</text>')
-    for at, anchor in ((begin, "start"), (0.5 * (begin + end), "middle"), (end, "end")):
-        parts.append(f'<text x="{x(at):.1f}" y="{HEIGHT - 8:g}" text-anchor="{anchor}">{day_of(at)}</text>')
+    for position, text in zip(ticks, alike([float(t) for t in ticks], (high - low) / TICKS), strict=True):
+        parts.append(f'<line class="grid" x1="{LEFT:g}" x2="{WIDTH - RIGHT:g}" y1="{y(position):.1f}" y2="{y(position):.1f}"/>')
+        parts.append(f'<text x="{LEFT - 6:g}" y="{y(position) + 4:.1f}" text-anchor="end">{text}</text>')
+    for position, anchor in ((begin, "start"), (0.5 * (begin + end), "middle"), (end, "end")):
+        parts.append(f'<text x="{x(position):.1f}" y="{HEIGHT - 8:g}" text-anchor="{anchor}">{day_of(position)}</text>')
     for t, v, s in zip(time, value, std, strict=True):
         title = f"{day_of(t)}: {figures(v, 4)} +- {figures(s, 2)} {unit if unit != '1' else ''}"
         parts.append(f'<line class="bar" x1="{x(t):.1f}" x2="{x(t):.1f}" y1="{y(v - s):.1f}" y2="{y(v + s):.1f}"/>')
         parts.append(f'<circle cx="{x(t):.1f}" cy="{y(v):.1f}" r="3"><title>{escape(title.strip())}</title></circle>')
-    for change_s in (at for c in changes for at in (c["since_s"], c["ended_s"]) if at is not None):
-        at = x(max(change_s, begin))
-        parts.append(f'<line class="change" x1="{at:.1f}" x2="{at:.1f}" y1="{TOP:g}" y2="{HEIGHT - BOTTOM:g}"/>')
+    for change_s in (position for c in changes for position in (c["since_s"], c["ended_s"]) if position is not None):
+        position = x(max(change_s, begin))
+        parts.append(f'<line class="change" x1="{position:.1f}" x2="{position:.1f}" y1="{TOP:g}" y2="{HEIGHT - BOTTOM:g}"/>')
     label = f"{name} over time, from {day_of(begin)} to {day_of(end)}: {figures(float(value[0]))} to {figures(float(value[-1]))}"
     return f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{escape(label)}">{"".join(parts)}</svg>'
 
