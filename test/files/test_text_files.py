@@ -8,11 +8,11 @@ import itertools
 import pytest
 from user_files import OTHERS, ROUTE, YAMLS
 
-from proofs.sealed.diagnosing import opened
 from trackres_ros.errors import InputError
 from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import config_dir
 from trackres_ros.route.table import read_route
+from trackres_ros.vehicle.writing.vehicle_file import open_document
 
 ENDS = ("\n", "\r\n", "\r")
 
@@ -32,7 +32,7 @@ def test_a_diagnosis_can_change_a_vehicle_file_of_any_editor(tmp_path):
     text = (config_dir() / "husky.yaml").read_text()
     for end in ENDS:
         (tmp_path / "v.yaml").write_bytes(("\ufeff" + text.replace("\n", end)).encode())
-        document = opened(tmp_path / "v.yaml")
+        document = open_document(tmp_path / "v.yaml")
         document.set(("title",), "other")
         (tmp_path / "w.yaml").write_text(document.text() or "")
         assert read_yaml(tmp_path / "w.yaml") == {**read_yaml(tmp_path / "v.yaml"), "title": "other"}

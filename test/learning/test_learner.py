@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from proofs.sealed.diagnosing import opened
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import HELD, lines, shown
@@ -36,6 +35,7 @@ from trackres_ros.learning.parameters import (
 from trackres_ros.learning.state import BLOCK_S, LASTING_SHARE, LATE, ResidualBlock, close_block
 from trackres_ros.learning.store import write_learned
 from trackres_ros.vehicle import RoadVehicle
+from trackres_ros.vehicle.writing.vehicle_file import open_document
 
 
 @pytest.fixture(scope="module")
@@ -398,7 +398,7 @@ def sure(request, tmp_path_factory):
     def by(end):
         if end not in made:
             described = tr.load_vehicle(request.param)
-            document = opened(described.source)
+            document = open_document(described.source)
             if not isinstance(described, RoadVehicle):
                 document.set(("rubber", "file"), str(described.rubber_source))
             paths = {path for one in learnables(described) for path in one.paths}
