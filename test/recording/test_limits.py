@@ -56,7 +56,7 @@ def workbook(folder: Path) -> Path:
     book.save(path)
     with zipfile.ZipFile(path) as whole, zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as packed:
         for name in whole.namelist():
-            packed.writestr(name, b"<a/>" * (MANY // 16) if name == "xl/styles.xml" else whole.read(name))
+            packed.writestr(name, b"<a/>" * (MANY // 32) if name == "xl/styles.xml" else whole.read(name))
     return bomb
 
 
@@ -145,7 +145,7 @@ def test_nothing_unpacks_beyond_the_limit(tmp_path, monkeypatch, kind):
         Topics.parse(topics_of("BLF"), "t.yaml", tmp_path) if kind == "BLF" else TOPICS if path.suffix in ("", ".mcap") else None
     )
     before = {limit: resource.getrlimit(limit) for limit in (resource.RLIMIT_DATA, resource.RLIMIT_FSIZE)}
-    with pytest.raises(InputError, match=r"content that takes more than 64 MB of memory|File too large") as refused:
+    with pytest.raises(InputError, match=r"content that takes more than|File too large") as refused:
         for _ in open_source([path], topics).blocks():
             pass
     assert path.name in str(refused.value)
