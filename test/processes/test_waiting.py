@@ -78,8 +78,9 @@ def test_who_is_kept_from_computing_is_waited_for(start):
     assert kept_waiting_s(None) == 0.0
 
 
-def test_what_tests_start_heeds_an_interrupt(start):
-    idle = start("input()")
+def test_what_tests_start_heeds_an_interrupt(start, tmp_path):
+    idle = start(f"open({str(tmp_path / 'begun')!r}, 'w'); input()")
+    assert wait_for((tmp_path / "begun").exists, working=idle.pid)  # an interrupt of a start ends it in another way
     idle.send_signal(signal.SIGINT)
     assert exit_code(idle) == -signal.SIGINT
 

@@ -220,9 +220,9 @@ def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
             assert outputs["feedforward_torque_nm"] == pytest.approx(estimate.feedforward_torque_nm, rel=EQUAL)
             live.take(now, 0)
         course = live.course(now)
-        assert int(outputs["reasons"]) & course.stopped == course.stopped
+        assert int(outputs["reasons"]) & course.stop_reason == course.stop_reason
         shown.append((float(outputs["feedforward_torque_nm"]), live.move(course) if np.isfinite(live.age_s(now)) else 0.0))
-        guarded.add(course.stopped)
+        guarded.add(course.stop_reason)
     of_c, of_live = np.abs(shown).T
     a_tick_later = (k.number.feedforward_rate + rate_towards(k.number, 0.0)) * FEEDFORWARD_STEP_S
     assert (of_c <= of_live + a_tick_later + 1e-6).all()

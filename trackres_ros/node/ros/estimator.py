@@ -43,7 +43,7 @@ def _executable() -> Any:
 
     node = EstimatorNode()
     for text in (*files_without_effect(node, sys.argv), *_not_of_ros(sys.argv)):
-        node.warn(text)
+        node.log_warning(text)
     return node
 
 

@@ -88,7 +88,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.add_on_set_parameters_callback(self._check)
         interface.declare_parameters(self, values or make_parameters({}))
         self.add_post_set_parameters_callback(self._apply)
-        self.warn(interface.unknown_parameters(self, of_topics=False))
+        self.log_warning(interface.unknown_parameters(self, of_topics=False))
         for service in self.services:
             if service.srv_type is ChangeState:
                 service.callback = _with_answer(service.callback)
@@ -170,7 +170,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         ]
         self._start_clocks(application)
         self._wait_or_collect(application)
-        self.warn(interface.unknown_parameters(self, of_topics=True))
+        self.log_warning(interface.unknown_parameters(self, of_topics=True))
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
         if self.configured:
             self.configured(application)
@@ -455,7 +455,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
         return report
 
-    def warn(self, text: str) -> None:
+    def log_warning(self, text: str) -> None:
         """Write a warning to the log, if there is a text."""
         if text:
             self.get_logger().warning(text)
