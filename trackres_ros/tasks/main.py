@@ -60,11 +60,12 @@ class Program(Commands):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """See `click.Group`."""
         if cmd_name not in self.commands:
-            if cmd_name in COMMANDS:
+            if cmd_name in COMMANDS:  # and no look at what is installed
                 module = import_module(f"trackres_ros.tasks.{COMMANDS[cmd_name][0]}")
                 self.add_command(getattr(module, f"{cmd_name.replace('-', '_')}_command"), cmd_name)
-            for point in entry_points(group=PLUG_INS, name=cmd_name):
-                self.add_command(point.load(), cmd_name)
+            else:
+                for point in entry_points(group=PLUG_INS, name=cmd_name):
+                    self.add_command(point.load(), cmd_name)
         return super().get_command(ctx, cmd_name)
 
     def _command_table(self, ctx: click.Context) -> dict[str, click.Command]:
