@@ -50,7 +50,7 @@ def when_it_listens(process):
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-@pytest.mark.parametrize(("number", "further_s"), [(signal.SIGTERM, 0.0), (signal.SIGINT, 0.2), (signal.SIGTERM, 0.6)])
+@pytest.mark.parametrize(("number", "further_s"), [(signal.SIGTERM, 0.0), (signal.SIGINT, 0.1), (signal.SIGTERM, 0.3)])
 def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, begin, number, further_s):
     """At moments that are as far into the start, by the work done, on any machine."""
     process = begin(
