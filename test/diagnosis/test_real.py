@@ -136,7 +136,7 @@ def test_a_bag_without_a_torque_has_nothing_to_diagnose(report_of, tmp_path):
 @needs_bus
 def test_three_short_rollings_out_of_a_bus_tell_nothing():
     found = tr.coastdown(BUS, "ztbus_hess19", topics=config_dir() / "topics" / "ztbus.yaml")
-    assert len(found.coastdown.rolled.stretches) == 3
+    assert len(found.coastdown.runs.stretches) == 3
     assert not any(p.determined for p in found.coastdown.parameters)
     assert not found.better
 
