@@ -146,3 +146,12 @@ def test_sentences_of_the_pages_are_short(repository):
 @pytest.mark.parametrize("word", ["make demo", "make test", "docs/laps.png"])
 def test_the_readme_starts_with_the_two_commands(repository, word):
     assert word in "\n".join((repository / "README.md").read_text().splitlines()[:20])
+
+
+def test_files_that_pages_name_are_there(repository):
+    """By their path from the repository, the package or the proofs."""
+    places = [repository, repository / "trackres_ros", repository / "trackres_ros" / "diagnosis"]
+    pages = [repository / "README.md", repository / "CONTRIBUTING.md", *(repository / "docs").rglob("*.md")]
+    named = [(page, path) for page in pages for path in re.findall(r"`((?:[a-z_]+/)+[a-z_0-9]+\.py)`", page.read_text())]
+    assert len(named) > 30
+    assert not [(page.name, path) for page, path in named if not any((place / path).exists() for place in places)]
