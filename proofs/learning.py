@@ -35,7 +35,7 @@ from trackres_ros.recording.opening import open_source
 from trackres_ros.tasks.replay_run import replay
 from trackres_ros.vehicle import load
 
-OFF = (0.05, 0.20)  # by which the loss of a file is off
+LOSS_ERRORS = (0.05, 0.20)  # relative, of a vehicle file
 OTHERS_OFF = 0.10  # at most, of bearings, drag, cooling and heat capacity
 DRIVES = 3
 LOADS, AIRS_DEGC = (1.0, 0.85, 1.15), (5.0, 15.0, 25.0)
@@ -68,7 +68,7 @@ def draw_cases(seed: int, vehicles: int, hostile: int) -> list[LearningCase]:
     found = []
     for number, kind in zip(names, kinds, strict=True):
         build = {part: float(1.0 + rng.uniform(-OTHERS_OFF, OTHERS_OFF)) for part in ("bearing", "drag", "film", "capacity")}
-        build["loss"] = float(1.0 / (1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*OFF)))
+        build["loss"] = float(1.0 / (1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*LOSS_ERRORS)))
         case = LearningCase(
             f"v{number:05d}", build, bool(rng.random() < 0.5), kind, float(rng.random()), int(rng.integers(1 << 31))
         )
@@ -135,7 +135,7 @@ def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generat
 
 
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| (since|for) *$|, of the kind.*")  # varies from run to run
-BESIDE = "a torque that no parameter explains"
+UNEXPLAINED_TORQUE = "a torque that no parameter explains"
 SHOWN = [at.Results.speed_mps, at.Results.feedforward_torque_nm, at.Results.resistance_torque_nm, at.Results.resistance_std_nm]
 
 
@@ -149,7 +149,7 @@ class Listening(Learner):
 
     def _close(self, session: Any, passed: int) -> None:
         super()._close(session, passed)
-        for text in (self.frozen, self.disturbance and BESIDE, self.left_out.partition(" in ")[0]):
+        for text in (self.frozen, self.disturbance and UNEXPLAINED_TORQUE, self.left_out.partition(" in ")[0]):
             if text:
                 key = KEY.sub("", text.split(":")[0]).strip()
                 self.said[key] = self.said.get(key, 0) + 1

@@ -318,7 +318,7 @@ def _drift(final: Fit) -> Term | None:
 MOVING_MPS = 0.3
 BEGINNINGS_S = 15.0  # largest time from a stop to a spell that begins with it
 MOST_BEGIN = 0.7  # of the spells
-MOST_OF_IT = (0.025, 0.975)  # quantiles
+MIDDLE_95 = (0.025, 0.975)  # quantiles
 
 
 def describe(term: Term, final: Fit) -> Term:
@@ -347,7 +347,7 @@ def _with_sentences(term: Term, final: Fit, noun: str) -> Term:
     if isinstance(pattern, Route):
         torques = against_travel(final.problem.sessions, term.adds)
         used = np.concatenate([x[m] for x, m in zip(torques, final.problem.masks, strict=True)])
-        least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
+        least, most = (float(q) for q in np.quantile(used, MIDDLE_95))
         return describe_route(term, float(np.sqrt(np.mean(used**2))), least, most, pattern, noun)
     assert isinstance(pattern, Chain)
     spells = _spells_of(pattern, term.name, final)
