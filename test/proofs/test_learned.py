@@ -12,7 +12,7 @@ from proofs import pipeline
 from proofs.delay import LONGEST_S, _sampled, draw, page
 from proofs.learning import (
     KINDS,
-    OFF,
+    LOSS_ERRORS,
     SENSORS,
     LearningCase,
     _of_hostile,
@@ -42,7 +42,7 @@ def test_a_seed_gives_the_same_cases_and_another_seed_others():
     assert sum(not case.hostile for case in cases) == 6
     assert {case.hostile for case in cases} == {"", *KINDS}
     for case in cases:
-        assert OFF[0] - 1e-9 <= abs(1.0 / case.build["loss"] - 1.0) <= OFF[1] + 1e-9
+        assert LOSS_ERRORS[0] - 1e-9 <= abs(1.0 / case.build["loss"] - 1.0) <= LOSS_ERRORS[1] + 1e-9
 
 
 @pytest.mark.parametrize("kind", KINDS)
