@@ -276,6 +276,10 @@ def _zone_s(zone: str | None) -> int:
 # --- tables
 
 COMMENTS = ("#", "%", "//", "!")
+SECTION = re.compile(r"\[[^\[\]]*\]|\*{3}\w+\*{3}")
+"""A line that begins or ends a part of a file, as VBOX and LabVIEW write it: like a comment it is no row."""
+REMARKS = "X_Value", "Comment"
+"""The first and last name of a LabVIEW table. Rows have a cell for the last one only where they have a comment."""
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
 SEPARATOR_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """As Excel takes it from the first line."""
@@ -308,6 +312,8 @@ def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] =
     filled_rows = [(place, cells) for place, (cells, comment) in enumerate(rows) if any(cells) and not comment]
     best_header: Header | None = None
     for place, (cells, _) in enumerate(rows):
+        if has_remarks(cells):
+            return Header(cells, (), place, place + 1, COMPARED_ROWS, len(cells))
         is_first, has_several = bool(filled_rows) and place == filled_rows[0][0], sum(map(bool, cells)) > 1
         if not (is_first or (has_several and not any(map(is_number_or_time, cells)))):
             continue
@@ -328,6 +334,11 @@ def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] =
         if fitting and all(fitting):
             break
     return best_header
+
+
+def has_remarks(names: Row) -> bool:
+    """Whether the last column holds comments, and most rows end before it."""
+    return len(names) > 1 and (names[0], names[-1]) == REMARKS
 
 
 def fits_width(row: Row, width: int) -> bool:
@@ -380,9 +391,10 @@ class TextTable:
         if not candidates:
             raise InputError(name, "no line with text", "a table with a line of column names")
         _, self.separator, header = max(candidates, key=itemgetter(0))
-        self.names = [cell.strip() for cell in header.names]
+        self.has_remarks = has_remarks(header.names)
+        self.names = [cell.strip() for cell in header.names[: -1 if self.has_remarks else None]]
         self.units = [cell.strip() for cell in header.units]
-        self.line, self.first_row = header.place + 1, header.first_row
+        self.line, self.first_row, self.lines_above = header.place + 1, header.first_row, lines[: header.place]
 
     def _head(self) -> list[str]:
         """The first lines, and so the encoding."""
@@ -427,7 +439,7 @@ class TextTable:
                 for row in csv.reader(lines(), delimiter=self.separator):
                     is_inside = False
                     if row:
-                        yield row
+                        yield row[: len(self.names)] if self.has_remarks else row
             except csv.Error as error:
                 raise InputError(f"{self.name}: line {progress.line}", str(error), "a table to the end of the file") from error
 
@@ -491,7 +503,7 @@ class TextTable:
 def _cells(line: str, separator: str) -> tuple[Row, bool]:
     """The cells of a line without its mark of a comment, and whether it is one."""
     text = line.strip("\r\n")
-    comment = text.lstrip().startswith(COMMENTS)
+    comment = text.lstrip().startswith(COMMENTS) or SECTION.fullmatch(text.strip()) is not None
     text = text.lstrip("#%!/ ") if comment else text
     if separator == " ":
         return (text.split("\t") if "\t" in text.strip() else text.split()), comment
