@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple, cast
 from trackres_ros.errors import InputError
 from trackres_ros.recording.reading import UTF_16
 from trackres_ros.recording.roles import is_quantity
+from trackres_ros.recording.samples import Finding
 from trackres_ros.units import SECOND_NS
 
 Mark = Literal[".", ","]
@@ -498,6 +499,23 @@ class TextTable:
             except InputError as error:
                 raise InputError(f"{self.name}: line {line}, column {name}", error.given, error.allowed) from None
         return numbers
+
+    def look_at_lines(self, progress: Progress) -> Iterator[Finding]:
+        """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
+        if progress.side_rows:
+            text = f"{progress.side_rows} lines between the rows are skipped: they are comments, or the names again"
+            yield Finding("", "comment", progress.side_rows, float("nan"), text)
+        if progress.has_quotes:
+            with io.TextIOWrapper(self.binary(), "latin-1") as file:  # whatever ends the lines
+                lines = sum(line != "\n" for line in itertools.islice(file, self.first_row, None))
+            swallowed = lines - progress.rows - progress.left_out - progress.side_rows
+            if swallowed > 0:
+                text = f"{swallowed} lines are not rows: they are inside a quotation that an earlier line opens"
+                yield Finding("", "quoted", swallowed, float("nan"), text)
+        if progress.last not in (b"\n", b"\r"):
+            consequence = "it is left out" if progress.left_out else "the file and its last number may be truncated"
+            text = f"the last line is incomplete: {consequence}"
+            yield Finding("", "cut", 1, float("nan"), text)
 
 
 def _cells(line: str, separator: str) -> tuple[Row, bool]:

@@ -100,16 +100,21 @@ class LoggerText(ChannelFile):
         columns = [Column(self._time_place, self._table.names[self._time_place], self._clock()), *self._columns]
         numbers = self._table.numbers(self._table.rows(progress), columns, progress)
         while chunk := list(itertools.islice(numbers, CHUNK_ROWS)):
+            progress.rows += len(chunk)
             has_value = np.array([[number is not None for number in row] for row in chunk])
             stamps = np.array([row[0] or 0 for row in chunk], np.int64)
             yield ChannelRows(
                 stamps, has_value[:, 0], np.array([row[1:] for row in chunk], np.float64) * self._factors, has_value[:, 1:]
             )
-        counts = {
-            "comment": (progress.side_rows, f"{progress.side_rows} lines between the rows are skipped: they are no rows"),
-            "cut": (int(progress.left_out), "the last line is incomplete: it is left out"),
-        }
-        self.findings = tuple(Finding("", kind, count, float("nan"), text) for kind, (count, text) in counts.items() if count)
+        self.findings = (*self._table.look_at_lines(progress), *self._look_above())
+
+    def _look_above(self) -> Iterator[Finding]:
+        """Report rows above the names, as in a file that was joined from several."""
+        table = self._table
+        rows = [line.split(None if table.separator == " " else table.separator) for line in table.lines_above]
+        count = sum(len(row) >= len(table.names) and is_number(row[0]) for row in rows)
+        if count:
+            yield Finding("", "missing", count, float("nan"), f"{count} rows above the names are not read")
 
 
 def sections(lines: Sequence[str]) -> dict[str, list[str]]:

@@ -161,7 +161,9 @@ def _of_version_5(path: Path) -> _Content:
         elif isinstance(value, int | float):
             content.numbers[name] = _Vector(1, 1, lambda *_: np.array([value], np.float64))
         elif isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "biuf" and value.size > 1:
-            content.vectors[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: value[start:end].astype(np.float64))
+            numbers = value.astype(np.float64)
+            numbers[np.isnan(numbers)] = np.nan  # damaged ones would raise a warning
+            content.vectors[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: numbers[start:end])
         else:
             content.other_names.append(name)
 

@@ -5,6 +5,7 @@
 
 import contextlib
 import io
+import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,11 @@ from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelFile
 from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.samples import Finding
 
+HEADER_BYTES, HEAD = 16, struct.Struct("<HB")
+"""Length of the header of a file; length and type of a message."""
+SUBSCRIPTION = ord("A")
+DEFINITIONS, DATA = frozenset(b"BFIMPQA"), frozenset(b"ARDIMPQLCSO")
+"""Types of messages before and after the first subscription."""
 TIME = "timestamp"
 """The field of each topic with its time since the start of the autopilot [us]."""
 
@@ -28,8 +34,9 @@ class ULogFile(ChannelFile):
     def __init__(self, path: Path, name: str) -> None:
         from pyulog import ULog
 
-        with contextlib.redirect_stdout(io.StringIO()):  # its remarks on damage
-            log = ULog(str(path))
+        with path.open("rb") as file, contextlib.redirect_stdout(io.StringIO()) as remarks:
+            log = ULog(file)  # which closes it only if it is whole
+        self._is_damaged = bool(log.file_corruption or remarks.getvalue() or not _is_contiguous(path.read_bytes()))
         self.name = name
         timed_topics = [topic for topic in log.data_list if TIME in topic.data]
         self._topics: dict[str, dict[str, Any]] = {
@@ -38,7 +45,6 @@ class ULogFile(ChannelFile):
         self.channels = [Channel(field, "", topic) for topic, data in self._topics.items() for field in data if field != TIME]
         self.notes = ("times are since the start of the autopilot; ULog has no units",)
         self._lost_ms = [dropout.duration for dropout in log.dropouts]
-        self._is_damaged = bool(log.file_corruption)
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose the channels to read."""
@@ -51,6 +57,12 @@ class ULogFile(ChannelFile):
             yield Finding("", "missing", len(self._lost_ms), float("nan"), text)
         if self._is_damaged:
             yield Finding("", "structure", 1, float("nan"), "parts of the file are damaged: their messages are lost")
+        for channel in self.wanted:
+            field = self.channels[channel.place]
+            count = int(np.count_nonzero(np.isnan(self._topics[field.group][field.name])))
+            if count:
+                text = f"{count} values of {channel.name} are not a number: they give no sample"
+                yield Finding(channel.role, "absent", count, float("nan"), text)
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """The topics in use; that of the last channel, the speed, last."""
@@ -68,6 +80,18 @@ class ULogFile(ChannelFile):
             for column, values in fields:
                 cells[:, column] = values[rows]
             yield ChannelRows(stamps[rows], np.ones(len(cells), np.bool_), cells, ~np.isnan(cells))
+
+
+def _is_contiguous(data: bytes) -> bool:
+    """Whether messages of known types follow one another to the end of a file; pyulog skips others without a remark."""
+    offset, types = HEADER_BYTES, DEFINITIONS
+    while offset + HEAD.size <= len(data):
+        length, kind = HEAD.unpack_from(data, offset)
+        types = DATA if kind == SUBSCRIPTION else types
+        if kind not in types:
+            return False
+        offset += HEAD.size + length
+    return offset == len(data)
 
 
 KINDS = (
