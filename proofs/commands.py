@@ -287,7 +287,7 @@ def fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: 
 @proofs.command("reproduce")
 @click.option("-o", "--output", type=options.FOLDER, required=True, help="Folder for pictures, tables and the page.")
 @click.option(
-    "--page", type=click.Path(path_type=Path, dir_okay=False), help="Write the page here too, with links into the folder."
+    "--page", type=click.Path(path_type=Path, dir_okay=False), help="Write the page here, not to index.md in the folder."
 )
 @options.json
 def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
@@ -312,4 +312,4 @@ def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
             done = share
 
         summary: dict[str, Any] = reproduce(output, report, page=page)
-    emit(summary, as_json, lambda: f"Figures, tables and index.md are in {output}")
+    emit(summary, as_json, lambda: f"Figures and tables are in {output}, the page is {page or output / 'index.md'}")
