@@ -78,16 +78,6 @@ class Noise:
         return np.asarray((white * (self.std / self.scale)) ** 2)
 
 
-def shortened(noise: Noise) -> Noise | None:
-    """The same noise bounded away from a random walk; None where it already is.
-
-    With a slow effect in the model, the noise is short. Without it, the noise looks like a random walk, under which the effect
-    hardly matters. The likelihood has both maxima, and a search from the random walk finds only one.
-    """
-    phi = _stable(noise.phi, SHORT_ROOT)
-    return None if np.allclose(phi, noise.phi) else Noise(phi, noise.scale, noise.degrees)
-
-
 def whitened(series: Array, mask: Mask, phi: Array) -> Array:
     """Whitened series along axis 0, shape (n,) or (n, k); rows without `MOST_LAGS` known past samples are nan.
 
