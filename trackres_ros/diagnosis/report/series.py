@@ -158,7 +158,7 @@ def bars(d: Diagnosis) -> Iterator[tuple[str, list[float], list[StageBins]]]:
     """
     at_end = {}
     if d.modelled:
-        last = regime_map(for_tests(d.final), np.random.default_rng(SEED), predicted=d.refitted.predicted)
+        last = regime_map(for_tests(d.final), np.random.default_rng(SEED), predictions=d.refitted.predicted)
         at_end = bins_by_variable(last.bins)
     for name, of_base in bins_by_variable(d.at_base.bins).items():
         edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
