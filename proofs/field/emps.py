@@ -66,7 +66,7 @@ def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:
 
 def only(d: Diagnosis, names: Sequence[str]) -> Fit:
     """The last fit with only some of its effects, all values fitted again."""
-    return with_levels(d.final, without=[name for name in d.final.effect_names if name not in names])
+    return with_levels(d.final, removed_names=[name for name in d.final.effect_names if name not in names])
 
 
 def tables_of(tried: SlideTrial) -> Tables:

@@ -21,7 +21,7 @@ from trackres_ros.estimator.drives import SimulatedDrive, ramp_and_hold, simulat
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.own_files import write
 from trackres_ros.model.track import with_methods
-from trackres_ros.output.style import STEPS, legend_beside, picture, thinned
+from trackres_ros.output.style import STEPS, legend_beside, picture, thin_out
 from trackres_ros.text import figures
 from trackres_ros.vehicle import Vehicle
 
@@ -283,7 +283,7 @@ def draw_family(out: Path, family: Family, combination: str, caption: str, title
         torque, belt = drawn.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
         for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
             torque.plot(*moving(series), color=colour, label=f"{value:g}")
-            belt.plot(*thinned(series["time_s"], series["belt_degc"]), color=colour)
+            belt.plot(*thin_out(series["time_s"], series["belt_degc"]), color=colour)
         torque.set_ylim(*_limits(family, combination))
         torque.set_title(f"{title}; {methods}")
         torque.set_ylabel("resistance torque [Nm]")
@@ -313,7 +313,7 @@ def first_comparable(family: Family) -> int:
 def moving(series: Series) -> tuple[Array, Array]:
     """Time and resistance torque without the first instant at rest, where the torque is zero, thinned for a picture."""
     torque = np.where(series["speed_mps"] > 0.0, series["resistance_torque_nm"], np.nan)
-    return thinned(series["time_s"], torque)
+    return thin_out(series["time_s"], torque)
 
 
 def colours(family: Family) -> Sequence[str]:

@@ -40,7 +40,7 @@ from proofs.reproduce.bench import (
 )
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.drives import SimulatedDrive, ramp_and_hold
-from trackres_ros.output.style import legend_beside, picture, thinned
+from trackres_ros.output.style import legend_beside, picture, thin_out
 from trackres_ros.units import KMH_PER_MPS
 
 SPEEDS_KMH = (10.0, 20.0, 30.0, 40.0, 50.0)
@@ -346,7 +346,7 @@ def _draw_differences(out: Path, family: Family) -> Figure:
             pairs = zip(colours(family)[1:], pairwise(AMBIENTS_DEGC), differences(family, combination), strict=True)
             for colour, (colder, warmer), difference in pairs:
                 shown = np.where(difference > 0.0, difference, np.nan)
-                axes.plot(*thinned(time, shown), color=colour, label=f"{colder:g} less {warmer:g}")
+                axes.plot(*thin_out(time, shown), color=colour, label=f"{colder:g} less {warmer:g}")
             axes.set_yscale("log")
             axes.set_title(combination.replace("/", ", "))
             axes.margins(x=0.01)

@@ -33,7 +33,7 @@ from proofs.reproduce.bench import (
 )
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.drives import SimulatedDrive, laps, simulate, through_points
-from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
+from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thin_out
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import KMH_PER_MPS
 
@@ -135,12 +135,12 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
     main = runs[bench.shipped]
     with picture(out / figure.png, 9.0, 8.0) as drawn:
         speed, torque, zoom, belt = drawn.subplots(4, 1, sharex=True, height_ratios=(0.8, 1.3, 1.3, 1.2))
-        speed.plot(*thinned(main["time_s"], main["speed_mps"] * KMH_PER_MPS), color=BLACK)
+        speed.plot(*thin_out(main["time_s"], main["speed_mps"] * KMH_PER_MPS), color=BLACK)
         speed.set_ylim(0.0, 1.1 * trial.speed_kmh)
         speed.set_ylabel("speed [km/h]")
-        driving = thinned(main["time_s"], main["drive_torque_nm"] / 1e3)
+        driving = thin_out(main["time_s"], main["drive_torque_nm"] / 1e3)
         torque.plot(*driving, color=GREY, linewidth=0.9, label="drive torque,\nwith inertia")
-        torque.plot(*thinned(main["time_s"], main["resistance_torque_nm"] / 1e3), color=BLUE, label="resistance")
+        torque.plot(*thin_out(main["time_s"], main["resistance_torque_nm"] / 1e3), color=BLUE, label="resistance")
         torque.set_title(bench.shipped.replace("/", ", "))
         torque.set_ylabel("torque [kNm]")
         zoom.set_title("resistance at full speed")
@@ -149,8 +149,8 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
             at_speed = np.full(len(series["time_s"]), np.nan)
             for part in held(series):
                 at_speed[part] = series["resistance_torque_nm"][part]
-            zoom.plot(*thinned(series["time_s"], at_speed), color=colour, linestyle=style, label=label)
-            belt.plot(*thinned(series["time_s"], series["belt_degc"]), color=colour, linestyle=style, label=label)
+            zoom.plot(*thin_out(series["time_s"], at_speed), color=colour, linestyle=style, label=label)
+            belt.plot(*thin_out(series["time_s"], series["belt_degc"]), color=colour, linestyle=style, label=label)
         zoom.set_ylabel("torque [Nm]")
         belt.set_ylabel("belt [°C]")
         belt.axhline(bench.vehicle.chassis.ambient, color=GREY, linestyle=":", linewidth=1.0, label="ambient")
