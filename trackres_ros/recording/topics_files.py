@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from trackres_ros.files.resources import shipped_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
@@ -32,7 +32,7 @@ def corrected(role: str, by: Conversion, bindings: Mapping[str, TopicBinding]) -
         return replace(
             binding,
             scale=by.scale * binding.scale,
-            offset=by.scale * binding.offset + by.offset / len(roles),
+            offset=by.scale * binding.offset + by.offset / (len(roles) * binding.gear_ratio),
             converts=binding.converts or by.scale != 1.0,
         )
 
@@ -52,6 +52,41 @@ def line_to_write(role: str, by: Conversion, *each: Mapping[str, TopicBinding]) 
     return f"{'its line' if all(len(of) == 1 for of in files) else 'its lines'} in the topics file should be {lines}"
 
 
+@dataclass(frozen=True, slots=True)
+class TorqueCause:
+    """Why a measured torque may be a multiple of the torque at the sprockets."""
+
+    factor: float  # which it lacks
+    at: Literal["sprockets", "motor", ""] = ""  # where it acts instead, if that is the cause
+
+
+def torque_causes(
+    motor_ratio: float | None, *each: Mapping[str, TopicBinding], is_vehicle: bool = True
+) -> dict[str, TorqueCause]:
+    """Likely causes by their names, for "if it is ...". `motor_ratio`: of the vehicle file; `each`: the bindings in use."""
+    causes = {"in kNm": TorqueCause(1e3), "in mNm": TorqueCause(1e-3)}
+    if is_vehicle:
+        causes |= {"counted twice": TorqueCause(0.5)} | {f"one of {n} equal parts": TorqueCause(float(n)) for n in (2, 3, 4)}
+    if motor_ratio:
+        at_motor = any(torque.at == "motor" for bindings in each for torque in _torques_of(bindings).values())
+        causes |= {"at the sprockets": TorqueCause(1.0 / motor_ratio, "sprockets")} if at_motor else {}
+        causes |= {} if at_motor else {"at the motor": TorqueCause(motor_ratio, "motor")}
+    return causes
+
+
+def torque_line(cause: TorqueCause, sign: float, *each: Mapping[str, TopicBinding]) -> str:
+    """As `line_to_write`, for a torque with such a cause, and a sign of 1 or -1."""
+    if not cause.at:
+        return line_to_write("torque", Conversion(sign * cause.factor), *each)
+    torques = [_torques_of(bindings) or {"torque": TopicBinding()} for bindings in each]
+    moved = [{role: replace(torque, at=cause.at) for role, torque in some.items()} for some in torques]
+    return line_to_write("torque", Conversion(sign), *moved)
+
+
+def _torques_of(bindings: Mapping[str, TopicBinding]) -> dict[str, TopicBinding]:
+    return {role: torque for role, torque in bindings.items() if base_role(role) == "torque"}
+
+
 def _said(binding: TopicBinding) -> dict[str, Any]:
     """Keys of a line: all that differ from the default, with the unit in the scale, which also replaces that of the file."""
     found: dict[str, Any] = {"sum": [_said(part) for part in binding.parts]} if binding.parts else {}
@@ -60,7 +95,7 @@ def _said(binding: TopicBinding) -> dict[str, Any]:
         given = value != item.default or (item.name == "scale" and binding.converts)
         if given and item.name in ("ways", "valid"):
             found |= {"values": as_said(value)} if item.name == "ways" else {"valid": _said(value)}
-        elif given and item.name not in ("parts", "unit", "converts"):
+        elif given and item.name not in ("parts", "unit", "converts", "gear_ratio"):
             found[item.name] = float(f"{value:.{FIGURES}g}") if isinstance(value, float) else value
     return found
 
