@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from trackres_ros.arrays import Array
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.file_sets import file_set
-from trackres_ros.files.interpreter import unread
+from trackres_ros.files.interpreter import leave_unread
 from trackres_ros.files.own_files import write
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
 def empty_figure(width: float, height: float) -> Iterator[Figure]:
     """An empty figure [inches], and the look of the package while it is drawn."""
     try:
-        with unread("matplotlibrc"):
+        with leave_unread("matplotlibrc"):
             import matplotlib  # noqa: F401 - its parts may be there still where it is not
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError:

@@ -128,11 +128,11 @@ def _finding(mm: float, me: float, ee: float, bindings: Mapping[str, TopicBindin
     best = min(likely, key=lambda name: error(sign * causes[name].factor), default=None)
     statement = f"The measured torque is about {figures(share, 2)} times the expected torque. If "
     if best is not None and error(sign * causes[best].factor) <= CLEARLY * error(1.0):
-        said = " and ".join([f"it is {best}"] * bool(best) + ["its sign is reversed"] * (sign < 0.0))
-        return f"{statement}{said}, {torque_line(causes[best], sign, bindings)}"
+        reading = " and ".join([f"it is {best}"] * bool(best) + ["its sign is reversed"] * (sign < 0.0))
+        return f"{statement}{reading}, {torque_line(causes[best], sign, bindings)}"
     ratio = me / mm
     if motor_ratio is None and abs(ratio) >= LEAST_RATIO and error(ratio) <= CLEARLY * error(0.0):
-        said = f"it is at the motor, behind a gear of about {figures(abs(ratio), 2)}"
+        reading = f"it is at the motor, behind a gear of about {figures(abs(ratio), 2)}"
         line = torque_line(TorqueCause(abs(ratio), "motor"), sign, bindings)
-        return f"{statement}{said}, give motor_ratio in the vehicle file; {line}"
+        return f"{statement}{reading}, give motor_ratio in the vehicle file; {line}"
     return ""

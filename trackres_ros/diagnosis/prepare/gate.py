@@ -65,7 +65,7 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.records import Steps
-from trackres_ros.recording.recording import Recording, stamped
+from trackres_ros.recording.recording import Recording, with_stamps
 from trackres_ros.recording.samples import Series, standing_time
 from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.route.matching import matched
@@ -116,7 +116,7 @@ def gate(
     InputError
         If no recording can be used, or too little of all of them, with reasons and remedies.
     """
-    refused, recordings, overlaps = list(refused), in_order([stamped(r) for r in recordings]), list[str]()
+    refused, recordings, overlaps = list(refused), in_order([with_stamps(r) for r in recordings]), list[str]()
     known = {refusal.name for refusal in refused}
     admitted = each_usable(
         (r for r in recordings if r.name not in known), lambda recording: _admit(recording, hide, settings), refused
@@ -458,7 +458,7 @@ def with_acceleration(recording: Recording, settings: GateSettings) -> Recording
     if "accel" in recording.series and np.isfinite(recording.series["accel"].value).any():
         return replace(recording, notes=(*recording.notes, RECORDED_ACCELERATION))
     recording = recording.without(["accel"])  # a role may have no sample
-    logged, speed = recording.series["speed"], stamped(recording).series["speed"]
+    logged, speed = recording.series["speed"], with_stamps(recording).series["speed"]
     finite = np.flatnonzero(np.isfinite(speed.value))
     stamps, first, stamp_of = np.unique(speed.stamp_ns[finite], return_index=True, return_inverse=True)
     if len(stamps) < 2:
@@ -484,7 +484,7 @@ class ComparedTorque:
     def __init__(self, recording: Recording, settings: GateSettings) -> None:
         """Take the steps of a recording. Raises InputError where a diagnosis would refuse it, with the reason."""
         (self._session,) = gate([recording], settings).sessions
-        self._start_ns = stamped(recording).start_ns
+        self._start_ns = with_stamps(recording).start_ns
         self._sum, self._number = np.zeros((2, len(self._session)))  # of the residuals in each step [Nm]
 
     def writer(self, write: Callable[[Steps], None]) -> Callable[[Steps], None]:

@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.report.charts import Picture
 from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED
 from trackres_ros.effects.effect import BELONGS_TO
-from trackres_ros.files.file_sets import present
+from trackres_ros.files.file_sets import present_content
 from trackres_ros.files.own_files import write
 from trackres_ros.text import alike, decimals, figures, templates, told_apart
 from trackres_ros.vehicle.writing.sensor_lines import replaced
@@ -335,7 +335,7 @@ def write_page(
         no_plots=plots if isinstance(plots, str) else "",
         script=Path(__file__).with_name("page.js").read_text(encoding="utf-8"),
         provenance=provenance,
-        pictures=[(p, KINDS[p.path.suffix], base64.b64encode(present(p.path) or b"").decode()) for p in pictures],
+        pictures=[(p, KINDS[p.path.suffix], base64.b64encode(present_content(p.path) or b"").decode()) for p in pictures],
     )
     write(path, page.encode())
 
