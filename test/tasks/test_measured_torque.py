@@ -157,6 +157,16 @@ def test_another_fault_of_the_torque_has_no_finding(recording, of):
     assert tr.replay(recording("fault", of), "agri3t").measured_torque.finding == ""
 
 
+def test_a_gear_that_the_vehicle_file_lacks_is_estimated(tmp_path, recording):
+    path = tmp_path / "mine.yaml"
+    lines = (config_dir() / "agri3t.yaml").read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if "motor_" not in line))
+    finding = tr.replay(recording("m", at_motor), path).measured_torque.finding
+    estimate = float(re.search(r"behind a gear of about (\d+), give motor_ratio in the vehicle file", finding)[1])
+    assert estimate == pytest.approx(RATIO * EFFICIENCY / GAIN, rel=0.05)
+    assert finding.endswith("torque: {column: torque_nm, at: motor}")
+
+
 def test_a_torque_at_the_sprockets_named_motor_is_found(recording, topics):
     finding = tr.replay(recording("sprockets"), "agri3t", topics=topics(MOTOR)).measured_torque.finding
     assert (

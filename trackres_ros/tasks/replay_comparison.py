@@ -23,7 +23,7 @@ from trackres_ros.text import decimals, figures
 LIKE = (0.62, 1.7)  # times the expected torque: load, ground and a data sheet's values do that; one side of two does not
 NEAR = 1.35  # either way of a factor
 CLEARLY = 0.5  # of the error without the factor
-LEAST_RATIO = 5.0  # of a gear that a vehicle file lacks: less may be the vehicle's resistance
+RATIOS = (5.0, 500.0)  # of a gear that a vehicle file lacks: less may be the vehicle's resistance, more it does not accept
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ def _finding(mm: float, me: float, ee: float, bindings: Mapping[str, TopicBindin
         reading = " and ".join([f"it is {best}"] * bool(best) + ["its sign is reversed"] * (sign < 0.0))
         return f"{statement}{reading}, {torque_line(causes[best], sign, bindings)}"
     ratio = me / mm
-    if motor_ratio is None and abs(ratio) >= LEAST_RATIO and error(ratio) <= CLEARLY * error(0.0):
+    if motor_ratio is None and RATIOS[0] <= abs(ratio) <= RATIOS[1] and error(ratio) <= CLEARLY * error(0.0):
         reading = f"it is at the motor, behind a gear of about {figures(abs(ratio), 2)}"
         line = torque_line(TorqueCause(abs(ratio), "motor"), sign, bindings)
         return f"{statement}{reading}, give motor_ratio in the vehicle file; {line}"
