@@ -60,7 +60,7 @@ from trackres_ros.diagnosis.prepare.session import (
     whole_past,
 )
 from trackres_ros.diagnosis.prepare.speed_smoothing import with_slope
-from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
+from trackres_ros.diagnosis.prepare.torque_checks import at_sprockets, on_one_clock
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
@@ -190,6 +190,7 @@ def _admit(recording: Recording, hide: Sequence[str], settings: GateSettings) ->
     shortest_s = _shortest_s(step_of([recording], settings), settings)
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
+    recording = at_sprockets(recording, settings)
     check_compared(recording, shortest_s)
     notes += [f"{recording.name}: {note}" for note in original.wheel_notes(recording.series)]
     return _Admitted(recording, _standing_time(recording), notes)
