@@ -52,7 +52,7 @@ def k():
     number = SimpleNamespace(
         clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
         passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
-        slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK,
+        slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, torque_at_motor=False, stuck_ns=STUCK,
         axles=AXLES, first_wheel=WHEELS, first_belt=NAMED["belt"],
         speed_variance=4e-4, speed_max_age=0.5, slow_input_max_age_ns=S,
         max_acceleration=8.0, speed_slack=1.0, enable_hold_ns=0, disagreeing_ns=S, bridge=BRIDGE_S,

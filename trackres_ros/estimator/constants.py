@@ -38,6 +38,7 @@ from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.description import FITTED
+from trackres_ros.vehicle.gears import gears_of, no_gears
 
 # Uncertainty of a track's parameters
 
@@ -194,6 +195,9 @@ class Numbers(NamedTuple):
     route_latitude: float  # rad, of the middle of their places
     route_longitude: float
     belt_shows_surface: bool
+    torque_at_motor: bool
+    motor_ratio: float  # motor speed over sprocket speed; nan where the vehicle file gives none
+    motor_efficiency: float
     bearing_friction: float  # bearing friction over weight, at a crawl
     bearing_friction_std: float
     drag_area: float
@@ -250,8 +254,6 @@ class Numbers(NamedTuple):
     two_nodes: bool = False
     rolling_rise: float = 0.0  # s/m, its growth with speed; 0 of tracks
     rolling_rise_std: float = 0.0
-    motor_ratio: float = math.nan  # motor speed over sprocket speed; nan where the vehicle file gives none
-    motor_efficiency: float = math.nan
     torque_scale: float = 1.0  # shown over true torque; 1 of tracks
     torque_offset: float = 0.0  # shown at no torque, over that scale
 
@@ -296,8 +298,9 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
     runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, uncertain)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     acting = effect_table(vehicle.own, vehicle.surroundings)
-    frame = frame_of(vehicle.route)
-
+    frame, gears = frame_of(vehicle.route), gears_of(vehicle)
+    if settings.torque_at == "motor" and gears is None:
+        raise no_gears(str(vehicle.source), bool(vehicle.assemblies))
     fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
         with_uncertainty=uncertain,
@@ -307,6 +310,9 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         route_latitude=frame.latitude,
         route_longitude=frame.longitude,
         belt_shows_surface=settings.belt_sensor == "surface",
+        torque_at_motor=settings.torque_at == "motor",
+        motor_ratio=math.nan if gears is None else gears.ratio,
+        motor_efficiency=math.nan if gears is None else gears.efficiency,
         bearing_friction=chassis.bearing_friction,
         drag_area=chassis.drag_coefficient * chassis.frontal_area,
         drag_area_std=math.hypot(*drag_area_stds(vehicle).values()),
@@ -376,7 +382,7 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
     unused = ParameterUncertainty(np.eye(4))
     spreads = {name: spread(vehicle, name, cache) if uncertain else unused for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
-    chassis, loads = vehicle.chassis, vehicle.nominal_loads()
+    loads = vehicle.nominal_loads()
     resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), layout.CONSIDER_FACTOR))
@@ -408,8 +414,6 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
             "fastest_x": min(each.log_reduced_speed for each in covered),
             "two_nodes": two_nodes,
             "bearing_friction_std": vehicle.parameters["chassis.bearing_friction"].standard_deviation,
-            "motor_ratio": math.nan if chassis.motor_ratio is None else chassis.motor_ratio,
-            "motor_efficiency": math.nan if chassis.motor_efficiency is None else chassis.motor_efficiency,
         },
     )
 

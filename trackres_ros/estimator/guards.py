@@ -248,6 +248,17 @@ def longest_age(k: Constants, memory: Memory) -> float:
 
 
 @kernel
+def at_sprockets(k: Constants, torque: float, speed: float) -> float:
+    """A measured torque at the sprockets [Nm], of one at the motor by `Gears.at_sprockets`."""
+    if not k.number.torque_at_motor:
+        return torque
+    power, ratio, efficiency = torque * speed, k.number.motor_ratio, k.number.motor_efficiency
+    if power > 0.0:
+        return torque * ratio * efficiency
+    return torque * ratio / efficiency if power < 0.0 else torque * ratio
+
+
+@kernel
 def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step observed in the speed [m/s].
 
@@ -552,7 +563,7 @@ def gather(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed
         held_motion(k, memory, layout.YAW_RATE, now),
         held_motion(k, memory, layout.HEADING, now),
         math.nan,  # an odometer starts at any value; the distance is integrated from the speed, as in a fit
-        held_value(memory, layout.TORQUE, now, k.number.torque_hold_ns),
+        at_sprockets(k, held_value(memory, layout.TORQUE, now, k.number.torque_hold_ns), speed),
         slope,
         torque,
         torque_std,

@@ -17,6 +17,7 @@ import numpy as np
 from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.guards import at_sprockets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.gate import ACCELERATES_MPS2, AGAINST, OUTLYING, SPEED_UNSURE, TEXTS, Buckets, Gate, Row
 from trackres_ros.learning.parameters import (
@@ -240,14 +241,15 @@ class Learner:
             self.restart()
             use_file(session.learned)
         self.gate.samples.air, self.gate.samples.of_air = air, session.share_of_air
-        memory = session.memory
+        memory, constants = session.memory, session.estimator.constants
         self.delay.take(
             stamp_ns,
             row[layout.Results.speed_mps],
             row[layout.Results.drive_torque_nm] - row[layout.Results.inertia_nm],
             row[layout.Results.weight_n] * self._inertia,
             int(memory.times[layout.TORQUE, layout.Times.last_stamp]),
-            float(memory.values[layout.TORQUE]) / session.estimator.constants.number.torque_scale,  # an offset delays nothing
+            at_sprockets(constants, float(memory.values[layout.TORQUE]), row[layout.Results.speed_mps])
+            / constants.number.torque_scale,  # an offset delays nothing
             not reasons & SPEED_UNSURE,
         )
         self.learned.ground.drive(

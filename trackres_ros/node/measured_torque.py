@@ -15,10 +15,11 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MPS2, Belief, DisturbanceWatch
 from trackres_ros.estimator.estimator import Estimator, Session
@@ -43,6 +44,9 @@ OUTLIER = 5.0  # standard deviations: limit of a bin
 LEAST_NOISE = 0.001  # of the expected torque: finer than torque transducers are (class 0.1), for a residual without noise
 
 
+Compared = TypeVar("Compared", float, Array)
+
+
 @dataclass(frozen=True)
 class MismatchSettings:
     """Settings of the detector; the field metadata holds unit, limits and meaning of each."""
@@ -64,9 +68,9 @@ class MismatchSettings:
     mismatch_min_speed_mps: float = setting(STEADY_MPS, "m/s", 0.0, 30.0, "lower speeds are not compared")
     mismatch_max_accel: float = setting(STEADY_MPS2, "m/s^2", 0.01, 15.0, "larger accelerations are not compared")
 
-    def compares(self, speed_mps: float, accel_mps2: float) -> bool:
-        """Whether measured and expected torque are compared at a speed [m/s] and an acceleration [m/s^2]."""
-        return abs(speed_mps) >= self.mismatch_min_speed_mps and abs(accel_mps2) <= self.mismatch_max_accel
+    def compares(self, speed_mps: Compared, accel_mps2: Compared) -> Any:
+        """Whether measured and expected torque are compared at a speed [m/s] and an acceleration [m/s^2], numbers or arrays."""
+        return (abs(speed_mps) >= self.mismatch_min_speed_mps) & (abs(accel_mps2) <= self.mismatch_max_accel)
 
 
 @dataclass(frozen=True, slots=True)
