@@ -134,8 +134,8 @@ def warming(xgd24d, agri3t):
 RESTARTS = {
     "first": None,
     "back": Session.start_anew,
-    "standing": lambda session: session.start_cold(driving=False),
-    "driving": lambda session: session.start_cold(driving=True),
+    "standing": lambda session: session.start_cold(is_driving=False),
+    "driving": lambda session: session.start_cold(is_driving=True),
     "off": lambda session: session.begin(session.estimator.rest(session.state, None, 600.0)),
 }
 
@@ -171,7 +171,7 @@ UNHEARD = {  # a time without an ambient temperature [s], and the session after 
     "off twice": (600, lambda session: rested(rested(session, 300.0), 300.0)),
     "driving": (600, lambda session: drive_on(session, 600)),
     "another setting": (600, lambda session: drive_on(with_setting(drive_on(session, 300)), 300, 300)),
-    "reset": (300, lambda session: (session.start_cold(driving=False), session)[1]),
+    "reset": (300, lambda session: (session.start_cold(is_driving=False), session)[1]),
 }
 
 

@@ -80,7 +80,7 @@ def test_times_that_begin_anew_are_after_the_recorded_time_off(reference, tmp_pa
         (tmp_path / f"{name}.csv").write_text("\n".join(["time_s,speed_mps,ambient_degc,stood_s", *part]))
     tr.replay(tmp_path / "first.csv", "xgd24d", save_state=state)
     again = tr.replay(tmp_path / "second.csv", "xgd24d", resume=state)
-    off, _ = snapshot.after_time_off(reference, state, now=999.5 + off_s)
+    off, _ = snapshot.after_time_off(reference, state, wall_s=999.5 + off_s)
     assert again["belt_degc/front_left"][0] == off.belts[0, 0, Belt.temperature] > 17.0
     assert not again.as_dict()["remarks"]
     assert f"after {off_s:g} s off" in again.notes[-1]
@@ -91,8 +91,8 @@ def test_time_off_cools_the_belt(reference, tmp_path):
     session = driven(reference, 60_000)
     warm = session.belts[0, 0, 0]
     snapshot.save(session, tmp_path / "state.json", saved_at=1000.0)
-    soon, off = snapshot.after_time_off(reference, tmp_path / "state.json", now=1600.0, ambient=0.0)
-    late, _ = snapshot.after_time_off(reference, tmp_path / "state.json", now=1000.0 + 86400, ambient=0.0)
+    soon, off = snapshot.after_time_off(reference, tmp_path / "state.json", wall_s=1600.0, ambient=0.0)
+    late, _ = snapshot.after_time_off(reference, tmp_path / "state.json", wall_s=1000.0 + 86400, ambient=0.0)
     assert off == 600.0
     assert 0.0 < soon.belts[0, 0, 0] < warm
     assert late.belts[0, 0, 0] == pytest.approx(0.0, abs=0.01)
@@ -103,7 +103,7 @@ def test_time_off_cools_the_belt(reference, tmp_path):
 def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
     session = driven(reference, 2000)
     snapshot.save(session, tmp_path / "state.json", saved_at=1000.0)
-    again, since = snapshot.after_time_off(reference, tmp_path / "state.json", now=10.0)
+    again, since = snapshot.after_time_off(reference, tmp_path / "state.json", wall_s=10.0)
     assert since == -990.0
     assert again.belts[0, 0, 0] == pytest.approx(session.belts[0, 0, 0], abs=1e-9)
 
@@ -137,7 +137,7 @@ def test_a_file_that_is_not_right_says_why_and_stays(reference, state, damage, s
         snapshot.resume(reference, state)
     assert "delete" not in str(refusal.value)
     with pytest.raises(InputError, match=said):
-        snapshot.after_time_off(reference, state, now=2.0)
+        snapshot.after_time_off(reference, state, wall_s=2.0)
 
 
 def test_a_state_of_another_vehicle_is_refused(carrier, state):

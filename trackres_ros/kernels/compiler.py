@@ -39,8 +39,8 @@ def compiled(text: str, *options: str) -> bytes | None:
         source, library = Path(folder, "source.c"), Path(folder, "library.so")
         source.write_text(text, encoding="utf-8")
         command = [path, *FLAGS, *options, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, cwd=folder, check=False)
-        return library.read_bytes() if done.returncode == 0 else None
+        process = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, cwd=folder, check=False)
+        return library.read_bytes() if process.returncode == 0 else None
 
 
 def loaded(name: str, text: str, *options: str) -> ModuleType | None:

@@ -140,17 +140,17 @@ class Translator:
         if key not in self.instances:
             source = self.source(function)
             names = [argument.arg for argument in source.tree.args.args]
-            one = Instance(function, source, "", dict(zip(names, kinds, strict=True)))
-            one.name = self.unused(f"tr_{function.__name__}")
-            self.instances[key] = one
-            self._running.append(one)
-            self._translate(self, one)
-            one.done = True
+            instance = Instance(function, source, "", dict(zip(names, kinds, strict=True)))
+            instance.name = self.unused(f"tr_{function.__name__}")
+            self.instances[key] = instance
+            self._running.append(instance)
+            self._translate(self, instance)
+            instance.done = True
             self._running.pop()
-        found = self.instances[key]
-        if not found.done:
-            raise refused(found.source, found.source.tree, f"{function.__name__} calls itself", "a loop instead")
-        return found
+        previous = self.instances[key]
+        if not previous.done:
+            raise refused(previous.source, previous.source.tree, f"{function.__name__} calls itself", "a loop instead")
+        return previous
 
     def source(self, function: FunctionType) -> Source:
         """The source of a function."""
@@ -164,12 +164,12 @@ class Translator:
 
     def unused(self, name: str) -> str:
         """A unique name in C."""
-        found, number = name, 1
-        while found in self._names:
+        free_name, number = name, 1
+        while free_name in self._names:
             number += 1
-            found = f"{name}_{number}"
-        self._names.add(found)
-        return found
+            free_name = f"{name}_{number}"
+        self._names.add(free_name)
+        return free_name
 
     # Structs and tables
 
@@ -177,8 +177,8 @@ class Translator:
         """The struct of a record."""
         key = tuple(kind.stored()), kind.name
         if key not in self.structs:
-            short = {REAL: "d", INT: "i", BOOL: "b"}
-            letters = "".join(short.get(part, "p") if isinstance(part, Scalar) else "p" for _, part in kind.stored())
+            letter_of = {REAL: "d", INT: "i", BOOL: "b"}
+            letters = "".join(letter_of.get(part, "p") if isinstance(part, Scalar) else "p" for _, part in kind.stored())
             for _, part in kind.stored():
                 self.declared(part)
             self.structs[key] = (self.unused(f"tr_{kind.name or letters}"), kind)
@@ -227,17 +227,17 @@ class Translator:
 
     def text_of_structs(self, functions: str) -> str:
         """Declarations of the structs that functions use."""
-        needed = {name for name, _ in self.structs.values() if re.search(rf"struct {name}\b", functions)}
+        names = {name for name, _ in self.structs.values() if re.search(rf"struct {name}\b", functions)}
         for name, kind in reversed(self.structs.values()):
-            if name in needed:
-                needed |= {self.structs[tuple(p.stored()), p.name][0] for _, p in kind.stored() if isinstance(p, Record)}
+            if name in names:
+                names |= {self.structs[tuple(p.stored()), p.name][0] for _, p in kind.stored() if isinstance(p, Record)}
         lines = []
         for scalar, count in sorted(self.arrays, key=lambda key: (key[0].name, key[1])):
             lengths = "".join(f"    int64_t n{i};\n" for i in range(count))
             array = self.array(ArrayOf(scalar, (LENGTH,) * count))
             lines.append(f"{array} {{\n    {self.number(scalar)} *at;\n{lengths}}};\n")
         for name, kind in self.structs.values():
-            if name not in needed:
+            if name not in names:
                 continue
             parts = "".join(f"    {self.declared(part)}{safe(field)};\n" for field, part in kind.stored())
             lines.append(f"struct {name} {{\n{parts or '    char nothing;'}}};\n")
@@ -249,7 +249,7 @@ class Translator:
         for name, value in self.tables.values():
             array = np.asarray(value)
             kind = self.number(INT if array.dtype.kind in "iu" else REAL)
-            numbers = [self.literal(one) for one in array.ravel().tolist()]
+            numbers = [self.literal(entry) for entry in array.ravel().tolist()]
             body = ",\n".join(f"    {', '.join(numbers[i : i + A_LINE])}" for i in range(0, len(numbers), A_LINE))
             shape = " x ".join(map(str, array.shape))
             lines.append(f"static const {kind} {name}[{array.size}] = {{ /* {shape} */\n{body}\n}};\n")
@@ -257,36 +257,36 @@ class Translator:
 
     def text_of_functions(self, roots: Sequence[Instance]) -> str:
         """The root functions and all that they call, each after those it calls."""
-        ordered: dict[int, Instance] = {}
+        by_id: dict[int, Instance] = {}
 
-        def visit(one: Instance) -> None:
-            if id(one) not in ordered:
-                for other in one.calls:
-                    visit(other)
-                ordered[id(one)] = one
+        def visit(instance: Instance) -> None:
+            if id(instance) not in by_id:
+                for callee in instance.calls:
+                    visit(callee)
+                by_id[id(instance)] = instance
 
         for root in roots:
             visit(root)
-        return "\n".join(self._text_of(one) for one in ordered.values())
+        return "\n".join(self._text_of(instance) for instance in by_id.values())
 
-    def _text_of(self, one: Instance) -> str:
-        where = one.source.file.partition("trackres_ros/")[2] or one.source.file.rsplit("/", 1)[-1]
-        comment = f"{one.source.summary} ({where})".replace("*/", "* /").encode("ascii", "replace").decode()
-        lines = [f"/* {comment} */", self.head(one), "{", *one.text.splitlines(), "}"]
+    def _text_of(self, instance: Instance) -> str:
+        file = instance.source.file.partition("trackres_ros/")[2] or instance.source.file.rsplit("/", 1)[-1]
+        comment = f"{instance.source.summary} ({file})".replace("*/", "* /").encode("ascii", "replace").decode()
+        lines = [f"/* {comment} */", self.head(instance), "{", *instance.text.splitlines(), "}"]
         return "\n".join(map(_short, lines)) + "\n"
 
-    def head(self, one: Instance) -> str:
+    def head(self, instance: Instance) -> str:
         """Name and parameters of a function."""
         parameters = []
-        for name, kind in one.given:
+        for name, kind in instance.given:
             if isinstance(kind, Record):
                 parameters.append(f"const {self.struct(kind)} *{safe(name)}")
             else:
-                parameters.append(f"{self.declared(kind, name in one.writes)}{safe(name)}")
-        if one.fails:
+                parameters.append(f"{self.declared(kind, name in instance.writes)}{safe(name)}")
+        if instance.fails:
             parameters.append(f"bool *{FAILED}")
-        returns = None if isinstance(one.returns, Const) else one.returns
-        return f"static {self.declared(returns)}{one.name}({', '.join(parameters) or 'void'})"
+        return_kind = None if isinstance(instance.returns, Const) else instance.returns
+        return f"static {self.declared(return_kind)}{instance.name}({', '.join(parameters) or 'void'})"
 
 
 def _short(line: str) -> str:
@@ -297,7 +297,7 @@ def _short(line: str) -> str:
     return textwrap.fill(line, MOST_COLUMNS, subsequent_indent=indent + "    ", break_long_words=False, break_on_hyphens=False)
 
 
-def refused(source: Source, node: ast.AST, given: str, allowed: str) -> InputError:
+def refused(source: Source, node: ast.AST, code: str, allowed: str) -> InputError:
     """The refusal of source that cannot be written in C, with its line."""
     line = source.line + int(getattr(node, "lineno", 1)) - 1
-    return InputError(f"{source.file}:{line}", given, allowed, REMEDY)
+    return InputError(f"{source.file}:{line}", code, allowed, REMEDY)

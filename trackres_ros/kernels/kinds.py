@@ -160,21 +160,26 @@ def narrowed(kind: Kind) -> Kind:
     return REAL if kind == WIDE else kind
 
 
-def joined(one: Kind | None, other: Kind) -> Kind | None:
+def joined(kind: Kind | None, new_kind: Kind) -> Kind | None:
     """The common kind of a variable for both; None if C has none."""
-    if one is None or one == other:
-        return other
-    one, other = widened(one), widened(other)
-    if isinstance(one, Scalar) and isinstance(other, Scalar):
-        return max(one, other, key=WIDTHS.__getitem__)
-    if isinstance(one, Record) and isinstance(other, Record) and len(one.fields) == len(other.fields):
-        parts = [joined(a, b) for (_, a), (_, b) in zip(one.fields, other.fields, strict=True)]
+    if kind is None or kind == new_kind:
+        return new_kind
+    kind, new_kind = widened(kind), widened(new_kind)
+    if isinstance(kind, Scalar) and isinstance(new_kind, Scalar):
+        return max(kind, new_kind, key=WIDTHS.__getitem__)
+    if isinstance(kind, Record) and isinstance(new_kind, Record) and len(kind.fields) == len(new_kind.fields):
+        parts = [joined(a, b) for (_, a), (_, b) in zip(kind.fields, new_kind.fields, strict=True)]
         if None not in parts:
-            names = [name for name, _ in one.fields]
-            return Record(one.name or other.name, tuple(zip(names, parts, strict=True)))  # type: ignore[arg-type]
-    if isinstance(one, ArrayOf) and isinstance(other, ArrayOf) and one.of == other.of and len(one.shape) == len(other.shape):
-        return ArrayOf(one.of, tuple(a if a == b else None for a, b in zip(one.shape, other.shape, strict=True)))
-    return one if one == other else None
+            names = [name for name, _ in kind.fields]
+            return Record(kind.name or new_kind.name, tuple(zip(names, parts, strict=True)))  # type: ignore[arg-type]
+    if (
+        isinstance(kind, ArrayOf)
+        and isinstance(new_kind, ArrayOf)
+        and kind.of == new_kind.of
+        and len(kind.shape) == len(new_kind.shape)
+    ):
+        return ArrayOf(kind.of, tuple(a if a == b else None for a, b in zip(kind.shape, new_kind.shape, strict=True)))
+    return kind if kind == new_kind else None
 
 
 def literal(value: Any, single: bool) -> str:
@@ -182,8 +187,8 @@ def literal(value: Any, single: bool) -> str:
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
     if isinstance(value, int | np.integer):
-        whole = int(value)
-        return f"INT64_C({whole})" if abs(whole) > MOST_OF_INT else str(whole)
+        integer = int(value)
+        return f"INT64_C({integer})" if abs(integer) > MOST_OF_INT else str(integer)
     number = float(np.float32(value)) if single else float(value)
     if math.isnan(number):
         return "NAN"
@@ -222,10 +227,10 @@ def kind_of(hint: Any) -> Kind:
         hint, shape = get_args(hint)
     if isinstance(hint, type) and hasattr(hint, "_fields"):
         fields = get_type_hints(hint, include_extras=True)
-        return Record(record_name(hint), tuple((name, kind_of(of)) for name, of in fields.items()))
+        return Record(record_name(hint), tuple((name, kind_of(field_hint)) for name, field_hint in fields.items()))
     if get_origin(hint) is tuple:
-        return Record("", tuple((f"f{i}", kind_of(of)) for i, of in enumerate(get_args(hint))))
+        return Record("", tuple((f"f{i}", kind_of(field_hint)) for i, field_hint in enumerate(get_args(hint))))
     if get_origin(hint) is np.ndarray:
-        of = get_args(get_args(hint)[1])[0]
-        return ArrayOf(SCALARS[of], tuple(LENGTH if length is None else length for length in shape))
+        field_hint = get_args(get_args(hint)[1])[0]
+        return ArrayOf(SCALARS[field_hint], tuple(LENGTH if length is None else length for length in shape))
     raise TypeError(f"{hint} is no type of a kernel's parameter")

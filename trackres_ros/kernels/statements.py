@@ -81,15 +81,17 @@ class Scopes:
 
 def _smallest(uses: list[tuple[Path, bool]]) -> list[Path]:
     """The outermost blocks that store a variable, if each begins with that and there is no use outside; else none."""
-    stores = {block for block, stored in uses if stored}
-    outermost = [block for block in stores if not any(block != other and block[: len(other)] == other for other in stores)]
-    if any(not any(block[: len(outer)] == outer for outer in outermost) for block, _ in uses):
+    stores = {block for block, is_store in uses if is_store}
+    prefixes = [
+        block for block in stores if not any(block != candidate and block[: len(candidate)] == candidate for candidate in stores)
+    ]
+    if any(not any(block[: len(prefix)] == prefix for prefix in prefixes) for block, _ in uses):
         return []
-    for outer in outermost:
-        first = next(use for use in uses if use[0][: len(outer)] == outer)
-        if first != (outer, True):
+    for prefix in prefixes:
+        first_use = next(use for use in uses if use[0][: len(prefix)] == prefix)
+        if first_use != (prefix, True):
             return []
-    return outermost
+    return prefixes
 
 
 # Calls
@@ -130,33 +132,33 @@ class Calls(Operators):
         values = {name: self.const(default) for name, default in cls._field_defaults.items()} | values
         if set(values) != set(cls._fields):
             raise self.refuse(node, ast.unparse(node)[:80], f"each of {', '.join(cls._fields)}")
-        ordered = [values[name] for name in cls._fields]
+        parts = [values[name] for name in cls._fields]
         reals = {name for name, kind in cls.__annotations__.items() if kind in ("float", float)}
-        kinds = [REAL if name in reals else narrowed(widened(v.kind)) for name, v in zip(cls._fields, ordered, strict=True)]
-        return self.tuple_of(ordered, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
+        kinds = [REAL if name in reals else narrowed(widened(v.kind)) for name, v in zip(cls._fields, parts, strict=True)]
+        return self.tuple_of(parts, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
 
     def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
         """A call of another translated function."""
         names = [a.arg for a in self.translator.source(function).tree.args.args]
-        given = dict(zip(names, values, strict=False)) | {str(k.arg): self.value(k.value) for k in node.keywords}
+        arguments = dict(zip(names, values, strict=False)) | {str(k.arg): self.value(k.value) for k in node.keywords}
         defaults = dict(zip(names[::-1], (function.__defaults__ or ())[::-1], strict=False))
-        given = {name: self.const(value) for name, value in defaults.items()} | given
-        if set(given) != set(names) or len(values) > len(names):
+        arguments = {name: self.const(value) for name, value in defaults.items()} | arguments
+        if set(arguments) != set(names) or len(values) > len(names):
             raise self.refuse(node, ast.unparse(node)[:80], f"the arguments {', '.join(names)}")
-        ordered = [given[name] for name in names]
-        kinds = [v.kind if isinstance(v.const, np.ndarray) else self._passed(v.kind) for v in ordered]
-        one = self.translator.instance(function, kinds)
-        for name, v in given.items():
-            if name in one.writes:
+        argument_values = [arguments[name] for name in names]
+        kinds = [v.kind if isinstance(v.const, np.ndarray) else self._passed(v.kind) for v in argument_values]
+        instance = self.translator.instance(function, kinds)
+        for name, v in arguments.items():
+            if name in instance.writes:
                 if isinstance(v.const, np.ndarray):
                     raise self.refuse(node, ast.unparse(node)[:80], "an array that may change")
                 self.note_written(v)
-        if not one.writes and (one.returns is None or isinstance(one.returns, Const)):
-            return self.const(one.returns.value if isinstance(one.returns, Const) else None)
-        self.calls.append(one)
-        codes = [self.argument(given[name], kind) for name, kind in one.given] + [FAILED] * one.fails
-        kind = Const(None) if one.returns is None else one.returns
-        return Value(kind, f"{one.name}({', '.join(codes)})")
+        if not instance.writes and (instance.returns is None or isinstance(instance.returns, Const)):
+            return self.const(instance.returns.value if isinstance(instance.returns, Const) else None)
+        self.calls.append(instance)
+        codes = [self.argument(arguments[name], kind) for name, kind in instance.given] + [FAILED] * instance.fails
+        kind = Const(None) if instance.returns is None else instance.returns
+        return Value(kind, f"{instance.name}({', '.join(codes)})")
 
     def _passed(self, kind: Kind) -> Kind:
         """The kind of a parameter: single numbers are no constants, so that there is one function for all of them."""
@@ -178,11 +180,11 @@ class Calls(Operators):
     def _of_library(self, node: ast.Call, function: Any, values: list[Value]) -> Value:
         """A call of a function of Python, math or numpy on numbers."""
         if function is len and len(values) == 1:
-            of = values[0]
-            if isinstance(of.const, tuple | np.ndarray):
-                return self.const(len(of.const))
-            if isinstance(of.kind, ArrayOf) and of.kind.shape[0] is not None:
-                return self.length(of, 0)
+            operand = values[0]
+            if isinstance(operand.const, tuple | np.ndarray):
+                return self.const(len(operand.const))
+            if isinstance(operand.kind, ArrayOf) and operand.kind.shape[0] is not None:
+                return self.length(operand, 0)
         if not values or not all(isinstance(widened(v.kind), Scalar) for v in values):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers as arguments")
         if all(v.is_const for v in values):
@@ -190,13 +192,13 @@ class Calls(Operators):
                 return self.const(function(*(v.const for v in values)))
             except (ArithmeticError, ValueError, TypeError):
                 pass
-        found = self._of_numbers(function, values)
-        if found is None:
+        result = self._of_numbers(function, values)
+        if result is None:
             raise self.refuse(node, ast.unparse(node)[:80], ALLOWED)
-        return found
+        return result
 
     def _of_numbers(self, function: Any, values: list[Value]) -> Value | None:
-        first, name = values[0], getattr(function, "__name__", "")
+        operand, name = values[0], getattr(function, "__name__", "")
         module = "numpy" if isinstance(function, np.ufunc) else getattr(function, "__module__", "")
         name = OF_NUMPY.get(name, name) if module == "numpy" else name
         if function in (min, max) and len(values) > 1:
@@ -204,19 +206,19 @@ class Calls(Operators):
         if module not in ("math", "numpy", "builtins") or len(values) != SAME_IN_C.get(name, 2 if name in REMAINDERS else 1):
             return None
         if function is float:
-            return Value(REAL, self.as_real(first), first.binds if first.kind == REAL else UNARY)
+            return Value(REAL, self.as_real(operand), operand.binds if operand.kind == REAL else UNARY)
         if function in (int, math.trunc):
-            return first if first.kind not in REALS else self._whole(self.as_real(first))
+            return operand if operand.kind not in REALS else self._whole(self.as_real(operand))
         if function is bool:
-            return self.truth(ast.Constant(0), first)
+            return self.truth(ast.Constant(0), operand)
         if function is abs or name == "fabs":
-            if widened(first.kind) == INT:
-                return Value(INT, f"tr_abs_int({first.code})")
-            return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(first)})")
+            if widened(operand.kind) == INT:
+                return Value(INT, f"tr_abs_int({operand.code})")
+            return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(operand)})")
         if module == "math" and name in TO_WHOLE:
-            return self._whole(f"{self.translator.call(name)}({self.as_real(first)})")
+            return self._whole(f"{self.translator.call(name)}({self.as_real(operand)})")
         if name in ASKED:
-            return Value(BOOL, f"{name}({self.as_real(first)})")
+            return Value(BOOL, f"{name}({self.as_real(operand)})")
         if name in REMAINDERS and module == "numpy":
             return self.helped("modulo_real", values, REAL)
         if name in SAME_IN_C:
@@ -229,8 +231,8 @@ class Calls(Operators):
 
     def _extreme(self, name: str, values: list[Value]) -> Value:
         kind = narrowed(joined(joined(INT, widened(values[0].kind)), widened(values[1].kind)) or REAL)
-        found = self.helped(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
-        return self._extreme(name, [found, *values[2:]]) if len(values) > 2 else found
+        result = self.helped(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
+        return self._extreme(name, [result, *values[2:]]) if len(values) > 2 else result
 
 
 # Statements
@@ -244,20 +246,20 @@ NAME = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 class Statements(Calls):
     """The statements of one function; `flow.Body` has those that branch and repeat."""
 
-    def __init__(self, translator: Translator, one: Instance) -> None:
-        super().__init__(translator, one)
-        self._tree = one.source.tree
-        self._stores = one.source.stores
+    def __init__(self, translator: Translator, instance: Instance) -> None:
+        super().__init__(translator, instance)
+        self._tree = instance.source.tree
+        self._stores = instance.source.stores
         self._parameters = {a.arg for a in self._tree.args.args}
-        self._of_loops = set(one.source.loops)
-        for name, count in one.source.loops.items():
+        self._of_loops = set(instance.source.loops)
+        for name, count in instance.source.loops.items():
             if name in self._parameters or self._stores[name] != count:
                 raise self.refuse(self._tree, f"{name} of a loop that has another meaning too", "a name of its own for it")
         self._within: list[str] = []
         self._read_before: set[str] = set()
         self._scopes = Scopes()
-        self.kinds = {name: widened(kind) if self._stores[name] else kind for name, kind in one.arguments.items()}
-        self.pointers = {n for n, k in one.arguments.items() if isinstance(k, Record)}
+        self.kinds = {name: widened(kind) if self._stores[name] else kind for name, kind in instance.arguments.items()}
+        self.pointers = {n for n, k in instance.arguments.items() if isinstance(k, Record)}
         self.text = ""
         self.found: Any = None
 
@@ -270,12 +272,12 @@ class Statements(Calls):
         self._loops: list[str] = []
         self._within = []
         self._scopes.begin()
-        ended = self.block(self._tree.body, 1)
-        if not ended and self.one.returns is not None:
+        has_ended = self.block(self._tree.body, 1)
+        if not has_ended and self.one.returns is not None:
             raise self.refuse(self._tree, "a way to its end without a value", "a return at each end")
         at_top = [name for name in self._scopes.at_top if name in self._read_before]
-        declared = [self._declaration(name) for name in at_top if self._is_stored(name)]
-        self.text = "".join(f"    {line}\n" for line in declared) + "".join(self._lines)
+        lines = [self._declaration(name) for name in at_top if self._is_stored(name)]
+        self.text = "".join(f"    {line}\n" for line in lines) + "".join(self._lines)
         for name in [*self.written]:  # a change of a view changes its array
             while (parent := self.parents.get(name)) is not None and parent not in self.written:
                 self.written.add(parent)
@@ -287,8 +289,8 @@ class Statements(Calls):
 
     def _read_names(self) -> set[str]:
         """Names whose value is used: not those that are only assigned."""
-        found = {name for line in self._lines for name in NAME.findall(ONLY_STORED.sub("", COMMENT.sub("", line)))}
-        return {name for name in (*self.kinds, *self._parameters) if safe(name) in found}
+        names = {name for line in self._lines for name in NAME.findall(ONLY_STORED.sub("", COMMENT.sub("", line)))}
+        return {name for name in (*self.kinds, *self._parameters) if safe(name) in names}
 
     # Lines
 
@@ -299,8 +301,8 @@ class Statements(Calls):
     def temporary(self, name: str) -> str:
         """A new name."""
         self._number += 1
-        found = f"{name}_{self._number}"
-        return self.temporary(name) if found in self._stores or found in self._parameters else found
+        free_name = f"{name}_{self._number}"
+        return self.temporary(name) if free_name in self._stores or free_name in self._parameters else free_name
 
     def hoisted(self, value: Value, kind: Kind) -> str:
         """See `Calls`."""
@@ -310,9 +312,9 @@ class Statements(Calls):
 
     def later(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
         """See `Expressions`."""
-        before = len(self._lines)
+        line_count = len(self._lines)
         value = read(node)
-        if len(self._lines) > before:
+        if len(self._lines) > line_count:
             raise self.refuse(node, ast.unparse(node)[:80], "a call with a tuple in a statement of its own, or in an if")
         return value
 
@@ -338,9 +340,9 @@ class Statements(Calls):
     def braces(self) -> Iterator[None]:
         """Translate what follows within braces."""
         self._blocks += 1
-        outer, self._path = self._path, (*self._path, self._blocks)
+        old_path, self._path = self._path, (*self._path, self._blocks)
         yield
-        self._path = outer
+        self._path = old_path
 
     def inner(self, statements: Sequence[ast.stmt], depth: int) -> bool:
         """A block within braces."""

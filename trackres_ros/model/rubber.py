@@ -22,28 +22,28 @@ from trackres_ros.vehicle import Rubber
 STEEPEST_END = 3.0  # of a monotone cubic's slope at its end, over that of the line to the next value
 
 
-def thinned(count: int, each: int) -> Array:
-    """Whole numbers 1 to `count`, of large ones so many that there are `each` for a factor e."""
-    found = [1]
-    while found[-1] < count:
-        found.append(min(count, found[-1] + max(1, found[-1] // each)))
-    return np.array(found, float)
+def thinned(count: int, density: int) -> Array:
+    """Whole numbers 1 to `count`, of large ones so many that there are `density` for a factor e."""
+    numbers = [1]
+    while numbers[-1] < count:
+        numbers.append(min(count, numbers[-1] + max(1, numbers[-1] // density)))
+    return np.array(numbers, float)
 
 
-def cubic_weights(nodes: Array, at: Array) -> Array:
+def cubic_weights(nodes: Array, points: Array) -> Array:
     """Weights of values at rising nodes, four or more, in the values at others, shape (at, nodes).
 
     Each is joined by Lagrange's cubic through the four nodes about it.
     """
-    places = np.clip(np.searchsorted(nodes, at, side="right") - 2, 0, len(nodes) - 4)[:, np.newaxis] + np.arange(4)
+    places = np.clip(np.searchsorted(nodes, points, side="right") - 2, 0, len(nodes) - 4)[:, np.newaxis] + np.arange(4)
     four = nodes[places]
     weights = np.ones(four.shape)
-    for one in range(4):
-        for other in set(range(4)) - {one}:
-            weights[:, one] *= (at - four[:, other]) / (four[:, one] - four[:, other])
-    found = np.zeros((len(at), len(nodes)))
-    np.put_along_axis(found, places, weights, axis=1)
-    return found
+    for i in range(4):
+        for j in set(range(4)) - {i}:
+            weights[:, i] *= (points - four[:, j]) / (four[:, i] - four[:, j])
+    matrix = np.zeros((len(points), len(nodes)))
+    np.put_along_axis(matrix, places, weights, axis=1)
+    return matrix
 
 
 class MonotoneCubic:
@@ -70,19 +70,19 @@ class MonotoneCubic:
 
     def __call__(self, at: ArrayLike) -> Array:
         """Values at others, same shape; beyond the ends by the outer cubics."""
-        given = np.asarray(at, float)
-        piece = np.searchsorted(self._nodes[1:-1], given, side="right")
-        along = given - self._nodes[piece]
-        first, second, third, fourth = (coefficient[piece] for coefficient in self._coefficients)
-        return np.asarray(first + along * (second + along * (third + along * fourth)))
+        points = np.asarray(at, float)
+        piece = np.searchsorted(self._nodes[1:-1], points, side="right")
+        offset = points - self._nodes[piece]
+        c_0, c_1, c_2, c_3 = (coefficient[piece] for coefficient in self._coefficients)
+        return np.asarray(c_0 + offset * (c_1 + offset * (c_2 + offset * c_3)))
 
 
 def _inner(length: Array, line: Array) -> Array:
     """Slopes in the inner nodes."""
-    weight, other = 2.0 * length[1:] + length[:-1], length[1:] + 2.0 * length[:-1]
+    weight, other_weight = 2.0 * length[1:] + length[:-1], length[1:] + 2.0 * length[:-1]
     turns = line[:-1] * line[1:] <= 0.0
-    before, after = (np.where(turns, 1.0, side) for side in (line[:-1], line[1:]))
-    return np.where(turns, 0.0, (weight + other) / (weight / before + other / after))
+    left_slope, right_slope = (np.where(turns, 1.0, side) for side in (line[:-1], line[1:]))
+    return np.where(turns, 0.0, (weight + other_weight) / (weight / left_slope + other_weight / right_slope))
 
 
 def _end(length: Array, line: Array) -> float:
@@ -107,13 +107,13 @@ def log_shift_factor(belt_degc: float, glass_transition: float, c1: float, c2: f
     -----
     WLF about Tg + 50 K, equation (4). Its pole lies at Tg + 50 - C2; below Tg it continues on its tangent.
     """
-    above = belt_degc - glass_transition
-    if above >= 0.0:
-        span = c2 + above - REFERENCE_ABOVE_TG
-        return -c1 * (above - REFERENCE_ABOVE_TG) / span, -c1 * c2 / (span * span)
+    excess = belt_degc - glass_transition
+    if excess >= 0.0:
+        span = c2 + excess - REFERENCE_ABOVE_TG
+        return -c1 * (excess - REFERENCE_ABOVE_TG) / span, -c1 * c2 / (span * span)
     span = c2 - REFERENCE_ABOVE_TG
     slope = -c1 * c2 / (span * span)
-    return c1 * REFERENCE_ABOVE_TG / span + slope * above, slope
+    return c1 * REFERENCE_ABOVE_TG / span + slope * excess, slope
 
 
 class RubberModel:
@@ -138,11 +138,11 @@ class RubberModel:
     def log_shift(self, belt_degc: ArrayLike) -> Array:
         """log10 a_T at temperatures [degC], same shape."""
         r = self.rubber
-        above = np.asarray(belt_degc, dtype=float) - r.glass_transition
-        span = r.wlf_c2 + np.maximum(above, 0.0) - REFERENCE_ABOVE_TG
-        wlf = -r.wlf_c1 * (np.maximum(above, 0.0) - REFERENCE_ABOVE_TG) / span
+        excess = np.asarray(belt_degc, dtype=float) - r.glass_transition
+        span = r.wlf_c2 + np.maximum(excess, 0.0) - REFERENCE_ABOVE_TG
+        wlf = -r.wlf_c1 * (np.maximum(excess, 0.0) - REFERENCE_ABOVE_TG) / span
         slope = -r.wlf_c1 * r.wlf_c2 / (r.wlf_c2 - REFERENCE_ABOVE_TG) ** 2
-        return np.asarray(wlf + slope * np.minimum(above, 0.0))
+        return np.asarray(wlf + slope * np.minimum(excess, 0.0))
 
     def equivalent_temperature(self, log_reduced_frequency: ArrayLike) -> Array:
         """Temperature [degC] of the sweep's point with a reduced frequency log10(a_T f / Hz)."""

@@ -64,7 +64,7 @@ class RouteMap:
 
 def of_kind(route: Sequence[RouteMap], kind: str) -> RouteMap | None:
     """The map of a kind, or None."""
-    return next((one for one in route if one.kind == kind), None)
+    return next((route_map for route_map in route if route_map.kind == kind), None)
 
 
 def frame_of(route: Sequence[RouteMap]) -> Frame:

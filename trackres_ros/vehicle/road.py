@@ -155,8 +155,10 @@ class RoadVehicle:
     def chassis(self) -> Chassis:
         """A track vehicle's quantities other than tracks; its bearing friction is the rolling resistance at a crawl."""
         v = self.values
-        shared = {name: v[name] for name in ("air_density", "rotating_mass_factor", "max_speed", "ambient")}
-        return Chassis(bearing_friction=v["rolling_coefficient"], drag_coefficient=v["drag_area"], frontal_area=1.0, **shared)
+        common_values = {name: v[name] for name in ("air_density", "rotating_mass_factor", "max_speed", "ambient")}
+        return Chassis(
+            bearing_friction=v["rolling_coefficient"], drag_coefficient=v["drag_area"], frontal_area=1.0, **common_values
+        )
 
     @property
     def constants(self) -> VehicleConstants:

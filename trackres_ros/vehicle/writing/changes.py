@@ -46,12 +46,12 @@ class FileChanges:
     by: str = DIAGNOSE  # the command that found it
     amend: Callable[[str], str] = str  # makes the text of the vehicle file that is written, from that with all other changes
 
-    def with_disturbance(self, learned: LearnedDisturbance | None) -> FileChanges:
+    def with_disturbance(self, disturbance: LearnedDisturbance | None) -> FileChanges:
         """The same changes, with a disturbance to watch for."""
-        if learned is None:
+        if disturbance is None:
             return self
-        text = f"{self.text}; and a disturbance to watch with a torque sensor: {learned.disturbance.form}"
-        return replace(self, text=text, disturbance=learned)
+        text = f"{self.text}; and a disturbance to watch with a torque sensor: {disturbance.disturbance.form}"
+        return replace(self, text=text, disturbance=disturbance)
 
     def of(self, kind: str) -> list[Active]:
         """The effects that belong to `vehicle`, `surroundings` or `sensor`, with their intervals as ranges."""
