@@ -11,7 +11,7 @@ from streets import LAP_M, autoregression, drive, slope_at
 
 from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, StreetGraph, gains, learn
 from trackres_ros.diagnosis.inference.noise import estimate_noise
-from trackres_ros.route.matching import Matched, matched, neighbours, places_of
+from trackres_ros.route.matching import Matched, match_tracks, neighbour_pairs, places_of
 from trackres_ros.route.track import track_of
 
 WEIGHT_RADIUS_NM = 60_000.0
@@ -22,8 +22,8 @@ def made(seed, rounds, size=1.0, loads=(1.0,)):
     one, rng = drive(seed, rounds), np.random.default_rng(seed + 100)
     track = track_of(one.distance, one.x, one.y)
     places = places_of([track])
-    whole = matched(places, [track])
-    streets = StreetGraph.of(neighbours(whole), places.table, whole)
+    whole = match_tracks(places, [track])
+    streets = StreetGraph.of(neighbour_pairs(whole), places.table, whole)
     at = whole[0].at(track.nearest(one.distance))
     load = np.array(loads)[np.arange(len(one.speed)) * len(loads) // len(one.speed)]
     force = WEIGHT_RADIUS_NM * load
@@ -148,4 +148,4 @@ def test_a_street_driven_both_ways_closes_no_loop_of_its_own():
     place = np.concatenate([np.arange(60), np.arange(60)[::-1]])
     sign = np.repeat([1.0, -1.0], 60)
     one = Matched(np.stack([place, place], axis=1), np.tile([1.0, 0.0], (120, 1)), np.stack([sign, sign], axis=1), place, place)
-    assert StreetGraph.of(neighbours([one]), np.zeros((60, 4)), [one]).closed.shape == (0, 60)
+    assert StreetGraph.of(neighbour_pairs([one]), np.zeros((60, 4)), [one]).closed.shape == (0, 60)

@@ -20,7 +20,7 @@ from trackres_ros.effects.stepping import FIRST_OWN, effect_table, new_memory
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.kernels.compiler import compiled
+from trackres_ros.kernels.compiler import compile_text
 from trackres_ros.model.track import vehicle_constants
 from trackres_ros.tasks.main import cli
 from trackres_ros.tasks.vehicle import check_vehicle
@@ -169,7 +169,7 @@ def test_editing_an_effect_file_changes_its_code(tmp_path, torque_by):
 def test_an_effect_file_is_compiled_once_and_kept_for_us_alone(tmp_path, torque_by, monkeypatch):
     monkeypatch.setattr(calls, "cache_dir", lambda: tmp_path / "cache")
     made = []
-    monkeypatch.setattr(calls, "compiled", lambda text: made.append(text) or compiled(text))
+    monkeypatch.setattr(calls, "compile_text", lambda text: made.append(text) or compile_text(text))
     for count, damage in ((1, None), (1, bytes), (2, lambda code: code[:-1]), (3, lambda _: b"")):
         (tmp_path / "cache").mkdir(exist_ok=True)
         for kept in (tmp_path / "cache").rglob("*.code"):
@@ -182,7 +182,7 @@ def test_an_effect_file_is_compiled_once_and_kept_for_us_alone(tmp_path, torque_
 
 
 def test_an_untranslatable_effect_names_its_line_and_runs(tmp_path, torque_by, caplog):
-    calls._say.cache_clear()
+    calls._warn_of_python.cache_clear()
     tables = [table_of(tmp_path, float(i), " + len(type(self).text) - 8") for i in range(3)]
     assert [torque_by(table) for table in tables] == [1.0, 11.0, 21.0]
     line = 1 + next(i for i, text in enumerate((tmp_path / "own.py").read_text().split("\n")) if "return Terms" in text)
@@ -190,7 +190,7 @@ def test_an_untranslatable_effect_names_its_line_and_runs(tmp_path, torque_by, c
 
 
 def test_without_a_compiler_an_effect_runs_in_plain_python(tmp_path, torque_by, caplog, monkeypatch):
-    calls._say.cache_clear()
+    calls._warn_of_python.cache_clear()
     monkeypatch.setattr(calls, "compiler", lambda: None)
     (tmp_path / "own.py").write_text(OWN.format(constant=43.0, more="", function="cos", parameters="TORQUE, SHARE"))
     effect = catalogue(tmp_path)["own"]

@@ -40,7 +40,7 @@ from trackres_ros.effects.learned import (
     Curve,
     Latch,
     SidedGain,
-    sized,
+    sized_effect,
 )
 from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
@@ -187,7 +187,7 @@ def test_every_name_is_that_of_one_form():
 
 def test_torques_grow_with_the_vehicle_and_knots_do_not():
     whole = Curve(SPEED, [1.0, 5.0])
-    half = sized(whole, 0.5 * 97920.0)
+    half = sized_effect(whole, 0.5 * 97920.0)
     for q, other in zip(whole.parameters, half.parameters, strict=True):
         factor = 0.5 if q.name.startswith("y") else 1.0
         assert (other.low, other.start, other.high) == pytest.approx((factor * q.low, factor * q.start, factor * q.high))

@@ -17,10 +17,10 @@ from trackres_ros.estimator.disturbance import (
     LONGEST_MEANS,
     MOST_DRIFT,
     DisturbanceWatch,
-    later_level,
-    later_there,
-    seen_level,
-    seen_there,
+    predict_level,
+    predict_presence,
+    update_level,
+    update_presence,
 )
 from trackres_ros.estimator.records import Steps
 from trackres_ros.tasks.replay_run import DisturbanceColumns
@@ -54,26 +54,26 @@ def at_s(watch, time_s):
 
 @given(probability, chance, chance, st.floats(0.0, 1e6))
 def test_ageing_keeps_a_probability_and_moves_it_to_the_share(there, comes, goes, blocks):
-    share, later = comes / (comes + goes), later_there(there, comes, goes, blocks)
+    share, later = comes / (comes + goes), predict_presence(there, comes, goes, blocks)
     assert -1e-12 <= later <= 1.0 + 1e-12
     assert abs(later - share) <= abs(there - share) + 1e-12
-    assert later_there(share, comes, goes, blocks) == pytest.approx(share)
+    assert predict_presence(share, comes, goes, blocks) == pytest.approx(share)
 
 
 @given(probability, chance, chance, st.floats(0.0, 50.0), st.floats(0.0, 50.0))
 def test_ageing_twice_is_ageing_for_both(there, comes, goes, first, second):
-    twice = later_there(later_there(there, comes, goes, first), comes, goes, second)
-    assert twice == pytest.approx(later_there(there, comes, goes, first + second), abs=1e-9)
+    twice = predict_presence(predict_presence(there, comes, goes, first), comes, goes, second)
+    assert twice == pytest.approx(predict_presence(there, comes, goes, first + second), abs=1e-9)
 
 
 def test_a_block_later_it_has_come_or_gone_by_chance():
-    assert later_there(1.0, 0.02, 0.3) == pytest.approx(0.7)
-    assert later_there(0.0, 0.02, 0.3) == pytest.approx(0.02)
+    assert predict_presence(1.0, 0.02, 0.3) == pytest.approx(0.7)
+    assert predict_presence(0.0, 0.02, 0.3) == pytest.approx(0.02)
 
 
 @given(probability, torque, torque, torque, st.floats(1e-6, 1e12))
 def test_what_is_seen_moves_the_probability_to_the_nearer_level(there, mean, rest, level, variance):
-    seen = seen_there(there, mean, (rest, level), variance)
+    seen = update_presence(there, mean, (rest, level), variance)
     assert 0.0 <= seen <= 1.0
     if abs(mean - level) <= abs(mean - rest):
         assert seen >= there * (1.0 - 1e-12)
@@ -83,13 +83,13 @@ def test_what_is_seen_moves_the_probability_to_the_nearer_level(there, mean, res
 
 @given(torque, st.floats(0.0, 1e6), torque)
 def test_a_noiseless_level_is_the_mean_and_a_noisy_one_the_prior(level, variance, mean):
-    assert seen_level(level, variance + 1.0, mean, 0.0) == pytest.approx((mean, 0.0), abs=1e-6)
-    assert seen_level(level, variance, mean, 1e30) == pytest.approx((level, variance), abs=1e-6)
+    assert update_level(level, variance + 1.0, mean, 0.0) == pytest.approx((mean, 0.0), abs=1e-6)
+    assert update_level(level, variance, mean, 1e30) == pytest.approx((level, variance), abs=1e-6)
 
 
 @given(torque, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.1, 1e4))
 def test_a_level_decays_to_zero_and_its_variance_to_the_prior(level, share, keep, size):
-    later, variance = later_level(level, share * size**2, keep, size)
+    later, variance = predict_level(level, share * size**2, keep, size)
     assert abs(later) <= abs(level)
     assert share * size**2 * (1.0 - 1e-9) <= variance <= size**2 * (1.0 + 1e-9)
 

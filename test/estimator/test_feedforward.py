@@ -16,7 +16,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S, approach, feedforward, rate_towards
 from trackres_ros.estimator.motion import ROLLS_FROM
-from trackres_ros.estimator.plausible import towards
+from trackres_ros.estimator.plausible import step_towards
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.vehicle import load
@@ -97,7 +97,7 @@ def test_feedforward_keeps_its_rate_and_resumes_where_it_faded(rate, steps):
 
 @given(ANY, ANY, ANY)
 def test_no_way_leads_beyond_its_ends(here, there, room):
-    found = towards(here, there, room)
+    found = step_towards(here, there, room)
     assert found in (here, there) or min(here, there) < found < max(here, there) or math.isnan(here)
 
 

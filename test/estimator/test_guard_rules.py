@@ -35,8 +35,8 @@ WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
 CHANNELS = WHEELS + 1 + AXLES + ASSEMBLIES
 SHARES_OF_ALL = (0.3, 0.3, 0.25, 0.15)
 
-admit, held_value = guards.admit, guards.held_value
-gather, gather_loads = guards.gather, guards.gather_loads
+admit, held_value = guards.admit_message, guards.held_value
+gather, gather_loads = guards.gather_inputs, guards.gather_loads
 forget_others = guards.forget_others
 
 

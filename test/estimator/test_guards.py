@@ -15,7 +15,7 @@ from trackres_ros.effects.stepping import EACH
 from trackres_ros.estimator.columns import REFUSALS, Belt, Count, Reason
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.snapshot import rested
+from trackres_ros.estimator.snapshot import rest_session
 from trackres_ros.vehicle import load_any
 
 START = 1_700_000_000_000_000_000
@@ -166,9 +166,9 @@ DRIVEN = START + 120 * S
 UNHEARD = {  # a time without an ambient temperature [s], and the session after it
     "night on": (36_000, lambda session: session),
     "pause on": (300, lambda session: session),
-    "night off": (36_000, lambda session: rested(session, 36_000.0)),
-    "pause off": (300, lambda session: rested(session, 300.0)),
-    "off twice": (600, lambda session: rested(rested(session, 300.0), 300.0)),
+    "night off": (36_000, lambda session: rest_session(session, 36_000.0)),
+    "pause off": (300, lambda session: rest_session(session, 300.0)),
+    "off twice": (600, lambda session: rest_session(rest_session(session, 300.0), 300.0)),
     "driving": (600, lambda session: drive_on(session, 600)),
     "another setting": (600, lambda session: drive_on(with_setting(drive_on(session, 300)), 300, 300)),
     "reset": (300, lambda session: (session.start_cold(is_driving=False), session)[1]),

@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.columns import LEARNED, shown
+from trackres_ros.learning.columns import LEARNED, learning_values
 from trackres_ros.learning.delay import (
     EARLIEST_S,
     FIRST_STD_S,
@@ -24,7 +24,7 @@ from trackres_ros.learning.delay import (
     window_delay,
 )
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.store import stored, take
+from trackres_ros.learning.store import learner_content, take_content
 from trackres_ros.vehicle import load_any
 
 START_NS = 1_700_000_000_000_000_000
@@ -227,7 +227,7 @@ def late(road):
 def test_the_learner_says_it_of_the_estimates_own_torque(late):
     """The expected torque of these drives follows a filtered acceleration, so 0.2 s and what its filter lags come together."""
     names = [one.name for one in late.learnables]
-    value, std, state = shown(late)[2 + 3 * names.index("torque_delay") :][:3]
+    value, std, state = learning_values(late)[2 + 3 * names.index("torque_delay") :][:3]
     assert names[-1] == "torque_delay"
     assert state == LEARNED
     assert value > 0.2
@@ -249,7 +249,7 @@ def test_torque_scale_and_offset_of_a_file_change_no_delay(road):
 
 def test_it_is_kept_over_a_restart_but_to_be_confirmed(reference, late):
     again = Learner(reference)
-    take(again, json.loads(json.dumps(stored(late))))
+    take_content(again, json.loads(json.dumps(learner_content(late))))
     assert again.delay.kept.value == late.delay.kept.value
     assert again.delay.kept.known
     again.age(3600.0)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.learning.parameters import aged, conditional_mean, corrected, expected, spread
+from trackres_ros.learning.parameters import age_estimate, conditional_mean, correct_estimate, expected_residual, spread
 
 SIZE = 4
 
@@ -24,7 +24,7 @@ def test_an_update_never_raises_variance_and_stays_a_covariance(seed, variance, 
     mean, looks = random.normal(size=SIZE), random.normal(size=SIZE)
     mask = np.array([bool(free >> i & 1) for i in range(SIZE)])
     before_mean, before = mean.copy(), covariance.copy()
-    corrected(mean, covariance, looks, departure, variance, mask)
+    correct_estimate(mean, covariance, looks, departure, variance, mask)
     assert covariance == pytest.approx(covariance.T, abs=1e-9)
     assert np.linalg.eigvalsh(covariance).min() > -1e-9
     assert np.array_equal(mean[~mask], before_mean[~mask])
@@ -40,7 +40,7 @@ def test_it_is_least_squares_with_a_prior():
     measured = looks @ truth + random.normal(0.0, 0.5, 50)
     mean, covariance = np.zeros(SIZE), prior.copy()
     for row, value in zip(looks, measured, strict=True):
-        corrected(mean, covariance, row, value - expected(mean, row), 0.25, np.ones(SIZE, dtype=bool))
+        correct_estimate(mean, covariance, row, value - expected_residual(mean, row), 0.25, np.ones(SIZE, dtype=bool))
     information = np.linalg.inv(prior) + looks.T @ looks / 0.25
     assert covariance == pytest.approx(np.linalg.inv(information), rel=1e-6, abs=1e-9)
     assert mean == pytest.approx(np.linalg.solve(information, looks.T @ measured / 0.25), rel=1e-6)
@@ -50,7 +50,7 @@ def test_what_ages_goes_to_what_it_is_without_being_seen():
     mean, covariance = np.ones(SIZE), np.eye(SIZE)
     keep = np.full(SIZE, 0.9)
     for _ in range(500):
-        aged(mean, covariance, keep, np.full(SIZE, 4.0 * (1.0 - 0.81)))
+        age_estimate(mean, covariance, keep, np.full(SIZE, 4.0 * (1.0 - 0.81)))
     assert mean == pytest.approx(0.0, abs=1e-9)
     assert np.diag(covariance) == pytest.approx(4.0)
 
@@ -59,7 +59,7 @@ def test_if_only_a_sum_is_known_one_free_part_takes_all_of_it():
     mean, covariance = np.zeros(2), np.diag([4.0, 1.0])
     looks = np.ones(2)
     for _ in range(200):
-        corrected(mean, covariance, looks, 1.0 - expected(mean, looks), 0.01, np.ones(2, dtype=bool))
+        correct_estimate(mean, covariance, looks, 1.0 - expected_residual(mean, looks), 0.01, np.ones(2, dtype=bool))
     assert mean == pytest.approx([0.8, 0.2], abs=1e-3)
     only_first = np.array([True, False])
     assert conditional_mean(mean, covariance, only_first) == pytest.approx([1.0, 0.0], abs=1e-3)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import trackres_ros as tr
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.columns import HELD, lines, shown
+from trackres_ros.learning.columns import HELD, learning_values, lines
 from trackres_ros.learning.gate import UNSURE
 from trackres_ros.learning.learner import Learner, apply_departures, target_departures
 from trackres_ros.learning.parameters import (
@@ -26,7 +26,7 @@ from trackres_ros.learning.parameters import (
     STATES,
     STEP,
     VEHICLES_OWN,
-    corrected,
+    correct_estimate,
     learnables,
     limits_of,
     make_prior,
@@ -169,7 +169,7 @@ def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
                 level[0] = keep * level[0] + 100.0 * np.sqrt(1.0 - keep**2) * random.normal()
             return torque + level[0]
 
-        learner = road("watch").drive(20.0, shown).learner
+        learner = road("watch").drive(20.0, learning_values).learner
         past = learner.learned.past
         shares.append(past.slow / (past.slow + past.white))
     assert shares[0] < 0.2
@@ -275,12 +275,12 @@ def test_acting_values_are_as_uncertain_as_they_lag_and_wander(reference):
 def test_a_value_at_its_bound_is_neither_learned_nor_written(driven_before, tmp_path):
     driven = driven_before("on")
     learner = driven.learner
-    assert HELD not in shown(learner)
+    assert HELD not in learning_values(learner)
     learner.learned.mean[at.OF_LOSS] = learner.prior.high[at.OF_LOSS]
     refused = write_learned(learner, driven.session.estimator.vehicle, tmp_path / "v.yaml")
     assert (refused.written, refused.why_not) == ((), learner.text)
     assert learner.text.endswith("with an unknown error: loss_modulus_scale")
-    assert HELD in shown(learner)
+    assert HELD in learning_values(learner)
 
 
 def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
@@ -376,7 +376,7 @@ def test_unrenewed_belt_departures_fade_but_not_the_vehicles(driven_before, how)
     acting = at.Learned(driven.session.learned).departures
     assert acting[at.OF_BELT] == pytest.approx(10.0 * math.exp(-1.0), rel=0.05)
     assert np.delete(acting, at.OF_BELT) == pytest.approx(np.delete(before, at.OF_BELT), abs=1e-12)
-    said = {name: dict(known)["acts"] == "true" for name, _, known in lines(driven.learner, shown(driven.learner))}
+    said = {name: dict(known)["acts"] == "true" for name, _, known in lines(driven.learner, learning_values(driven.learner))}
     assert said == {one.name: one.state in VEHICLES_OWN and before[one.state] != 0.0 for one in driven.learner.learnables}
 
 
@@ -465,7 +465,7 @@ def test_an_error_of_the_rise_is_in_the_stated_stds(slowest, fastest):
         looks = np.zeros(STATES)
         looks[list(rolling)] = of_rolling, of_drag
         measured = off + random.normal(0.0, noise)
-        corrected(mean, covariance, looks, measured - mean @ looks, noise**2, np.ones(STATES, dtype=bool))
+        correct_estimate(mean, covariance, looks, measured - mean @ looks, noise**2, np.ones(STATES, dtype=bool))
         learner.buckets.count(speed, 20.0, vehicle.weight, 0.0)
     stated, known = learner.stds(covariance, learner.own), np.sqrt(np.diag(covariance))
     for state in rolling:

@@ -15,7 +15,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import STEP
-from trackres_ros.learning.store import stored, take
+from trackres_ros.learning.store import learner_content, take_content
 from trackres_ros.units import GRAVITY, SECOND_NS
 from trackres_ros.vehicle import load_any
 
@@ -29,7 +29,7 @@ def learner(road):
 
 def _read_back(estimator, learner):
     read = Learner(estimator)
-    take(read, json.loads(json.dumps(stored(learner))))
+    take_content(read, json.loads(json.dumps(learner_content(learner))))
     return read
 
 
@@ -42,7 +42,7 @@ def test_every_state_of_a_learner_is_read_back_bit_by_bit(seed):
         stamp, slope = START_NS + i * SECOND_NS // 2, 0.05 * np.sin(i / 30.0)
         speed = 20.0 + 12.0 * np.sin(i / 80.0)
         if i % 20 == 0:
-            assert stored(_read_back(estimator, learner)) == stored(learner)
+            assert learner_content(_read_back(estimator, learner)) == learner_content(learner)
             off = learner.prior.rolling_nm * (random.normal() - 1.0) * random.choice([0.1, 0.1, 30.0])
         height += 0.5 * speed * slope
         session.handle(at.TORQUE, stamp, stamp, drive + off + random.normal(0.0, 5.0))
@@ -57,19 +57,19 @@ def test_a_step_between_the_largest_torques_is_read_back(reference, learner):
     low, high = reference.constants.channel_limits[at.TORQUE]
     stepped = copy.deepcopy(learner)
     stepped.learned.covariance[STEP, STEP] += (high - low) ** 2
-    assert stored(_read_back(reference, stepped)) == stored(stepped)
+    assert learner_content(_read_back(reference, stepped)) == learner_content(stepped)
 
 
 @given(data=st.data())
 def test_what_no_learning_leaves_is_refused_and_leaves_it_as_new(reference, learner, data):
-    content = copy.deepcopy(stored(learner))
+    content = copy.deepcopy(learner_content(learner))
     part = data.draw(st.sampled_from(sorted(content)))
     name = data.draw(st.sampled_from(sorted(content[part])))
     content[part][name] = data.draw(st.sampled_from([None, "abc", [], {}, "-inf", 1.5, ["0x1.0p+0"]]))
     fresh = Learner(reference)
     with pytest.raises(ValueError, match="learned parameters"):
-        take(fresh, content)
-    assert stored(fresh) == stored(Learner(reference))
+        take_content(fresh, content)
+    assert learner_content(fresh) == learner_content(Learner(reference))
 
 
 @pytest.mark.parametrize(
@@ -83,8 +83,8 @@ def test_what_no_learning_leaves_is_refused_and_leaves_it_as_new(reference, lear
     ],
 )
 def test_a_number_that_no_learner_has_is_refused(reference, learner, place, value, said):
-    content = copy.deepcopy(stored(learner))
+    content = copy.deepcopy(learner_content(learner))
     part, name, last = place
     content[part][name][last] = value.hex()
     with pytest.raises(ValueError, match=said):
-        take(Learner(reference), content)
+        take_content(Learner(reference), content)

@@ -24,7 +24,7 @@ from trackres_ros.model.belt import (
 )
 from trackres_ros.model.hysteresis import HARMONICS, METHODS, RainflowCount, Spectral
 from trackres_ros.model.loss_table import HARMONICS_EACH, TABLE_HARMONICS, log_speeds
-from trackres_ros.model.rubber import RubberModel, thinned
+from trackres_ros.model.rubber import RubberModel, thinned_numbers
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.belt_bulk import wrapped_radius
@@ -216,7 +216,7 @@ def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle, track):
 def test_a_thinned_table_method_has_the_loss_of_all_harmonics(vehicle, track):
     random, rubber, loads = np.random.default_rng(2), RubberModel(vehicle.rubber), load_range(vehicle, track.name)
     speed = 10.0 ** (random.uniform(*log_speeds(rubber), 100) - rubber.log_shift(20.0))
-    at, nodes = (speed, 20.0, random.uniform(loads.low, loads.high, 100)), thinned(TABLE_HARMONICS, HARMONICS_EACH)
+    at, nodes = (speed, 20.0, random.uniform(loads.low, loads.high, 100)), thinned_numbers(TABLE_HARMONICS, HARMONICS_EACH)
     few, every = (Spectral(track, rubber, TABLE_HARMONICS, some).loss_force(*at) for some in (nodes, None))
     assert len(nodes) < TABLE_HARMONICS / 5
     assert np.abs(few.total / every.total - 1.0).max() < 2e-5

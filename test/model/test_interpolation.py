@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
-from trackres_ros.model.rubber import MonotoneCubic, cubic_weights, thinned
+from trackres_ros.model.rubber import MonotoneCubic, cubic_weights, thinned_numbers
 
 steps = st.lists(st.floats(0.1, 10.0), min_size=4, max_size=12)
 heights = st.lists(st.sampled_from([-2.0, -0.3, 0.0, 0.0, 0.5, 4.0]), min_size=12, max_size=12)
@@ -30,7 +30,7 @@ def test_at_a_node_the_value_is_that_of_the_node():
 
 @given(count=st.integers(4, 5000), each=st.integers(2, 100))
 def test_thinned_numbers_are_dense_as_their_logarithm(count, each):
-    found = thinned(count, each)
+    found = thinned_numbers(count, each)
     assert (found[0], found[-1]) == (1, count)
     assert np.array_equal(found, np.unique(np.round(found)))
     assert (np.diff(found) <= np.maximum(1.0, found[:-1] / each)).all()

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.route import lookup as of
-from trackres_ros.route.lookup import NOWHERE, PLACE_COLUMNS, between, learned_at, lookup_of
+from trackres_ros.route.lookup import NOWHERE, PLACE_COLUMNS, learned_at, lookup_of, neighbour_places
 
 AREA_M = 120.0
 
@@ -49,7 +49,7 @@ def by_hand(places, x, y, east, north):
 def test_the_lookup_finds_the_places_an_exhaustive_search_finds(seed, x, y, turn):
     places = drawn(seed, 60)
     cells, rows = lookup_of([places])
-    behind, ahead, share, _, _ = between(cells, rows, 0, x, y, math.cos(turn), math.sin(turn))
+    behind, ahead, share, _, _ = neighbour_places(cells, rows, 0, x, y, math.cos(turn), math.sin(turn))
     found = tuple(int(rows[i, of.NUMBER]) if i >= 0 else -1 for i in (behind, ahead))
     wanted = by_hand(places, x, y, math.cos(turn), math.sin(turn))
     assert found == wanted[:2]
@@ -79,6 +79,6 @@ def test_what_is_learned_lies_between_that_of_the_places(seed, x, y, turn):
 def test_nothing_is_found_far_away_nor_where_nothing_is():
     lookup = lookup_of([drawn(1, 60)])
     for x, y in ((1e5, 0.0), (1e12, -1e12), (math.nan, 0.0), (0.0, math.inf)):
-        assert between(*lookup, 0, x, y, 1.0, 0.0) == NOWHERE
+        assert neighbour_places(*lookup, 0, x, y, 1.0, 0.0) == NOWHERE
     for empty in (lookup_of([]), lookup_of([np.empty((0, PLACE_COLUMNS))])):
-        assert between(*empty, 0, 0.0, 0.0, 1.0, 0.0) == NOWHERE
+        assert neighbour_places(*empty, 0, 0.0, 0.0, 1.0, 0.0) == NOWHERE

@@ -8,14 +8,14 @@ import pytest
 from streets import LAP_M, LATITUDE, LONGITUDE, drive, place_at
 
 from trackres_ros.route.lookup import SPACING_M
-from trackres_ros.route.matching import matched, neighbours, places_of
+from trackres_ros.route.matching import match_tracks, neighbour_pairs, places_of
 from trackres_ros.route.track import LONGEST_GAP_M, Frame, track_of
 
 
 def matched_drive(one):
     track = track_of(one.distance, one.x, one.y)
     places = places_of([track])
-    whole = matched(places, [track])[0]
+    whole = match_tracks(places, [track])[0]
     return places, whole, whole.at(track.nearest(one.distance))
 
 
@@ -69,7 +69,7 @@ def test_streets_that_cross_have_places_of_their_own():
     tracks = [track_of(along, along - 300.0, level), track_of(along, level, along - 300.0)]
     places = places_of(tracks)
     assert len(places) == len(places_of(tracks[:1])) + len(places_of(tracks[1:]))
-    pairs = neighbours(matched(places, tracks))
+    pairs = neighbour_pairs(match_tracks(places, tracks))
     half = len(places_of(tracks[:1]))
     assert not any(a < half <= b for a, b in pairs)
 
@@ -79,7 +79,7 @@ def test_neighbours_say_whether_they_point_the_same_way():
     level = np.zeros_like(along)
     one_way, the_other = track_of(along, along, level), track_of(along, 760.0 - along, level)
     places = places_of([one_way, the_other])
-    pairs = neighbours(matched(places, [one_way, the_other, track_of(2.0 * along, 2.0 * along, np.zeros_like(along))]))
+    pairs = neighbour_pairs(match_tracks(places, [one_way, the_other, track_of(2.0 * along, 2.0 * along, np.zeros_like(along))]))
     east = places.table[:, 2]
     assert all(sign == east[a] * east[b] for (a, b), sign in pairs.items())
     assert min(pairs.values()) == -1.0
@@ -90,7 +90,7 @@ def test_standing_still_is_no_pass_and_no_direction():
     x = np.minimum(np.concatenate([np.arange(0.0, 300.0, 5.0), 295.0 + np.random.default_rng(1).normal(0.0, 5.0, 600)]), 330.0)
     track = track_of(distance, x, np.zeros_like(x))
     places = places_of([track])
-    assert matched(places, [track])[0].number.max() == 0
+    assert match_tracks(places, [track])[0].number.max() == 0
     assert len(track) < 40
 
 

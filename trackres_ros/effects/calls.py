@@ -36,7 +36,7 @@ from trackres_ros.effects.effect import (
 from trackres_ros.errors import InputError
 from trackres_ros.files.cache import fetched, keep, usable
 from trackres_ros.files.resources import cache_dir
-from trackres_ros.kernels.compiler import FLAGS, compiled, compiler
+from trackres_ros.kernels.compiler import FLAGS, compile_text, compiler
 from trackres_ros.kernels.kinds import REAL, ArrayOf
 from trackres_ros.kernels.marks import SLOWER, interpreted
 
@@ -91,16 +91,16 @@ def address_of(kind: type[Any], method: str, names: tuple[str, ...]) -> int | No
     if interpreted():
         return None
     if compiler() is None:
-        _say(f"effect {kind.__name__}", "there is no C compiler")
+        _warn_of_python(f"effect {kind.__name__}", "there is no C compiler")
         return None
     try:
         text = _text(kind, method, names)
     except InputError as error:
-        _say(f"effect {kind.__name__}", str(error))
+        _warn_of_python(f"effect {kind.__name__}", str(error))
         return None
     library = _library(text)
     if library is None:
-        _say(f"effect {kind.__name__}", f"{compiler()} does not compile it")
+        _warn_of_python(f"effect {kind.__name__}", f"{compiler()} does not compile it")
         return None
     return ctypes.cast(getattr(library, NAME), ctypes.c_void_p).value
 
@@ -138,7 +138,7 @@ def _library(text: str) -> ctypes.CDLL | None:
     folder = usable(None if base is None else base / "effects")
     code = fetched(folder, name, LARGEST)
     if code is None:
-        code = compiled(text)
+        code = compile_text(text)
         if code is None:
             return None
         keep(folder, name, code)
@@ -149,7 +149,7 @@ def _library(text: str) -> ctypes.CDLL | None:
 
 
 @cache
-def _say(subject: str, reason: str) -> None:
+def _warn_of_python(subject: str, reason: str) -> None:
     _log.warning("trackres: %s runs in plain Python, about %d times slower: %s", subject, SLOWER, reason)
 
 
@@ -163,14 +163,14 @@ Function = tuple[type[Effect], str, tuple[str, ...]]
 
 def call_at(number: int, instant: Array, values: Array, answer: Array) -> None:
     """Call an effect's function by its number; compiled code does so without leaving itself."""
-    if number <= len(shipped()):
-        _in_python(int(number))(instant, values, answer)
+    if number <= len(package_functions()):
+        _python_call(int(number))(instant, values, answer)
     else:
         C_FUNCTION(int(number))(instant.ctypes.data, values.ctypes.data, answer.ctypes.data)
 
 
 @cache
-def shipped() -> dict[Function, int]:
+def package_functions() -> dict[Function, int]:
     """The functions of all effects of the package, with their numbers from 1."""
     from trackres_ros.effects.learned import examples
     from trackres_ros.effects.registry import catalogue
@@ -194,7 +194,7 @@ def numbers_of(effect: Effect) -> tuple[int, int]:
 
 def number_of(effect: Effect, method: str, compiled: bool = True) -> int:
     """The number of a function; of a user's effect in C, if allowed and possible, or in plain Python."""
-    number = shipped().get(function_of(effect, method))
+    number = package_functions().get(function_of(effect, method))
     if number is not None:
         return number
     address = address_of(*function_of(effect, method)) if compiled else None
@@ -204,7 +204,7 @@ def number_of(effect: Effect, method: str, compiled: bool = True) -> int:
 def is_compiled(effect: Effect) -> bool:
     """Whether the compiled step calls C for an effect, not plain Python."""
     functions = [function_of(effect, method) for method in methods_of(effect)]
-    return all(function in shipped() or address_of(*function) is not None for function in functions)
+    return all(function in package_functions() or address_of(*function) is not None for function in functions)
 
 
 def reads_drag_area(effect: Effect) -> bool:
@@ -228,9 +228,9 @@ def function_of(effect: Effect, method: str) -> Function:
 
 
 @cache
-def _in_python(number: int) -> Callable[[Array, Array, Array], None]:
+def _python_call(number: int) -> Callable[[Array, Array, Array], None]:
     """A function of the package in plain Python."""
-    kind, method, names = list(shipped())[number - 1]
+    kind, method, names = list(package_functions())[number - 1]
     run, answer_count = getattr(kind, method), ANSWERS[method]
 
     def call(instant: Array, values: Array, answer: Array) -> None:

@@ -87,14 +87,14 @@ def variable(at: Conditions, code: float) -> float:
 
 
 @kernel
-def beyond(x: float, low: float, high: float) -> float:
+def is_beyond(x: float, low: float, high: float) -> float:
     """1 where a variable is outside of its driven range, with a margin, else 0."""
     margin = MARGIN * (high - low)
     return 1.0 if x < low - margin or x > high + margin else 0.0
 
 
 @kernel
-def latched(x: float, state: float, off: float, on: float) -> float:
+def latch_state(x: float, state: float, off: float, on: float) -> float:
     """1 if a latch is on now, given its last state `state`, else 0."""
     if x > on:
         return 1.0
@@ -144,7 +144,7 @@ class Curve(EmpiricalEffect):
     def terms(self, at: Conditions, p: Values) -> Terms:
         count = (len(p) - CODES) // 2
         x, knot, end = variable(at, p[0]), CODES, CODES + count - 1
-        is_outside = beyond(x, p[knot], p[end]) if count > 1 else 0.0
+        is_outside = is_beyond(x, p[knot], p[end]) if count > 1 else 0.0
         if x >= p[end]:
             return Terms(torque=p[end + count] * at.direction, extrapolated=is_outside)
         if x <= p[knot]:
@@ -192,7 +192,7 @@ class Corner(EmpiricalEffect):
             share = min(max((x - p[2]) / (high - p[2]), 0.0), 1.0)
         else:
             share = min(max((p[2] - x) / (p[2] - low), 0.0), 1.0)
-        return Terms(torque=p[5] * share * at.direction, extrapolated=beyond(x, low, high))
+        return Terms(torque=p[5] * share * at.direction, extrapolated=is_beyond(x, low, high))
 
 
 class Latch(EmpiricalEffect):
@@ -223,12 +223,12 @@ class Latch(EmpiricalEffect):
         )
 
     def lag(self, at: Conditions, p: Values) -> Lag:
-        return Lag(latched(variable(at, p[0]), at.own, p[1], p[2]), LATCHES_S, 0.0)
+        return Lag(latch_state(variable(at, p[0]), at.own, p[1], p[2]), LATCHES_S, 0.0)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         x = variable(at, p[0])
-        state = latched(x, at.own, p[1], p[2])
-        return Terms(torque=p[5] * state * at.direction, extrapolated=beyond(x, p[3], p[4]))
+        state = latch_state(x, at.own, p[1], p[2])
+        return Terms(torque=p[5] * state * at.direction, extrapolated=is_beyond(x, p[3], p[4]))
 
 
 class SidedGain(EmpiricalEffect):
@@ -277,7 +277,7 @@ OTHERS: dict[str, Callable[[], EmpiricalEffect]] = {
 NAMES = (*CURVES, *OTHERS)
 
 
-def learned(name: str, parameters: object, size: float) -> EmpiricalEffect:
+def learned_effect(name: str, parameters: object, size: float) -> EmpiricalEffect:
     """The effect of a name with as many knots as parameters ask for, for a vehicle with a weight times wheel radius [Nm]."""
     if name in CURVES:
         heights = [key for key in parameters if str(key).startswith("y")] if isinstance(parameters, Mapping) else []
@@ -285,7 +285,7 @@ def learned(name: str, parameters: object, size: float) -> EmpiricalEffect:
         effect: EmpiricalEffect = Curve(CURVES[name], [0.0] * count)
     else:
         effect = OTHERS[name]()
-    return sized(effect, size)
+    return sized_effect(effect, size)
 
 
 def examples() -> list[EmpiricalEffect]:
@@ -294,7 +294,7 @@ def examples() -> list[EmpiricalEffect]:
     return [*curves, *(factory() for factory in OTHERS.values())]
 
 
-def sized(effect: EmpiricalEffect, size: float) -> EmpiricalEffect:
+def sized_effect(effect: EmpiricalEffect, size: float) -> EmpiricalEffect:
     """The same for a vehicle with a weight times wheel radius [Nm]."""
     effect_copy = copy.copy(effect)
     effect_copy.parameters = tuple(q.times(size / REFERENCE_NM) if q.of_size else q for q in effect.parameters)

@@ -44,7 +44,7 @@ from trackres_ros.effects.effect import (
     conditions,
 )
 from trackres_ros.effects.learned import NAMES as LEARNED
-from trackres_ros.effects.learned import EmpiricalEffect, learned
+from trackres_ros.effects.learned import EmpiricalEffect, learned_effect
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.kernels.kinds import LARGEST_WHOLE
 
@@ -82,7 +82,7 @@ class Whole(Function):
         return number
 
 
-def _replaced(value: Any) -> Any:
+def _replace_functions(value: Any) -> Any:
     name = getattr(value, "__name__", "")
     if value in (int, math.floor, math.ceil, math.trunc):
         return Whole(value)
@@ -90,8 +90,12 @@ def _replaced(value: Any) -> Any:
 
 
 MATH = ModuleType("math")
-MATH.__dict__.update({name: _replaced(value) for name, value in vars(math).items()})
-REPLACED = {id(math): MATH, id(int): _replaced(int), **{id(value): vars(MATH)[name] for name, value in vars(math).items()}}
+MATH.__dict__.update({name: _replace_functions(value) for name, value in vars(math).items()})
+REPLACED = {
+    id(math): MATH,
+    id(int): _replace_functions(int),
+    **{id(value): vars(MATH)[name] for name, value in vars(math).items()},
+}
 
 
 class AsItIs(SourceFileLoader):
@@ -145,7 +149,7 @@ def catalogue(
         kinds = _effects_in(_module_of(path))
         if not kinds:
             raise InputError(str(path), "no class derived from trackres_ros.effects.Effect", "at least one in each file")
-        for effect in (_own(kind, path) for kind in kinds):
+        for effect in (_make_own_effect(kind, path) for kind in kinds):
             if effect.name in effects or effect.name in LEARNED:
                 raise InputError(f"{path}: name", effect.name, "a name that no other effect has")
             effects[effect.name] = effect
@@ -165,7 +169,7 @@ def check_effects(
     Parameters
     ----------
     effects_by_name
-        Effects with a name; learned effects without one, see `learned`, may be listed too.
+        Effects with a name; learned effects without one, see `learned.learned_effect`, may be listed too.
     size
         Weight times wheel radius of the vehicle [Nm].
     kind
@@ -184,7 +188,7 @@ def check_effects(
         if name not in effects_by_name and name not in LEARNED:
             allowed = f"one of {', '.join(effects_by_name)}, or one that a diagnosis has learned"
             raise InputError(f"{place}: effect", name, allowed, nearest(str(name), [*effects_by_name, *LEARNED]))
-        effect = learned(name, values, size) if name in LEARNED else effects_by_name[name]
+        effect = learned_effect(name, values, size) if name in LEARNED else effects_by_name[name]
         if effect.belongs_to != belongs_to:
             raise InputError(f"{place}: effect", name, f"effects of the {belongs_to}", ELSEWHERE[effect.belongs_to])
         if kind is not None and (reason := effect.unsuited(kind)):
@@ -229,7 +233,7 @@ def _effects_in(module: ModuleType) -> list[type[Effect]]:
     ]
 
 
-def _own(kind: type[Effect], path: Path) -> Effect:
+def _make_own_effect(kind: type[Effect], path: Path) -> Effect:
     """An effect of a user's file. Raises InputError whatever is wrong with it."""
     try:
         effect = kind()

@@ -180,7 +180,7 @@ def new_memory(count: int) -> Array:
     return memory
 
 
-def cooled(memory: Array) -> Array:
+def cool_memory(memory: Array) -> Array:
     """Memory after a restart: effects' own states as after a long rest; the distance driven stays."""
     cold_memory = new_memory((len(memory) - FIRST_OWN) // EACH)
     cold_memory[DISTANCE] = memory[DISTANCE]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from trackres_ros.arrays import Array
 from trackres_ros.effects.stepping import ALL_WELL, FACT, TERM, pass_gap_of_effects, set_conditions, step_effects
-from trackres_ros.estimator.belt import belt_variance, correct_belt, log_speed, loss_force, pass_gap, roll, surface
+from trackres_ros.estimator.belt import belt_variance, correct_belt, log_speed, loss_force, pass_gap, roll_belt, surface
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
     LEARNABLE,
@@ -146,7 +146,7 @@ def advance_belt(
     if road.dt > k.number.bridge:
         pass_gap(k, scratch, assembly, belt, road.last_speed, road.speed, log_load, road.ambient, road.ambient_std, road.dt)
     elif road.dt > 0.0:
-        return roll(
+        return roll_belt(
             k, scratch.effects.terms, assembly, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive,
             road.ambient, road.ambient_std, road.dt,
         )  # fmt: skip
@@ -244,7 +244,7 @@ OUTSIDE = int(Reason.OUTSIDE_TABLE)
 
 
 @kernel
-def measure(
+def compare_belt(
     k: Constants, terms: Array, assembly: Assembly, belt: Array, measured_degc: float, ambient: float, speed: float
 ) -> int:
     """Correct one belt by a new measurement [degC]; return the reasons."""
@@ -341,7 +341,7 @@ def advance_assembly(
     part.heat = heat_in / road.dt if road.dt > 0.0 else 0.0
     part.cooling = heat_out / road.dt if road.dt > 0.0 else 0.0
     if not math.isnan(measured_degc):
-        reasons |= measure(k, terms, assembly, belt, measured_degc, road.ambient, road.speed)
+        reasons |= compare_belt(k, terms, assembly, belt, measured_degc, road.ambient, road.speed)
     loss, slope = loss_force(k, terms, assembly, mean.temperature, road.log10_speed, log_load, drive)
     unsigned, by_temperature = assembly.radius * loss, assembly.radius * slope
     part.hysteresis = unsigned * road.sign

@@ -339,7 +339,7 @@ MOST_SUBSTEPS = 20000
 
 
 @kernel
-def roll(
+def roll_belt(
     k: Constants,
     terms: Array,
     assembly: Assembly,
@@ -402,12 +402,12 @@ def pass_gap(
     for node in range(2):
         for column in range(BELT_COLUMNS):
             old_belt[node, column] = belt[node, column]
-    roll(k, terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
+    roll_belt(k, terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
     for node in range(2):
         for column in range(BELT_COLUMNS):
             rested_belt[node, column] = belt[node, column]
             belt[node, column] = old_belt[node, column]
-    roll(
+    roll_belt(
         k,
         terms,
         assembly,

@@ -30,7 +30,7 @@ BLOCK_NS = int(BLOCK_S / NANOSECOND)
 MOST_LOG = 500.0  # of a ratio of likelihoods: its exponential is finite
 
 
-def later_there(probability: float, onset_rate: float, end_rate: float, blocks: float = 1.0) -> float:
+def predict_presence(probability: float, onset_rate: float, end_rate: float, blocks: float = 1.0) -> float:
     """Predict the probability of a spell some blocks later, without a measurement.
 
     `onset_rate` and `end_rate` are the probabilities that it begins, or ends, from one block to the next. For fractional `blocks`
@@ -40,7 +40,7 @@ def later_there(probability: float, onset_rate: float, end_rate: float, blocks: 
     return share + (probability - share) * math.pow(1.0 - onset_rate - end_rate, blocks)
 
 
-def seen_there(probability: float, mean: float, levels: tuple[float, float], variance: float) -> float:
+def update_presence(probability: float, mean: float, levels: tuple[float, float], variance: float) -> float:
     """Update the probability of a spell by the mean of a block [Nm], given its noise variance [Nm^2].
 
     `levels` are the torques outside and inside a spell [Nm].
@@ -52,7 +52,7 @@ def seen_there(probability: float, mean: float, levels: tuple[float, float], var
 
 
 @kernel
-def later_level(level: float, variance: float, share: float, size: float) -> tuple[float, float]:
+def predict_level(level: float, variance: float, share: float, size: float) -> tuple[float, float]:
     """Predict mean [Nm] and variance [Nm^2] of a drifting level.
 
     `share` is the share of the level that remains by then, `size` its stationary standard deviation [Nm].
@@ -61,7 +61,7 @@ def later_level(level: float, variance: float, share: float, size: float) -> tup
 
 
 @kernel
-def seen_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
+def update_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
     """Update mean [Nm] and variance [Nm^2] of a level by the mean of a block, given its noise variance [Nm^2]."""
     gain = variance / (variance + noise_variance)
     return level + gain * (mean - level), variance * (1.0 - gain)
@@ -98,13 +98,13 @@ class _SpellsFilter:
         self.there = self._comes / (self._comes + self._goes)
 
     def age(self, seconds: float) -> None:
-        self.there = later_there(self.there, self._comes, self._goes, seconds / BLOCK_S)
+        self.there = predict_presence(self.there, self._comes, self._goes, seconds / BLOCK_S)
 
     def see(self, mean: float, variance: float) -> None:
-        self.there = seen_there(self.there, mean, (self._spells.rest, self._spells.level), variance)
+        self.there = update_presence(self.there, mean, (self._spells.rest, self._spells.level), variance)
 
     def after(self, seconds: float) -> tuple[float, float, float]:
-        probability = later_there(self.there, self._comes, self._goes, seconds / BLOCK_S)
+        probability = predict_presence(self.there, self._comes, self._goes, seconds / BLOCK_S)
         jump = self._spells.level - self._spells.rest
         return probability, self._spells.rest + probability * jump, abs(jump) * math.sqrt(probability * (1.0 - probability))
 
@@ -123,7 +123,7 @@ class _DriftFilter:
     def see(self, mean: float, variance: float) -> None:
         limit = OUTLIER * math.sqrt(self.variance + variance)
         bounded_mean = min(max(mean, self.level - limit), self.level + limit)
-        self.level, self.variance = seen_level(self.level, self.variance, bounded_mean, variance)
+        self.level, self.variance = update_level(self.level, self.variance, bounded_mean, variance)
 
     def after(self, seconds: float) -> tuple[float, float, float]:
         level, variance = self._later(seconds)
@@ -132,7 +132,7 @@ class _DriftFilter:
 
     def _later(self, seconds: float) -> tuple[float, float]:
         share = math.exp(-seconds / self._drift.time_constant)
-        return later_level(self.level, self.variance, share, self._drift.size)
+        return predict_level(self.level, self.variance, share, self._drift.size)
 
 
 class DisturbanceWatch:

@@ -156,7 +156,7 @@ class DriveTotals:
         }
 
 
-def taken(vehicle: AnyVehicle, time_s: Array, columns: Mapping[str, Array]) -> dict[str, float]:
+def sum_drive(vehicle: AnyVehicle, time_s: Array, columns: Mapping[str, Array]) -> dict[str, float]:
     """Totals of a drive without gaps; see `DriveTotals`.
 
     `time_s`: shape (rows,) [s]; `columns`: the columns of the vehicle's results, each of that shape.
@@ -166,7 +166,7 @@ def taken(vehicle: AnyVehicle, time_s: Array, columns: Mapping[str, Array]) -> d
     return totals.as_dict()
 
 
-def taken_text(totals: Mapping[str, float]) -> str:
+def drive_text(totals: Mapping[str, float]) -> str:
     """The same in a sentence."""
     if not totals["under_way_s"]:
         return "The vehicle stood the whole time"

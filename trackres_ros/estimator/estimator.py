@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros import checks
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import EACH, FIRST_OWN, OF_AIR
-from trackres_ros.effects.stepping import cooled as cooled_effects
+from trackres_ros.effects.stepping import cool_memory as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as layout
@@ -37,8 +37,8 @@ from trackres_ros.estimator.records import (
     Scratch,
     State,
     Steps,
-    bounded,
-    checked,
+    bounded_array,
+    check_inputs,
     duration,
     floats,
     is_as_compiled,
@@ -223,7 +223,7 @@ class Estimator:
         return next_state, Estimate(row, self.column_index)
 
     def _checked(self, inputs: Inputs) -> Inputs:
-        return checked(inputs, *self._sizes)
+        return check_inputs(inputs, *self._sizes)
 
     def scratch(self) -> Scratch:
         """New scratch memory, as threads must not share one."""
@@ -298,7 +298,7 @@ class Estimator:
         """
         at_times = times(time_s, "time_s")
         arguments = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
-        series = (bounded(a, name, at_times.shape, nan_allowed=name != "speed") for name, a in arguments)
+        series = (bounded_array(a, name, at_times.shape, nan_allowed=name != "speed") for name, a in arguments)
         ground = np.empty((len(at_times), len(GroundSeries._fields)))
         self.entries.follow_series(self.constants, np.array(NOTHING_YET), at_times, *series, ground)
         return GroundSeries(*ground.T)
@@ -337,7 +337,7 @@ class Estimator:
 def _at_each(at_times: Array, values: ArrayLike, name: str) -> Array:
     """A number, or one for each time, as a series of its own."""
     is_required = name in ("speed", "weight", "ambient")
-    array = bounded(values, name, low=LEAST_WEIGHT if name == "weight" else -LARGEST, nan_allowed=not is_required)
+    array = bounded_array(values, name, low=LEAST_WEIGHT if name == "weight" else -LARGEST, nan_allowed=not is_required)
     if array.shape not in ((), (1,), at_times.shape):
         raise InputError(name, f"an array of shape {array.shape}", f"a number, or shape {at_times.shape} as time_s")
     return np.array(np.broadcast_to(array, at_times.shape), order="C")

@@ -17,7 +17,7 @@ from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import Assembly, Motion, Part, Times
 from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.estimator.guards import LAST_ARRIVAL, Memory, not_enabled
-from trackres_ros.estimator.plausible import towards
+from trackres_ros.estimator.plausible import step_towards
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import NANOSECOND
@@ -61,9 +61,9 @@ def approach(number: Numbers, value: float, target: float, seconds: float) -> fl
     if start * goal < 0.0:
         room = rate_towards(number, 0.0) * remaining
         if not abs(start) < room:
-            return towards(start, 0.0, room)
+            return step_towards(start, 0.0, room)
         start, remaining = 0.0, remaining * (1.0 - abs(start) / room)
-    return towards(start, goal, rate_towards(number, goal) * remaining)
+    return step_towards(start, goal, rate_towards(number, goal) * remaining)
 
 
 @kernel

@@ -25,17 +25,17 @@ from trackres_ros.estimator.plausible import (
     LOAD_PER_S,
     LOAD_SLACK,
     NOTHING_TRACKED,
-    disagrees,
     integrate_speed,
     is_load,
     is_near,
     load_is_plausible,
     load_std,
     move_clock,
-    odometer_came,
     seems_to_stand,
     speed_is_plausible,
-    trust,
+    speeds_disagree,
+    take_odometer,
+    trust_value,
 )
 from trackres_ros.estimator.records import Inputs, Scratch
 from trackres_ros.kernels.marks import kernel, length
@@ -47,8 +47,8 @@ from trackres_ros.route.follower import (
     TORQUE,
     TORQUE_STD,
     drive_on,
-    forget,
-    look,
+    forget_position,
+    look_up_ground,
     take_position,
 )
 from trackres_ros.route.track import FARTHEST_M, flat
@@ -67,7 +67,7 @@ def has_route(k: Constants) -> bool:
 
 
 @kernel
-def position_came(k: Constants, times: IntArray, values: Array, follower: Array) -> None:
+def take_new_position(k: Constants, times: IntArray, values: Array, follower: Array) -> None:
     """A latitude or a longitude was accepted: it is a position once both of about one time came. Each serves one position."""
     latitude, longitude = Times(times[layout.LATITUDE]), Times(times[layout.LONGITUDE])
     if not has_route(k) or latitude.fresh == 0 or longitude.fresh == 0:
@@ -103,7 +103,7 @@ def ground_now(k: Constants, times: IntArray, follower: Array, speed: float, ela
     since_position = speed_times.last_stamp - min(latitude.last_stamp, longitude.last_stamp)
     drive_on(follower, speed, min(elapsed, k.number.position_hold_ns) * NANOSECOND, since_position * NANOSECOND)
     is_old = speed_times.last_arrival - min(latitude.last_arrival, longitude.last_arrival) > k.number.position_hold_ns
-    look(k.route_cells, k.route_places, follower, is_old)
+    look_up_ground(k.route_cells, k.route_places, follower, is_old)
     return follower[SLOPE], follower[TORQUE], follower[TORQUE_STD], follower[PLACE_KNOWN] > 0.0
 
 
@@ -138,7 +138,7 @@ def follow_along(
             at_s = times[i]
         dt, hold_s = times[i] - times[max(i - 1, 0)], k.number.position_hold_ns * NANOSECOND
         drive_on(follower, speeds[i], min(dt, hold_s), times[i] - at_s)
-        look(k.route_cells, k.route_places, follower, times[i] - at_s > hold_s)
+        look_up_ground(k.route_cells, k.route_places, follower, times[i] - at_s > hold_s)
         rows[i, 0], rows[i, 1], rows[i, 2] = follower[SLOPE], follower[TORQUE], follower[TORQUE_STD]
         rows[i, 3] = follower[PLACE_KNOWN]
 
@@ -248,7 +248,9 @@ def longest_age(k: Constants, memory: Memory) -> float:
 
 
 @kernel
-def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
+def admit_message(
+    k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float
+) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step observed in the speed [m/s].
 
     Returns
@@ -303,14 +305,14 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     if channel == layout.SPEED or is_load(k, channel):
         in_doubt = times.doubts > 0
         if may_change_at_will(k, memory, channel, arrival, quantum) or outcome == ACCEPTED_AFTER_RESET:
-            trust(times, run, value)
+            trust_value(times, run, value)
         elif not is_plausible(k, times, run, channel, stamp, elapsed, value, quantum):
             counters[IMPLAUSIBLE] += 1
             return -IMPLAUSIBLE, 0
         elif in_doubt:
             outcome = ACCEPTED_AFTER_DOUBT
     elif channel == layout.DISTANCE:
-        odometer_came(k, Tracked(memory.tracked), value, elapsed)
+        take_odometer(k, Tracked(memory.tracked), value, elapsed)
     if outcome == ACCEPTED_IN_ORDER and elapsed > 0:
         learn_period(times, elapsed)
     has_pause = elapsed * NANOSECOND > k.number.bridge  # the values meanwhile are unknown
@@ -357,11 +359,11 @@ def forget_others(memory: Memory, kept_channel: int) -> None:
             memory.times[channel, :] = 0
             memory.values[channel] = math.nan
             memory.runs[channel, :] = math.nan
-    forget(memory.followed)
+    forget_position(memory.followed)
     for i in range(memory.tracked.shape[0]):
         memory.tracked[i] = NOTHING_TRACKED[i]
     if kept_channel == layout.SPEED:
-        trust(Times(memory.times[kept_channel]), Run(memory.runs[kept_channel]), memory.values[kept_channel])
+        trust_value(Times(memory.times[kept_channel]), Run(memory.runs[kept_channel]), memory.values[kept_channel])
 
 
 @kernel
@@ -498,7 +500,7 @@ def gather_loads(k: Constants, memory: Memory, time_ns: int, loads: Array) -> tu
 
 
 @kernel
-def gather(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed: int, motion: Motion) -> Inputs:
+def gather_inputs(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed: int, motion: Motion) -> Inputs:
     """Inputs of the step at an accepted speed; loads and belt temperatures are in the scratch memory.
 
     `motion` holds whether any channel reset the time, and the smallest step observed in the speed.
@@ -539,7 +541,7 @@ def gather(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed
     integrate_speed(k, odometer, speed, elapsed)
     silence = (time_ns - memory.times[layout.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
     last_speed = motion.last_speed if motion.started > 0.0 else speed
-    if disagrees(k, memory.times, memory.values, last_speed, speed, time_ns) or (
+    if speeds_disagree(k, memory.times, memory.values, last_speed, speed, time_ns) or (
         odometer.apart > 0.0 and silence <= k.number.bridge
     ):
         stop_reasons |= SPEED_DISAGREES

@@ -41,7 +41,7 @@ from trackres_ros.estimator.assemblies import (
     learn_from,
     learned_variance,
 )
-from trackres_ros.estimator.belt import SLOWEST_LOG_SPEED, add_noise, loss_force, roll, surface
+from trackres_ros.estimator.belt import SLOWEST_LOG_SPEED, add_noise, loss_force, roll_belt, surface
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
     OF_COOLING,
@@ -64,14 +64,14 @@ from trackres_ros.estimator.guards import (
     AMBIENT_NOMINAL,
     GAP,
     Memory,
-    admit,
+    admit_message,
     follow_along,
     forget_others,
-    gather,
+    gather_inputs,
     is_missing,
     longest_age,
     place_reason,
-    position_came,
+    take_new_position,
 )
 from trackres_ros.estimator.motion import advance_motion, rolling_state, start_motion
 from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, Scratch, State
@@ -362,16 +362,16 @@ def feed(
     """Take one message in. An accepted speed makes a step and fills `row`; returns whether it did."""
     motion = Motion(state.motion)
     update_feedforward(k, memory, motion, arrival)
-    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
+    outcome, elapsed = admit_message(k, memory, channel, stamp, arrival, value, motion.quantum)
     if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
         motion.started = layout.START_ANEW
     if outcome >= 0 and (channel == layout.LATITUDE or channel == layout.LONGITUDE):
-        position_came(k, memory.times, memory.values, memory.followed)
+        take_new_position(k, memory.times, memory.values, memory.followed)
     if outcome < 0 or channel != layout.SPEED:
         update_feedforward(k, memory, motion, arrival)
         return False
-    inputs = gather(k, memory, scratch, outcome, elapsed, motion)
+    inputs = gather_inputs(k, memory, scratch, outcome, elapsed, motion)
     is_assumed = inputs.reasons & AMBIENT_NOMINAL != 0
     if motion.started <= 0.0:
         start(k, state, inputs.ambient, inputs.ambient_std)
@@ -418,7 +418,7 @@ def feed_all(
 
 @kernel
 def advance_once(k: Constants, state: State, scratch: Scratch, inputs: Inputs, dt: float, row: Array) -> bool:
-    """`advance` for inputs from outside; false for values that `records.checked` refuses: here a check costs nothing."""
+    """`advance` for inputs from outside; false for values that `records.check_inputs` refuses: here a check costs nothing."""
     is_usable = (
         inputs.ambient_std >= 0.0
         and inputs.reasons >= 0
@@ -499,7 +499,7 @@ def rest(k: Constants, state: State, scratch: Scratch, ambient: float, ambient_s
     rest_effects(k.effects, k.effect_values, state.effects, effects, air, seconds)
     for i in range(state.belts.shape[0]):
         assembly, belt = Assembly(k.assembly[i]), state.belts[i]
-        roll(k, effects.terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, air, ambient_std, seconds)
+        roll_belt(k, effects.terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, air, ambient_std, seconds)
     reset_terms(effects.terms)
 
 

@@ -39,7 +39,7 @@ FRESH_LOAD_NS = 2_000_000_000  # an older load is reported as held, while it is 
 
 
 @kernel
-def towards(start: float, goal: float, room: float) -> float:
+def step_towards(start: float, goal: float, room: float) -> float:
     """From one value to another, by no more than `room`; nowhere if one of the three is no number."""
     way = goal - start
     if abs(way) > room >= 0.0:
@@ -48,17 +48,17 @@ def towards(start: float, goal: float, room: float) -> float:
 
 
 @kernel
-def follow(reference: float, value: float, elapsed: int, rate: float, slack: float) -> tuple[float, bool]:
+def follow_reference(reference: float, value: float, elapsed: int, rate: float, slack: float) -> tuple[float, bool]:
     """The reference after some time [ns], and whether a value is within `slack` of it (ours).
 
     It moves towards the value by `rate` [1/s] times the time at most.
     """
-    level = towards(reference, value, rate * (elapsed * NANOSECOND))
+    level = step_towards(reference, value, rate * (elapsed * NANOSECOND))
     return level, abs(value - level) <= slack
 
 
 @kernel
-def trust(times: Times, run: Run, value: float) -> None:
+def trust_value(times: Times, run: Run, value: float) -> None:
     """Accept a value, independent of its history."""
     run.reference, run.doubted = value, math.nan
     times.doubts = 0
@@ -74,13 +74,13 @@ def is_in_reach(
     but a run does. It must then be within reach of the last accepted value, and last as long as the doubt before it,
     `LONGEST_RUN_NS` at most.
     """
-    follow_level, is_close = follow(run.reference, value, elapsed, rate, slack)
+    follow_level, is_close = follow_reference(run.reference, value, elapsed, rate, slack)
     if is_close and (times.doubts == 0 or lasting > 0):
         run.reference, times.doubts = follow_level, 0
         return True
     agrees, level = False, value
     if times.doubts > 0:
-        level, agrees = follow(run.doubted, value, stamp - times.doubt_stamp, rate, slack)
+        level, agrees = follow_reference(run.doubted, value, stamp - times.doubt_stamp, rate, slack)
     if agrees:
         times.doubts += 1
         run.doubted = level
@@ -91,7 +91,7 @@ def is_in_reach(
     run_ns = stamp - times.doubt_since
     least_ns = lasting if lasting > 0 else min(times.doubt_since - times.last_stamp, LONGEST_RUN_NS)
     if (is_close or lasting > 0) and times.doubts >= k.number.jumps_to_accept and run_ns >= least_ns:
-        trust(times, run, run.doubted)
+        trust_value(times, run, run.doubted)
         return True
     return False
 
@@ -156,7 +156,7 @@ def move_clock(times: Times, shift: int) -> None:
 @kernel
 def is_near(k: Constants, run: Run, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether the vehicle can have reached a speed some time [ns] after the last accepted one."""
-    return follow(run.reference, speed, elapsed, k.number.max_acceleration, slack_of(k, quantum))[1]
+    return follow_reference(run.reference, speed, elapsed, k.number.max_acceleration, slack_of(k, quantum))[1]
 
 
 @kernel
@@ -179,7 +179,7 @@ def forget_way(odometer: Tracked) -> None:
 
 
 @kernel
-def odometer_came(k: Constants, odometer: Tracked, distance: float, elapsed: int) -> None:
+def take_odometer(k: Constants, odometer: Tracked, distance: float, elapsed: int) -> None:
     """Process a distance [m] some time [ns] after the last one; compare it with the integrated speed where both are long enough.
 
     Of two changes in a row, the smaller one is a step of the odometer: a pause or a reset makes only one large change (ours).
@@ -215,7 +215,7 @@ def integrate_speed(k: Constants, odometer: Tracked, speed: float, elapsed: int)
 
 
 @kernel
-def disagrees(k: Constants, times: IntArray, values: Array, last_speed: float, speed: float, time_ns: int) -> bool:
+def speeds_disagree(k: Constants, times: IntArray, values: Array, last_speed: float, speed: float, time_ns: int) -> bool:
     """Whether, at an arrival [ns], two speeds [m/s] have contradicted all wheel speeds for longer than the speed may pause.
 
     Only fresh wheel speeds are compared, up to the age that a speed may have: they came between the two. Without any the verdict

@@ -178,7 +178,7 @@ def _of_numbers(values: ArrayLike, name: str) -> NDArray[Any]:
     return array
 
 
-def bounded(
+def bounded_array(
     values: ArrayLike, name: str, shape: tuple[int, ...] | None = None, low: float = -LARGEST, nan_allowed: bool = False
 ) -> Array:
     """`floats` from `low` to `LARGEST`, nan only where values may be unknown. Raises InputError with the first other one."""
@@ -198,21 +198,21 @@ def bounded(
 
 
 def number(value: Any, name: str, low: float = -LARGEST, nan_allowed: bool = False) -> float:
-    """One number, as `bounded` takes it."""
+    """One number, as `bounded_array` takes it."""
     if type(value) in (float, int) and (low <= value <= LARGEST or (nan_allowed and value != value)):
         return float(value)
-    return float(bounded(value, name, (), low, nan_allowed))
+    return float(bounded_array(value, name, (), low, nan_allowed))
 
 
-def checked(inputs: Inputs, assemblies: int, belts: int) -> Inputs:
+def check_inputs(inputs: Inputs, assemblies: int, belts: int) -> Inputs:
     """Inputs that a step can use, with arrays of their own. Raises InputError: after one nan all later estimates would be nan."""
     if not isinstance(inputs, Inputs):
         raise InputError("inputs", inputs, "what Estimator.inputs makes")
-    load = bounded(inputs.load, "load", (assemblies,), low=0.0)
+    load = bounded_array(inputs.load, "load", (assemblies,), low=0.0)
     if not sum(load.tolist()) > 0.0:
         raise InputError("load", inputs.load, "loads with a sum above 0")
     ambient = number(inputs.ambient, "ambient"), number(inputs.ambient_std, "ambient_std", low=0.0)
-    degc = bounded(inputs.belt_measured, "belt_measured", (belts,), nan_allowed=True)
+    degc = bounded_array(inputs.belt_measured, "belt_measured", (belts,), nan_allowed=True)
     motion = [
         v if v is math.nan else number(v, name, nan_allowed=True) for v, name in zip(inputs[5:-3], MAYBE_UNKNOWN, strict=True)
     ]
@@ -225,7 +225,7 @@ def checked(inputs: Inputs, assemblies: int, belts: int) -> Inputs:
 
 
 def is_as_compiled(inputs: Inputs, assemblies: int, belts: int) -> bool:
-    """Whether inputs have the types and shapes of `checked` ones: for others a kernel would be compiled again, for seconds."""
+    """Whether inputs have the types and shapes of `check_inputs`: for others a kernel would be compiled again, for seconds."""
     if type(inputs) is not Inputs or tuple(map(type, inputs)) != KINDS:
         return False
     load, degc = inputs.load, inputs.belt_measured

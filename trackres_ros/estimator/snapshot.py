@@ -59,8 +59,8 @@ LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an eff
 
 def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
     """Raise ValueError for belts or a motion that no drive can produce."""
-    _within("belt temperatures", belts[:, :, layout.Belt.temperature], *BELT_DEGC)
-    _within("departures of belt temperatures", belts[:, :, layout.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _check_range("belt temperatures", belts[:, :, layout.Belt.temperature], *BELT_DEGC)
+    _check_range("departures of belt temperatures", belts[:, :, layout.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
     speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
     k = estimator.constants.assembly
     torque = TORQUE_REACH * float(k[:, layout.Assembly.nominal_load] @ k[:, layout.Assembly.radius])
@@ -84,14 +84,14 @@ def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
         ("standard deviation of the air", motion_row.air_std, 0.0, LARGEST_DEPARTURE),
         ("longest age of the speed", motion_row.longest_age, 0.0, LONGEST_AGE),
     ):
-        _within(name, value, low, high)
+        _check_range(name, value, low, high)
     if motion_row.started not in STARTED:
         raise ValueError("started is none of its values")
 
 
 def check_effects(memory: Array) -> None:
     """Raise ValueError for an impossible memory of effects; nan is an effect that has not acted yet."""
-    _within("memory of effects", memory[~np.isnan(memory)], -LARGEST_EFFECT, LARGEST_EFFECT)
+    _check_range("memory of effects", memory[~np.isnan(memory)], -LARGEST_EFFECT, LARGEST_EFFECT)
 
 
 def check_learned(estimator: Estimator, learned: Array) -> None:
@@ -99,12 +99,12 @@ def check_learned(estimator: Estimator, learned: Array) -> None:
     k = estimator.constants.assembly
     torque = TORQUE_REACH * float(k[:, layout.Assembly.nominal_load] @ k[:, layout.Assembly.radius])
     departures = learned[layout.Learned.departures]
-    _within("mark of what acts", learned[layout.Learned.on], 0.0, 1.0)
-    _within("departures", np.delete(departures, layout.OF_BELT), -1.0, MOST_DEPARTURE)
-    _within("departure of the belts", departures[layout.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
-    _within("torques that were learned", learned[layout.Learned.torque : layout.Learned.factor.start], -torque, torque)
-    _within("covariance of what was learned", learned[layout.Learned.factor], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
-    _within("sensitivities", learned[layout.Learned.sensitivities], -torque, torque)
+    _check_range("mark of what acts", learned[layout.Learned.on], 0.0, 1.0)
+    _check_range("departures", np.delete(departures, layout.OF_BELT), -1.0, MOST_DEPARTURE)
+    _check_range("departure of the belts", departures[layout.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _check_range("torques that were learned", learned[layout.Learned.torque : layout.Learned.factor.start], -torque, torque)
+    _check_range("covariance of what was learned", learned[layout.Learned.factor], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _check_range("sensitivities", learned[layout.Learned.sensitivities], -torque, torque)
 
 
 def check_memory(memory: Memory, limits: Array) -> None:
@@ -112,27 +112,27 @@ def check_memory(memory: Memory, limits: Array) -> None:
     is_known = ~np.isnan(memory.values)
     if ((memory.values < limits[:, 0]) | (memory.values > limits[:, 1]))[is_known].any():
         raise ValueError("last values outside of the plausible range of their channels")
-    _within("times", memory.times, -FARTHEST_NS, FARTHEST_NS)
-    _within("marks of channels", memory.times[:, [layout.Times.seen, layout.Times.fresh]], 0, 1)
-    _within("suspects", memory.times[:, layout.Times.suspects], 0, MOST_SUSPECTS)
+    _check_range("times", memory.times, -FARTHEST_NS, FARTHEST_NS)
+    _check_range("marks of channels", memory.times[:, [layout.Times.seen, layout.Times.fresh]], 0, 1)
+    _check_range("suspects", memory.times[:, layout.Times.suspects], 0, MOST_SUSPECTS)
     if (is_known != (memory.times[:, layout.Times.seen] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
-    _within("doubts", memory.times[:, layout.Times.doubts], 0, FARTHEST_NS)
-    _within("periods", memory.times[:, layout.Times.period], 0, FARTHEST_NS)
-    _within("references", memory.runs[~np.isnan(memory.runs)], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
+    _check_range("doubts", memory.times[:, layout.Times.doubts], 0, FARTHEST_NS)
+    _check_range("periods", memory.times[:, layout.Times.period], 0, FARTHEST_NS)
+    _check_range("references", memory.runs[~np.isnan(memory.runs)], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
     for name, values, at_first in (
         ("comparison with the odometer", memory.tracked, NOTHING_TRACKED),
         ("place on a route", memory.followed, NOTHING_YET),
     ):
         is_number = ~np.isnan(values)
-        _within(name, values[is_number], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
+        _check_range(name, values[is_number], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
         if not is_number[~np.isnan(at_first)].all():
             raise ValueError(f"{name}: no number where there is always one")
-    _within("counters", memory.counters, 0, FARTHEST_NS)
-    _within("counts of reasons", memory.reasons, 0, FARTHEST_NS)
+    _check_range("counters", memory.counters, 0, FARTHEST_NS)
+    _check_range("counts of reasons", memory.reasons, 0, FARTHEST_NS)
 
 
-def _within(name: str, raw: ArrayLike, low: float, high: float) -> None:
+def _check_range(name: str, raw: ArrayLike, low: float, high: float) -> None:
     values: NDArray[Any] = np.asarray(raw)
     if not ((values >= low) & (values <= high)).all():  # nan is not either
         raise ValueError(f"{name} outside of {low:g} to {high:g}")
@@ -297,7 +297,7 @@ def resume(estimator: Estimator, path: Path) -> Session:
         If the file is missing, damaged, of another version or of another vehicle; the message says which.
     """
     session = estimator.session()
-    _take(session, path)
+    _read_state(session, path)
     return session
 
 
@@ -317,12 +317,12 @@ def after_time_off(estimator: Estimator, path: Path, wall_s: float, ambient: flo
         As `resume`.
     """
     session = estimator.session()
-    saved_at = _take(session, path)
+    saved_at = _read_state(session, path)
     off_s = wall_s - saved_at
-    return rested(session, off_s, ambient), off_s
+    return rest_session(session, off_s, ambient), off_s
 
 
-def rested(old: Session, seconds: float, ambient: float | None = None) -> Session:
+def rest_session(old: Session, seconds: float, ambient: float | None = None) -> Session:
     """A new session with the belts of another, cooled for some time [s] as in `after_time_off`; of a reset one, the air."""
     estimator, session = old.estimator, old.estimator.session()
     if old.started:
@@ -340,7 +340,7 @@ def _arrays(session: Session) -> dict[str, NDArray[Any]]:
     return dict(zip((*FLOATS, *INTEGERS), (*arrays, *floats, memory.times, memory.counters, memory.reasons), strict=True))
 
 
-def _take(session: Session, path: Path) -> float:
+def _read_state(session: Session, path: Path) -> float:
     """Fill a new session from a state file; returns when it was saved [s since 1970]."""
     place = f"state file {path}"
     content = _read(session.estimator, path)

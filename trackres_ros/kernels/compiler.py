@@ -30,7 +30,7 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CC") or "cc")
 
 
-def compiled(text: str, *options: str) -> bytes | None:
+def compile_text(text: str, *options: str) -> bytes | None:
     """The content of a shared library of some C; None without a compiler, or if it refuses the text."""
     path = compiler()
     if path is None:
@@ -43,9 +43,9 @@ def compiled(text: str, *options: str) -> bytes | None:
         return library.read_bytes() if process.returncode == 0 else None
 
 
-def loaded(name: str, text: str, *options: str) -> ModuleType | None:
+def load_module(name: str, text: str, *options: str) -> ModuleType | None:
     """A module of Python from its C; None without a compiler or Python.h. Its file is gone as soon as it is loaded."""
-    library = compiled(text, f"-I{sysconfig.get_paths()['include']}", *options)
+    library = compile_text(text, f"-I{sysconfig.get_paths()['include']}", *options)
     if library is None:
         return None
     with tempfile.TemporaryDirectory(prefix="trackres") as folder:

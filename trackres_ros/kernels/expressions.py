@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.kernels.functions import Instance, Translator, refused
+from trackres_ros.kernels.functions import Instance, Translator, refusal_at
 from trackres_ros.kernels.kinds import (
     BOOL,
     FAILED,
@@ -35,10 +35,10 @@ from trackres_ros.kernels.kinds import (
     Length,
     Record,
     Scalar,
-    joined,
-    narrowed,
-    safe,
-    widened,
+    join_kinds,
+    narrow_kind,
+    safe_name,
+    widen_kind,
 )
 
 # Names, tuples and arrays
@@ -86,7 +86,7 @@ class Expressions:
 
     def refuse(self, node: ast.AST, code: str, allowed: str) -> InputError:
         """The refusal of a part of the source."""
-        return refused(self.one.source, node, code, allowed)
+        return refusal_at(self.one.source, node, code, allowed)
 
     # Names
 
@@ -122,7 +122,7 @@ class Expressions:
             self.note_place(name)
             if isinstance(kind, Const):
                 return self.const(kind.value)
-            return Value(kind, safe(name), ATOM, name, name in self.pointers)
+            return Value(kind, safe_name(name), ATOM, name, name in self.pointers)
         function = self.one.function
         closure = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         if name in closure:
@@ -184,7 +184,7 @@ class Expressions:
             return self.const(kind.value)
         if isinstance(kind, Record) and not list(kind.stored()):
             return Value(kind, "")
-        return Value(kind, f"{record.code}{'->' if record.by_pointer else '.'}{safe(name)}", ATOM, record.root)
+        return Value(kind, f"{record.code}{'->' if record.by_pointer else '.'}{safe_name(name)}", ATOM, record.root)
 
     # Tuples
 
@@ -212,7 +212,7 @@ class Expressions:
         """A tuple of values, as a compound literal."""
         if kind is None and all(v.is_const for v in values):
             return self.const(tuple(v.const for v in values))
-        record = kind or Record("", tuple((f"f{i}", narrowed(v.kind)) for i, v in enumerate(values)))
+        record = kind or Record("", tuple((f"f{i}", narrow_kind(v.kind)) for i, v in enumerate(values)))
         for v in values:
             if isinstance(v.kind, ArrayOf):
                 self.note_written(v)  # the owner of the pointer may change its target
@@ -264,7 +264,7 @@ class Expressions:
                 return parts[self._known_place(node, index.const, len(parts))]
             if owner.const and isinstance(owner.const, tuple) and all(isinstance(x, int | float) for x in owner.const):
                 place = self.offset(node, owner, ArrayOf(REAL, (len(owner.const),)), [index], indices)
-                return Value(widened(Const(sum(owner.const))), f"{self.table(owner, ast.unparse(node.value))}[{place}]")
+                return Value(widen_kind(Const(sum(owner.const))), f"{self.table(owner, ast.unparse(node.value))}[{place}]")
             raise self.refuse(node, ast.unparse(node)[:80], "a place in a tuple that is known")
         array = self.array_kind(node, owner)
         if len(indices) > len(array.shape):
@@ -423,7 +423,7 @@ class Operators(Expressions):
 
     def binary(self, node: ast.AST, op: ast.operator, left_value: Value, right_value: Value) -> Value:
         """Two numbers and an operator between them."""
-        if type(op) not in OPERATORS or not all(isinstance(widened(v.kind), Scalar) for v in (left_value, right_value)):
+        if type(op) not in OPERATORS or not all(isinstance(widen_kind(v.kind), Scalar) for v in (left_value, right_value)):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers, with operators of numbers between them")
         sign, precedence, python = OPERATORS[type(op)]
         if left_value.is_const and right_value.is_const:
@@ -431,14 +431,14 @@ class Operators(Expressions):
                 return self.const(python(left_value.const, right_value.const))
             except (ArithmeticError, ValueError, TypeError):
                 pass
-        kind = joined(joined(INT, left_value.kind), right_value.kind) or REAL
+        kind = join_kinds(join_kinds(INT, left_value.kind), right_value.kind) or REAL
         if sign == "**":
             return self._power(left_value, right_value)
         if sign in ("%", "/") and isinstance(op, ast.Mod | ast.FloorDiv):
             helper = "modulo" if isinstance(op, ast.Mod) else "floored"
-            return self.helped(f"{helper}_{'real' if kind in REALS else 'int'}", [left_value, right_value], narrowed(kind))
+            return self.helped(f"{helper}_{'real' if kind in REALS else 'int'}", [left_value, right_value], narrow_kind(kind))
         if sign == "/":
-            kind = joined(kind, REAL) or REAL
+            kind = join_kinds(kind, REAL) or REAL
             if left_value.kind not in REALS and right_value.kind not in REALS:
                 left_value = Value(REAL, self.as_real(left_value), UNARY)
         if sign in OF_WHOLE_NUMBERS and kind in REALS:
@@ -475,7 +475,7 @@ class Operators(Expressions):
 
     def _power(self, base: Value, exponent: Value) -> Value:
         if exponent.is_const and exponent.const == 2 and base.kind == INT and base.code.replace("_", "").isalnum():
-            return Value(widened(base.kind), f"{base.code} * {base.code}", PRODUCT)
+            return Value(widen_kind(base.kind), f"{base.code} * {base.code}", PRODUCT)
         return Value(REAL, f"{self.translator.call('pow')}({self.as_real(base)}, {self.as_real(exponent)})")
 
     def _unaryop(self, node: ast.UnaryOp) -> Value:
@@ -483,14 +483,14 @@ class Operators(Expressions):
             truth = self.condition(node.operand)
             return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.within(truth, UNARY)}", UNARY)
         operand = self.value(node.operand)
-        if not isinstance(widened(operand.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
+        if not isinstance(widen_kind(operand.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
             raise self.refuse(node, ast.unparse(node)[:80], "a number with a sign, or not")
         if isinstance(node.op, ast.UAdd):
             return operand
         return (
             self.const(-operand.const)
             if operand.is_const
-            else Value(widened(operand.kind), f"-{self.within(operand, ATOM)}", UNARY)
+            else Value(widen_kind(operand.kind), f"-{self.within(operand, ATOM)}", UNARY)
         )
 
     def condition(self, node: ast.expr) -> Value:
@@ -519,7 +519,7 @@ class Operators(Expressions):
 
     def _boolop(self, node: ast.BoolOp) -> Value:
         values = self._until_decided(node, self.value)
-        if all(widened(v.kind) == BOOL for v in values):
+        if all(widen_kind(v.kind) == BOOL for v in values):
             return self._logical(node, values)
         result = values[-1]
         for value in values[-2::-1]:  # the answer is an operand, not its truth
@@ -533,7 +533,7 @@ class Operators(Expressions):
         values = [self.value(operand) for operand in (node.left, *node.comparators)]
         comparisons: list[str] = []
         for op, left_value, right_value in zip(node.ops, values, values[1:], strict=False):
-            if type(op) not in COMPARISONS or not all(isinstance(widened(v.kind), Scalar) for v in (left_value, right_value)):
+            if type(op) not in COMPARISONS or not all(isinstance(widen_kind(v.kind), Scalar) for v in (left_value, right_value)):
                 raise self.refuse(node, ast.unparse(node)[:80], "numbers that are compared")
             sign, python = COMPARISONS[type(op)]
             if left_value.is_const and right_value.is_const:
@@ -559,7 +559,7 @@ class Operators(Expressions):
         """One of two values, by a condition."""
         if test.is_const:
             return then_value if test.const else else_value
-        kind = joined(widened(then_value.kind), else_value.kind)
+        kind = join_kinds(widen_kind(then_value.kind), else_value.kind)
         if kind is None or isinstance(kind, Const):
             raise self.refuse(node, ast.unparse(node)[:80], "two values of one kind")
         codes = [

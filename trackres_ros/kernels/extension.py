@@ -22,7 +22,7 @@ from trackres_ros.kernels.kinds import (
     Record,
     Scalar,
     kinds_of,
-    safe,
+    safe_name,
 )
 
 TAKEN = {REAL: "tr_real", INT: "tr_int", BOOL: "tr_truth"}
@@ -133,7 +133,7 @@ class Extension:
         conditions = [f'tr_is_record(given, {len(kind.fields)}, "{name}")']
         for place, (field, part) in enumerate(kind.fields):
             source = f"PyTuple_GetItem(given, {place})"
-            conditions.append(self._taken(part, source, f"found->{safe(field)}", f"{name}.{field}", False))
+            conditions.append(self._taken(part, source, f"found->{safe_name(field)}", f"{name}.{field}", False))
         holder = "held" if self._views(kind) else "Py_UNUSED(held)"
         yield (
             f"static bool fill_{name}(struct tr_held *{holder}, PyObject *given, {struct} *found)\n{{\n    return "
@@ -206,13 +206,13 @@ def used_helpers(translator: Translator, functions: str) -> str:
         "FMOD": translator.call("fmod"),
     }
     blocks = []
-    for block in filled((TEMPLATES / "helpers.c").read_text(encoding="utf-8"), values).split("\n\n"):
+    for block in fill_template((TEMPLATES / "helpers.c").read_text(encoding="utf-8"), values).split("\n\n"):
         name = re.search(r"(tr_\w+)\(", block)
         if name and f"{name[1]}(" in functions:
             blocks.append(block.strip("\n"))
     return "\n\n".join(blocks) + "\n"
 
 
-def filled(template: str, values: Mapping[str, str]) -> str:
+def fill_template(template: str, values: Mapping[str, str]) -> str:
     """A template with its places filled."""
     return re.sub(r"@([A-Z_]+)@", lambda match: values.get(match[1], match[0]), template)

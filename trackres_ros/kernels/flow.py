@@ -10,7 +10,7 @@ from typing import Any
 
 from trackres_ros.kernels.expressions import UNARY, Value
 from trackres_ros.kernels.functions import Instance, Translator
-from trackres_ros.kernels.kinds import FAILED, INT, ArrayOf, Const, Kind, Scalar, joined, narrowed, safe, widened
+from trackres_ros.kernels.kinds import FAILED, INT, ArrayOf, Const, Kind, Scalar, join_kinds, narrow_kind, safe_name, widen_kind
 from trackres_ros.kernels.statements import Statements
 
 MOST_PASSES = 12
@@ -78,14 +78,14 @@ class Body(Statements):
             self.note_written(value)
         elif value.is_const and not isinstance(value.const, bool | int | float | tuple):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers, or a tuple of them")
-        kind = joined(self.one.returns, narrowed(value.kind))
+        kind = join_kinds(self.one.returns, narrow_kind(value.kind))
         if kind is None:
             raise self.refuse(node, ast.unparse(node)[:80], "the kind of value that the other ends give")
         self.one.returns = kind
         if not isinstance(kind, Const):
             self.line(f"return {self.as_kind(value, kind)};", depth)
         elif self.written:
-            self.one.returns = widened(kind)
+            self.one.returns = widen_kind(kind)
         return True
 
     def _for_statement(self, node: ast.For, depth: int) -> bool:
@@ -104,10 +104,10 @@ class Body(Statements):
         self.line(f"{head[0]} {{", depth)
         name = node.target.id
         with self.braces():
-            self.kinds[name] = joined(self.kinds.get(name), head[1].kind) or INT
+            self.kinds[name] = join_kinds(self.kinds.get(name), head[1].kind) or INT
             self._within.append(name)
             if head[1].code and (self.found is None or name in self._read_before):
-                self.line(f"const {self.translator.declared(self.kinds[name])}{safe(name)} = {head[1].code};", depth + 1)
+                self.line(f"const {self.translator.declared(self.kinds[name])}{safe_name(name)} = {head[1].code};", depth + 1)
             self.block(node.body, depth + 1)
         self._within.pop()
         self.line("}", depth)
@@ -125,7 +125,7 @@ class Body(Statements):
         arguments = self.spread(node.iter.args)
         start, stop = (self.const(0), arguments[0]) if len(arguments) == 1 else arguments[:2]
         step = arguments[2] if len(arguments) > 2 else self.const(1)
-        if not step.is_const or step.const == 0 or not all(widened(v.kind) == INT for v in (start, stop)):
+        if not step.is_const or step.const == 0 or not all(widen_kind(v.kind) == INT for v in (start, stop)):
             raise self.refuse(node, ast.unparse(node.iter), "a range of whole numbers with a step that is known")
         if start.is_const and stop.is_const and not range(start.const, stop.const, step.const):
             return None
@@ -133,7 +133,7 @@ class Body(Statements):
             name = self.temporary("until")
             self.line(f"const int64_t {name} = {stop.code};", depth)
             stop = Value(INT, name)
-        name, sign = safe(node.target.id), "<" if step.const > 0 else ">"
+        name, sign = safe_name(node.target.id), "<" if step.const > 0 else ">"
         increment = "++" if step.const == 1 else f" += {step.const}" if step.const > 0 else f" -= {-step.const}"
         return f"for (int64_t {name} = {start.code}; {name} {sign} {stop.code}; {name}{increment})", Value(INT, "")
 
@@ -142,7 +142,7 @@ class Body(Statements):
         values = self.parts(node.iter, self.value(node.iter))
         kind: Kind | None = None
         for value in values:
-            kind = joined(kind, widened(value.kind))
+            kind = join_kinds(kind, widen_kind(value.kind))
         if not isinstance(kind, Scalar):
             raise self.refuse(node, ast.unparse(node.iter)[:80], "range, or a tuple of numbers")
         name, index = self.temporary("entries"), self.temporary("entry")

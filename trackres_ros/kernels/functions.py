@@ -37,7 +37,7 @@ from trackres_ros.kernels.kinds import (
     Record,
     Scalar,
     literal,
-    safe,
+    safe_name,
     words,
 )
 
@@ -149,7 +149,7 @@ class Translator:
             self._running.pop()
         previous = self.instances[key]
         if not previous.done:
-            raise refused(previous.source, previous.source.tree, f"{function.__name__} calls itself", "a loop instead")
+            raise refusal_at(previous.source, previous.source.tree, f"{function.__name__} calls itself", "a loop instead")
         return previous
 
     def source(self, function: FunctionType) -> Source:
@@ -239,7 +239,7 @@ class Translator:
         for name, kind in self.structs.values():
             if name not in names:
                 continue
-            parts = "".join(f"    {self.declared(part)}{safe(field)};\n" for field, part in kind.stored())
+            parts = "".join(f"    {self.declared(part)}{safe_name(field)};\n" for field, part in kind.stored())
             lines.append(f"struct {name} {{\n{parts or '    char nothing;'}}};\n")
         return "\n".join(lines)
 
@@ -280,9 +280,9 @@ class Translator:
         parameters = []
         for name, kind in instance.given:
             if isinstance(kind, Record):
-                parameters.append(f"const {self.struct(kind)} *{safe(name)}")
+                parameters.append(f"const {self.struct(kind)} *{safe_name(name)}")
             else:
-                parameters.append(f"{self.declared(kind, name in instance.writes)}{safe(name)}")
+                parameters.append(f"{self.declared(kind, name in instance.writes)}{safe_name(name)}")
         if instance.fails:
             parameters.append(f"bool *{FAILED}")
         return_kind = None if isinstance(instance.returns, Const) else instance.returns
@@ -297,7 +297,7 @@ def _short(line: str) -> str:
     return textwrap.fill(line, MOST_COLUMNS, subsequent_indent=indent + "    ", break_long_words=False, break_on_hyphens=False)
 
 
-def refused(source: Source, node: ast.AST, code: str, allowed: str) -> InputError:
+def refusal_at(source: Source, node: ast.AST, code: str, allowed: str) -> InputError:
     """The refusal of source that cannot be written in C, with its line."""
     line = source.line + int(getattr(node, "lineno", 1)) - 1
     return InputError(f"{source.file}:{line}", code, allowed, REMEDY)

@@ -140,35 +140,35 @@ def words(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def widened(kind: Kind) -> Kind:
+def widen_kind(kind: Kind) -> Kind:
     """The kind of a variable for such a value; the constant itself, if no variable can hold it."""
     if isinstance(kind, Record):
-        return Record(kind.name, tuple((name, widened(part)) for name, part in kind.fields))
+        return Record(kind.name, tuple((name, widen_kind(part)) for name, part in kind.fields))
     if not isinstance(kind, Const):
         return kind
     value = kind.value
     if isinstance(value, tuple):
-        return widened(record_of(value))
+        return widen_kind(record_of(value))
     for python, scalar in ((bool | np.bool_, BOOL), (int | np.integer, INT), (float | np.floating, REAL)):
         if isinstance(value, python):
             return scalar
     return kind
 
 
-def narrowed(kind: Kind) -> Kind:
+def narrow_kind(kind: Kind) -> Kind:
     """The kind of a number where it leaves its function: nothing but an array is wide there."""
     return REAL if kind == WIDE else kind
 
 
-def joined(kind: Kind | None, new_kind: Kind) -> Kind | None:
+def join_kinds(kind: Kind | None, new_kind: Kind) -> Kind | None:
     """The common kind of a variable for both; None if C has none."""
     if kind is None or kind == new_kind:
         return new_kind
-    kind, new_kind = widened(kind), widened(new_kind)
+    kind, new_kind = widen_kind(kind), widen_kind(new_kind)
     if isinstance(kind, Scalar) and isinstance(new_kind, Scalar):
         return max(kind, new_kind, key=WIDTHS.__getitem__)
     if isinstance(kind, Record) and isinstance(new_kind, Record) and len(kind.fields) == len(new_kind.fields):
-        parts = [joined(a, b) for (_, a), (_, b) in zip(kind.fields, new_kind.fields, strict=True)]
+        parts = [join_kinds(a, b) for (_, a), (_, b) in zip(kind.fields, new_kind.fields, strict=True)]
         if None not in parts:
             names = [name for name, _ in kind.fields]
             return Record(kind.name or new_kind.name, tuple(zip(names, parts, strict=True)))  # type: ignore[arg-type]
@@ -198,7 +198,7 @@ def literal(value: Any, single: bool) -> str:
     return (text if "e" in text or "." in text else f"{text}.0") + "f" * single
 
 
-def safe(name: str) -> str:
+def safe_name(name: str) -> str:
     """A name that is no word of C, nor one of math.h or of the file itself."""
     return f"{name}_" if name.rstrip("_") in NOT_FOR_NAMES or name.lower().startswith("tr_") else name
 

@@ -36,10 +36,10 @@ from trackres_ros.kernels.kinds import (
     Kind,
     Record,
     Scalar,
-    joined,
-    narrowed,
-    safe,
-    widened,
+    join_kinds,
+    narrow_kind,
+    safe_name,
+    widen_kind,
     words,
 )
 from trackres_ros.kernels.rows import Row
@@ -59,7 +59,7 @@ class Scopes:
 
     def begin(self) -> None:
         """Begin a pass, with the records of the one before."""
-        self._blocks = {name: _smallest(uses) for name, uses in self._uses.items()}
+        self._blocks = {name: _smallest_blocks(uses) for name, uses in self._uses.items()}
         self._uses, self._declared = {}, set()
 
     @property
@@ -79,7 +79,7 @@ class Scopes:
         return True
 
 
-def _smallest(uses: list[tuple[Path, bool]]) -> list[Path]:
+def _smallest_blocks(uses: list[tuple[Path, bool]]) -> list[Path]:
     """The outermost blocks that store a variable, if each begins with that and there is no use outside; else none."""
     stores = {block for block, is_store in uses if is_store}
     prefixes = [
@@ -134,7 +134,7 @@ class Calls(Operators):
             raise self.refuse(node, ast.unparse(node)[:80], f"each of {', '.join(cls._fields)}")
         parts = [values[name] for name in cls._fields]
         reals = {name for name, kind in cls.__annotations__.items() if kind in ("float", float)}
-        kinds = [REAL if name in reals else narrowed(widened(v.kind)) for name, v in zip(cls._fields, parts, strict=True)]
+        kinds = [REAL if name in reals else narrow_kind(widen_kind(v.kind)) for name, v in zip(cls._fields, parts, strict=True)]
         return self.tuple_of(parts, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
 
     def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
@@ -162,7 +162,7 @@ class Calls(Operators):
 
     def _passed(self, kind: Kind) -> Kind:
         """The kind of a parameter: single numbers are no constants, so that there is one function for all of them."""
-        return widened(kind) if isinstance(kind, Const) and isinstance(kind.value, bool | int | float) else narrowed(kind)
+        return widen_kind(kind) if isinstance(kind, Const) and isinstance(kind.value, bool | int | float) else narrow_kind(kind)
 
     def argument(self, value: Value, kind: Kind) -> str:
         """The code of an argument; of a record its address."""
@@ -185,7 +185,7 @@ class Calls(Operators):
                 return self.const(len(operand.const))
             if isinstance(operand.kind, ArrayOf) and operand.kind.shape[0] is not None:
                 return self.length(operand, 0)
-        if not values or not all(isinstance(widened(v.kind), Scalar) for v in values):
+        if not values or not all(isinstance(widen_kind(v.kind), Scalar) for v in values):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers as arguments")
         if all(v.is_const for v in values):
             try:
@@ -212,7 +212,7 @@ class Calls(Operators):
         if function is bool:
             return self.truth(ast.Constant(0), operand)
         if function is abs or name == "fabs":
-            if widened(operand.kind) == INT:
+            if widen_kind(operand.kind) == INT:
                 return Value(INT, f"tr_abs_int({operand.code})")
             return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(operand)})")
         if module == "math" and name in TO_WHOLE:
@@ -230,7 +230,7 @@ class Calls(Operators):
         return Value(INT, f"tr_whole_number({code}, {FAILED})" if self.translator.checked else f"tr_whole({code})")
 
     def _extreme(self, name: str, values: list[Value]) -> Value:
-        kind = narrowed(joined(joined(INT, widened(values[0].kind)), widened(values[1].kind)) or REAL)
+        kind = narrow_kind(join_kinds(join_kinds(INT, widen_kind(values[0].kind)), widen_kind(values[1].kind)) or REAL)
         result = self.helped(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
         return self._extreme(name, [result, *values[2:]]) if len(values) > 2 else result
 
@@ -258,7 +258,7 @@ class Statements(Calls):
         self._within: list[str] = []
         self._read_before: set[str] = set()
         self._scopes = Scopes()
-        self.kinds = {name: widened(kind) if self._stores[name] else kind for name, kind in instance.arguments.items()}
+        self.kinds = {name: widen_kind(kind) if self._stores[name] else kind for name, kind in instance.arguments.items()}
         self.pointers = {n for n, k in instance.arguments.items() if isinstance(k, Record)}
         self.text = ""
         self.found: Any = None
@@ -290,7 +290,7 @@ class Statements(Calls):
     def _read_names(self) -> set[str]:
         """Names whose value is used: not those that are only assigned."""
         names = {name for line in self._lines for name in NAME.findall(ONLY_STORED.sub("", COMMENT.sub("", line)))}
-        return {name for name in (*self.kinds, *self._parameters) if safe(name) in names}
+        return {name for name in (*self.kinds, *self._parameters) if safe_name(name) in names}
 
     # Lines
 
@@ -360,12 +360,12 @@ class Statements(Calls):
         real = self.translator.literal(0.0)
         zero = {INT: "0", REAL: real, WIDE: real}.get(kind, "false") if isinstance(kind, Scalar) else "{0}"
         zero = "0" if isinstance(kind, ArrayOf) and not kind.lengths else zero
-        return f"{self.translator.declared(kind, name in self.written)}{safe(name)} = {zero};"
+        return f"{self.translator.declared(kind, name in self.written)}{safe_name(name)} = {zero};"
 
     def assign(self, node: ast.AST, name: str, value: Value, depth: int) -> None:
         """A variable gets a value."""
-        kind = value.kind if self._stores[name] == 1 and name not in self._parameters else widened(value.kind)
-        known = joined(self.kinds.get(name), kind) if name in self.kinds else kind
+        kind = value.kind if self._stores[name] == 1 and name not in self._parameters else widen_kind(value.kind)
+        known = join_kinds(self.kinds.get(name), kind) if name in self.kinds else kind
         if known is None or (isinstance(known, Const) and known.value is None and value.code):
             raise self.refuse(node, f"{name} of two kinds", "one kind of value for a variable")
         if isinstance(known, Record) and name in self._parameters:
@@ -385,12 +385,12 @@ class Statements(Calls):
             return
         code = self.as_kind(value, known)
         if name in self._parameters or not self._scopes.declares(name, self._path):
-            self.line(f"{safe(name)} = {code};", depth)
+            self.line(f"{safe_name(name)} = {code};", depth)
             return
         once = "const " if self._stores[name] == 1 and not isinstance(known, ArrayOf) else ""
         if isinstance(known, Record) and code.startswith("(struct "):
             code = code.partition(")")[2]
-        self.line(f"{once}{self.translator.declared(known, name in self.written)}{safe(name)} = {code};", depth)
+        self.line(f"{once}{self.translator.declared(known, name in self.written)}{safe_name(name)} = {code};", depth)
 
     def _assign_statement(self, node: ast.Assign, depth: int) -> bool:
         first = node.targets[0]
@@ -400,8 +400,8 @@ class Statements(Calls):
         value = self.value(node.value)
         if len(node.targets) > 1 and not value.is_const and isinstance(first, ENTRIES):
             name = self.temporary("same")
-            self.line(f"const {self.translator.declared(widened(value.kind))}{name} = {value.code};", depth)
-            value = Value(widened(value.kind), name)
+            self.line(f"const {self.translator.declared(widen_kind(value.kind))}{name} = {value.code};", depth)
+            value = Value(widen_kind(value.kind), name)
         for target in node.targets[::-1]:
             self.store(node, target, value, depth)
         return False
@@ -422,7 +422,7 @@ class Statements(Calls):
             self.line(f"{place.code} = {self.as_kind(value, place.kind)};", depth)
             return
         is_row = isinstance(place.kind, ArrayOf) and len(place.kind.shape) == 1 and place.kind.shape[0] is not None
-        if not is_row or not isinstance(widened(value.kind), Scalar):
+        if not is_row or not isinstance(widen_kind(value.kind), Scalar):
             raise self.refuse(node, ast.unparse(target)[:80], "a number into one entry, or into a whole row")
         assert isinstance(place.kind, ArrayOf)
         entry = self.temporary("entry")
@@ -477,7 +477,7 @@ class Statements(Calls):
         value = self.value(node.value)
         result = self.binary(node, node.op, place, value)
         if isinstance(node.target, ast.Name):
-            kind = joined(self.kinds.get(node.target.id), widened(result.kind))
+            kind = join_kinds(self.kinds.get(node.target.id), widen_kind(result.kind))
             if kind != self.kinds.get(node.target.id):
                 self.assign(node, node.target.id, result, depth)
                 return False

@@ -35,7 +35,7 @@ class LearningColumns:
         learner, values = self._learner, session.learned
         second = learner.gate.second.number
         if second != self._second:
-            self._values, self._second = shown(learner), second
+            self._values, self._second = learning_values(learner), second
         torque = row[layout.Results.resistance_torque_nm]
         if values[layout.Learned.on] == 0.0 and learner.acts and learner.learned.applied.any():
             torques = learner.learned.applied * values[layout.Learned.sensitivities]
@@ -60,7 +60,7 @@ def columns_of(learnable: Learnable) -> tuple[str, str, str]:
     return f"learned_{learnable.name}{unit}", f"learned_{learnable.name}_std{unit}", f"learned_{learnable.name}_state"
 
 
-def shown(learner: Learner) -> list[float]:
+def learning_values(learner: Learner) -> list[float]:
     """The columns but for the torque, which change once a second."""
     values = [learner.buckets.share, float(learner.acts)]
     is_frozen, has_evidence, is_bound = bool(learner.frozen), learner.counted, learner.held

@@ -82,7 +82,7 @@ def window_delay(speeds: Array, torques: Array, rolling_nm: float) -> tuple[floa
     """
     if min(len(speeds), len(torques)) < LEAST_SAMPLES:
         return None
-    (kept_speed, spacing), (kept_torque, torque_spacing) = (_near(series[:, 0]) for series in (speeds, torques))
+    (kept_speed, spacing), (kept_torque, torque_spacing) = (_near_samples(series[:, 0]) for series in (speeds, torques))
     smooth = min(max(SMOOTH_S, SMOOTH_SPACINGS * max(spacing, torque_spacing)), MARGIN_S / REACH)
     speed, resistance, inertia = (np.interp(_TIMES, speeds[:, 0], speeds[:, i]) for i in (1, 2, 3))
     torque = np.interp(_TIMES, torques[:, 0], torques[:, 1])
@@ -94,14 +94,14 @@ def window_delay(speeds: Array, torques: Array, rolling_nm: float) -> tuple[floa
     ahead = np.sign(speed)
     brakes = (accel * ahead < BRAKING_MPS2) & (measured_torque * ahead <= AGAINST_SHARE * rolling_nm)
     reach = REACH * smooth
-    has_torque = _reached(_clear(kept_torque, reach))
+    has_torque = _reached_points(_clear_points(kept_torque, reach))
     series = np.stack([expected, measured_torque, smooth_speed])
     # If the torque follows the braking too, no friction brakes act; else braking is excluded.
     least_share = LEAST_EXPLAINED_BRAKING if brakes.any() else LEAST_EXPLAINED
-    result = _fitted(series, has_torque & _clear(is_usable, reach), smooth, rolling_nm, least_share)
+    result = _fit_delay(series, has_torque & _clear_points(is_usable, reach), smooth, rolling_nm, least_share)
     if result is None and brakes.any():
-        is_usable &= _clear(~brakes, BESIDE_BRAKES_S)
-        result = _fitted(series, has_torque & _clear(is_usable, reach), smooth, rolling_nm, LEAST_EXPLAINED)
+        is_usable &= _clear_points(~brakes, BESIDE_BRAKES_S)
+        result = _fit_delay(series, has_torque & _clear_points(is_usable, reach), smooth, rolling_nm, LEAST_EXPLAINED)
     return result
 
 
@@ -114,7 +114,7 @@ def _kernels(smooth: float) -> tuple[Array, Array]:
     return mean, slope / -(slope * times).sum()
 
 
-def _fitted(
+def _fit_delay(
     series: Array, is_usable: Mask, smooth: float, rolling_nm: float, least_explained: float
 ) -> tuple[float, float] | None:
     """Delay and variance by the points of the grid that are usable; see `window_delay`."""
@@ -154,7 +154,7 @@ def _fitted(
     own_part = slope - np.linalg.solve(basis @ basis.T + np.diag(priors), basis @ slope) @ basis
     spread = np.zeros((2, len(expected)))  # no data between the usable points
     spread[:, inner] = own_part, residual
-    variance = float(residual @ residual) / freedom * _alike(*spread) / max(float(slope @ own_part), 1e-300)
+    variance = float(residual @ residual) / freedom * _correlation_factor(*spread) / max(float(slope @ own_part), 1e-300)
     return (float(delay), variance) if variance < WORST_STD_S**2 else None
 
 
@@ -172,7 +172,7 @@ def _least_squares(
     return of_gain - gains * b_1 - slopes * vm, gains, slopes
 
 
-def _alike(slope: Array, noise: Array) -> float:
+def _correlation_factor(slope: Array, noise: Array) -> float:
     """Effect of the noise on a fitted slope, relative to white noise of the same size.
 
     An acceleration from a noisy speed has alternating noise, which moves the delay much less than other noise would.
@@ -184,7 +184,7 @@ def _alike(slope: Array, noise: Array) -> float:
     return max(float((weights * of_slope * of_noise).sum()) / max(float(of_slope[0] * of_noise[0]), 1e-300), LEAST_ALIKE)
 
 
-def _near(times: Array) -> tuple[Mask, float]:
+def _near_samples(times: Array) -> tuple[Mask, float]:
     """Points of the grid outside gaps of the samples, shape of `_TIMES`; and the typical spacing of the samples [s]."""
     spacing = np.diff(times)
     typical = float(np.median(spacing))
@@ -196,7 +196,7 @@ def _near(times: Array) -> tuple[Mask, float]:
     return is_near, typical
 
 
-def _reached(is_good: Mask) -> Mask:
+def _reached_points(is_good: Mask) -> Mask:
     """Points of `_INNER` where all points used by any delay are good."""
     bad_count = np.concatenate([[0], np.cumsum(~is_good)])
     is_reached = np.zeros(len(is_good), dtype=bool)
@@ -204,7 +204,7 @@ def _reached(is_good: Mask) -> Mask:
     return is_reached
 
 
-def _clear(is_good: Mask, reach_s: float) -> Mask:
+def _clear_points(is_good: Mask, reach_s: float) -> Mask:
     """Points where all within a reach are good; beyond the ends all are."""
     reach = round(reach_s / GRID_S)
     bad_count = np.concatenate([[0], np.cumsum(~is_good)])
@@ -247,8 +247,8 @@ class KeptDelays:
         old_variances[recent_places] = 0.0
         if np.count_nonzero(old_variances) < LATE:
             return
-        old_delay, old_std = _together(self.delays, old_variances)
-        recent_delay, recent_std = _together(self.delays[recent_places], self.variances[recent_places])
+        old_delay, old_std = _weighted_mean(self.delays, old_variances)
+        recent_delay, recent_std = _weighted_mean(self.delays[recent_places], self.variances[recent_places])
         if abs(recent_delay - old_delay) > max(CHANGED_STDS * math.hypot(old_std, recent_std), CHANGED_S):
             old_variances[old_variances > 0.0] = 0.0
             old_variances[recent_places] = self.variances[recent_places]
@@ -257,7 +257,7 @@ class KeptDelays:
     @property
     def value(self) -> tuple[float, float]:
         """The delay and its standard deviation [s]."""
-        return _together(self.delays, self.variances)
+        return _weighted_mean(self.delays, self.variances)
 
     @property
     def known(self) -> bool:
@@ -266,7 +266,7 @@ class KeptDelays:
         return bool(has_windows) and self.value[1] < KNOWN_STD_S
 
 
-def _together(delays: Array, variances: Array) -> tuple[float, float]:
+def _weighted_mean(delays: Array, variances: Array) -> tuple[float, float]:
     """Robust weighted mean of windows and its standard deviation [s], from their scatter if that exceeds their variances."""
     has_window = variances > 0.0
     n = int(np.count_nonzero(has_window))

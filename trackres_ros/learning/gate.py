@@ -147,7 +147,7 @@ class Gate:
             learned_torques = learned[layout.Learned.departures] * learned[layout.Learned.sensitivities]
             lasting = float(learned[layout.Learned.torque]) * math.tanh(row[layout.Results.speed_mps] / STANDSTILL_MPS)
             residual += float(learned_torques.sum()) + lasting
-        reason = self._why_not(stamp_ns, row, residual, _fresh(session, layout.YAW_RATE))
+        reason = self._why_not(stamp_ns, row, residual, _fresh_value(session, layout.YAW_RATE))
         second = self.second
         if reason != TAKEN:
             second.refused[reason] += 1.0
@@ -160,7 +160,7 @@ class Gate:
         second.accel += row[layout.Results.accel_mps2]
         second.weight += row[layout.Results.weight_n]
         second.inertia += row[layout.Results.inertia_nm]
-        second.felt += _fresh(session, layout.SPECIFIC_FORCE)  # IMU acceleration along the track
+        second.felt += _fresh_value(session, layout.SPECIFIC_FORCE)  # IMU acceleration along the track
         belts = 0.0
         for column in self._belts:
             belts += row[column]
@@ -224,7 +224,7 @@ class Gate:
         return OUTLYING if outlying else TAKEN
 
 
-def _fresh(session: Session, channel: int) -> float:
+def _fresh_value(session: Session, channel: int) -> float:
     """The value of a channel of motion at the last speed; nan without one, or if it is old."""
     memory, hold_ns = session.memory, session.estimator.constants.number.motion_hold_ns
     return held_value(memory, channel, int(memory.times[layout.SPEED, layout.Times.last_arrival]), hold_ns)

@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT, corrected, spread
+from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT, correct_estimate, spread
 from trackres_ros.units import GRAVITY, SECOND_NS
 
 SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: prior of roads, and their correlation length
@@ -103,7 +103,7 @@ class Ground:
             if abs(way) < STANDS_M:  # changes of the altitude at standstill are not the ground's
                 climb = abs(altitude - self.stood_m) - 2.0 * math.sqrt(self.altitude_variance)
                 self.drift = max(self.drift, max(climb, 0.0) ** 2 * SECOND_NS / (stamp - self.stood_ns))
-            self.altitude_variance = _measured(
+            self.altitude_variance = _take_measurement(
                 mean, covariance, (HEIGHT,), altitude - self.zero_m, self.altitude_variance, LEAST_ALTITUDE_STD_M, freedom
             )
         self.altitude_ns = stamp
@@ -120,7 +120,9 @@ class Ground:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
             self.feels = True
         slope = (specific_force - accel) / GRAVITY - self.known_slope
-        self.felt_variance = _measured(mean, covariance, (SLOPE, TILT), slope, self.felt_variance, LEAST_FELT_STD, freedom)
+        self.felt_variance = _take_measurement(
+            mean, covariance, (SLOPE, TILT), slope, self.felt_variance, LEAST_FELT_STD, freedom
+        )
 
     def _drive_on(self, mean: Array, covariance: Array, way: float, rise: float) -> None:
         """Predict the rise of the ground along a distance [m] by its slope; then change the slope."""
@@ -142,7 +144,7 @@ def _begin(mean: Array, covariance: Array, state: int, variance: float) -> None:
     covariance[state, state] = variance
 
 
-def _measured(
+def _take_measurement(
     mean: Array, covariance: Array, states: tuple[int, ...], value: float, variance: float, least_std: float, freedom: Mask
 ) -> float:
     """Update by a measurement of a sum of states; return the new noise variance of such measurements."""
@@ -151,7 +153,7 @@ def _measured(
     departure = value - float(mean[list(states)].sum())
     _, state_variance = spread(covariance, sensitivities)
     noise_square = min(max(departure * departure - state_variance, 0.0), OUTLIER * OUTLIER * variance)
-    corrected(
+    correct_estimate(
         mean,
         covariance,
         sensitivities,

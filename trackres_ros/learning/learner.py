@@ -29,15 +29,15 @@ from trackres_ros.learning.parameters import (
     STEP,
     VEHICLES_OWN,
     Prior,
-    aged,
+    age_estimate,
     conditional_mean,
-    corrected,
-    expected,
+    correct_estimate,
+    expected_residual,
     learnables,
     make_prior,
     rise_torques,
     spread,
-    widened,
+    widen_covariance,
 )
 from trackres_ros.learning.state import (
     BLOCK_S,
@@ -230,7 +230,7 @@ class Learner:
         covariance = self.learned.covariance
         stds, prior_stds = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(self.prior.covariance))
         # Wear goes one way: its possible change grows with time, not with its root, however that time is divided.
-        widened(covariance, np.minimum(stds + AGES_PER_S * max(seconds, 0.0) * prior_stds, prior_stds))
+        widen_covariance(covariance, np.minimum(stds + AGES_PER_S * max(seconds, 0.0) * prior_stds, prior_stds))
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
@@ -312,14 +312,14 @@ class Learner:
         freedom = self._free(second.accel / n)
         s.ground.take_force(s.mean, s.covariance, second.felt / n, second.accel / n, freedom)
         known_hill = float(s.mean[SLOPE] * sensitivities[SLOPE])  # from an altitude or an IMU, before this torque has its say
-        innovation = residual - expected(s.mean, sensitivities)
+        innovation = residual - expected_residual(s.mean, sensitivities)
         applied_torque = float((s.applied * sensitivities[: layout.LEARNABLE]).sum())
         self._update_noise(residual - applied_torque, seconds)
         variance = s.second_variance + (INERTIA_SHARE * inertia) ** 2
         _, state_variance = spread(s.covariance, sensitivities)
         total = state_variance + variance
         weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + innovation * innovation / total)
-        corrected(s.mean, s.covariance, sensitivities, innovation, total / min(weight, 1.0) - state_variance, freedom)
+        correct_estimate(s.mean, s.covariance, sensitivities, innovation, total / min(weight, 1.0) - state_variance, freedom)
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)
         self.buckets.count(speed, second.belt_degc / n, second.weight / n, second.accel / n)
         s.block.add(residual - known_hill, applied_torque, sign, sensitivities, s.noise / variance)
@@ -345,7 +345,7 @@ class Learner:
         if len(session.belts):
             noise[layout.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
             noise[layout.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
-        aged(s.mean, s.covariance, shares, noise)
+        age_estimate(s.mean, s.covariance, shares, noise)
         variance = s.covariance[layout.OF_BELT, layout.OF_BELT]
         if variance > belt_variance:  # measurements of a belt are in the estimate already
             share = math.sqrt(belt_variance / variance)

@@ -27,7 +27,7 @@ from trackres_ros.vehicle.writing.vehicle_file import rubber_share
 # Filter
 
 
-def aged(mean: Array, covariance: Array, shares: Array, noise: Array) -> None:
+def age_estimate(mean: Array, covariance: Array, shares: Array, noise: Array) -> None:
     """Predict states with decay and process noise; changes both.
 
     `shares` is the remaining share of each state, `noise` its process noise, shape (states,).
@@ -38,7 +38,7 @@ def aged(mean: Array, covariance: Array, shares: Array, noise: Array) -> None:
     covariance[np.diag_indices_from(covariance)] += noise
 
 
-def widened(covariance: Array, stds: Array) -> None:
+def widen_covariance(covariance: Array, stds: Array) -> None:
     """Raise standard deviations to those given, shape (states,); the correlations stay. Changes the covariance."""
     present_stds = np.sqrt(np.diag(covariance))
     share = np.divide(np.maximum(stds, present_stds), present_stds, out=np.ones(len(present_stds)), where=present_stds > 0.0)
@@ -46,7 +46,7 @@ def widened(covariance: Array, stds: Array) -> None:
     covariance *= share[None, :]
 
 
-def expected(mean: Array, sensitivities: Array) -> float:
+def expected_residual(mean: Array, sensitivities: Array) -> float:
     """Expected measurement: the sum of states times their sensitivities, shape (states,)."""
     return float((mean * sensitivities).sum())
 
@@ -57,7 +57,9 @@ def spread(covariance: Array, sensitivities: Array) -> tuple[Array, float]:
     return covariances, float((covariances * sensitivities).sum())
 
 
-def corrected(mean: Array, covariance: Array, sensitivities: Array, departure: float, variance: float, freedom: Mask) -> None:
+def correct_estimate(
+    mean: Array, covariance: Array, sensitivities: Array, departure: float, variance: float, freedom: Mask
+) -> None:
     """Update by a measurement; changes mean and covariance.
 
     Parameters
@@ -208,7 +210,7 @@ def limits_of(path: str) -> Limits:
     return {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]
 
 
-def _reach(vehicle: AnyVehicle, learnable: Learnable, std: float) -> tuple[float, float]:
+def _departure_bounds(vehicle: AnyVehicle, learnable: Learnable, std: float) -> tuple[float, float]:
     """Bounds of a departure: its standard deviations, and the file's own range, within what a vehicle file may hold."""
     low, high = -REACH_STD * std, REACH_STD * std
     lower, upper = LEAST_FACTOR - 1.0, np.inf
@@ -235,7 +237,7 @@ def make_prior(estimator: Estimator) -> Prior:
     own_states = {learnable.state: learnable for learnable in learnables(estimator.vehicle) if learnable.paths}
     load = k.assembly[:, layout.Assembly.nominal_load]
     factor = (load / load.sum()) @ k.assembly[:, layout.CONSIDER_FACTOR : layout.CAUSES_OF]
-    covariance = _tied(estimator, own_states, factor.reshape(4, 4))
+    covariance = _prior_covariance(estimator, own_states, factor.reshape(4, 4))
     for state in own_states:
         covariance[state, state] += max(LEAST_STD**2 - covariance[state, state], 0.0)
     rolling = ROLLING_SHARE * float(load @ k.assembly[:, layout.Assembly.radius])
@@ -246,11 +248,13 @@ def make_prior(estimator: Estimator) -> Prior:
     covariance[SLOW, SLOW] = (WANDERING_SHARE * rolling) ** 2
     low, high = np.full(STATES, -np.inf), np.full(STATES, np.inf)
     for state in own_states:
-        low[state], high[state] = _reach(estimator.vehicle, own_states[state], float(np.sqrt(covariance[state, state])))
+        low[state], high[state] = _departure_bounds(
+            estimator.vehicle, own_states[state], float(np.sqrt(covariance[state, state]))
+        )
     return Prior(covariance, low, high, rolling)
 
 
-def _tied(estimator: Estimator, own_states: Iterable[int], factor: Array) -> Array:
+def _prior_covariance(estimator: Estimator, own_states: Iterable[int], factor: Array) -> Array:
     """Covariance of the vehicle's own departures, (STATES, STATES); `factor` is (4, 4), of uncertain belts and the radius."""
     vehicle, number = estimator.vehicle, estimator.constants.number
     wheels = isinstance(vehicle, RoadVehicle)

@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as layout
 from trackres_ros.learning.ground import Ground
-from trackres_ros.learning.parameters import GAIN, HEIGHT, SLOPE, SLOW, STATES, STEP, WANDERING_SHARE, Prior, expected
+from trackres_ros.learning.parameters import GAIN, HEIGHT, SLOPE, SLOW, STATES, STEP, WANDERING_SHARE, Prior, expected_residual
 from trackres_ros.units import MAD_TO_STD
 from trackres_ros.vehicle import Disturbance, Spells
 
@@ -302,9 +302,9 @@ def close_block(s: LearnerState) -> None:
     block, last_block = s.block, s.last_block
     s.last_block, s.block = block, ResidualBlock()
     if last_block.seconds:
-        _judge(s, _level(s, block), _level(s, last_block))
+        _judge_level(s, _level(s, block), _level(s, last_block))
     s.past.add(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
-    _tell(s)
+    _publish_disturbance(s)
     s.contest.add(block.gain)
     s.fresh.add(block.gain)
     s.store_recent()
@@ -312,10 +312,10 @@ def close_block(s: LearnerState) -> None:
 
 def _level(s: LearnerState, block: ResidualBlock) -> float:
     """Residual of a block by present knowledge, without disturbances; against travel [Nm]."""
-    return (block.residual - expected(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
+    return (block.residual - expected_residual(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
 
 
-def _judge(s: LearnerState, level: float, last_level: float) -> None:
+def _judge_level(s: LearnerState, level: float, last_level: float) -> None:
     """Follow the levels of the present block and of the last."""
     least_variance = s.least_variance if s.wandering.blocks else (FIRST_SHARE * s.rolling) ** 2
     threshold = max(STEP_SHARE * s.rolling, STEP_STDS * s.wandering.std(least_variance))
@@ -345,7 +345,7 @@ def _step_found(s: LearnerState, size: float) -> None:
     s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
 
 
-def _tell(s: LearnerState) -> None:
+def _publish_disturbance(s: LearnerState) -> None:
     """Whether the mean residual of a minute exceeds the short disturbances and the error of the slope."""
     mean, std = s.past.recent_level()
     std = math.hypot(std, math.sqrt(s.covariance[SLOPE, SLOPE]) * s.last_block.looks[SLOPE])  # a slope that is followed

@@ -36,12 +36,12 @@ NOT_YET = {"last_left": "nan", "felt": "nan", "torque": "nan", "step_s": "inf", 
 REACH = 1.0 + 1e-9  # of the bounds: rounding
 
 
-def stored(learner: Learner) -> dict[str, Any]:
+def learner_content(learner: Learner) -> dict[str, Any]:
     """Full memory of a learner, ready for JSON."""
     return {name: _plain(part) for name, part in _parts(learner).items()}
 
 
-def take(learner: Learner, content: object) -> None:
+def take_content(learner: Learner, content: object) -> None:
     """Fill a new learner from the result of `stored`.
 
     Raises
@@ -101,7 +101,7 @@ def since_saved(path: Path, content: Any, end_s: float, start_s: float, off_s: f
     return {**content, LEARNED_AT: max(start_s - age_s, -FARTHEST_SAVED_AT)}, age_s
 
 
-def go_on(session: Session, learner: Learner | None, content: object, off_s: float | None = None) -> None:
+def continue_session(session: Session, learner: Learner | None, content: object, off_s: float | None = None) -> None:
     """Continue with what a state file holds: a session, and the learned values saved with it, or None.
 
     They act at once only in mode `on` and in the same stream of messages; after some time off [s] they are less certain, and act
@@ -116,13 +116,13 @@ def go_on(session: Session, learner: Learner | None, content: object, off_s: flo
         use_file(session.learned)
     if learner is None or content is None:
         return
-    take(learner, content)
+    take_content(learner, content)
     if off_s is not None:
         learner.age(off_s)
 
 
-def go_on_from(path: Path, session: Session, learner: Learner | None, content: object, off_s: float | None = None) -> None:
-    """As `go_on`, from a state file that is named.
+def continue_from(path: Path, session: Session, learner: Learner | None, content: object, off_s: float | None = None) -> None:
+    """As `continue_session`, from a state file that is named.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def go_on_from(path: Path, session: Session, learner: Learner | None, content: o
         If the learned values are not from a learner of this vehicle.
     """
     try:
-        go_on(session, learner, content, off_s)
+        continue_session(session, learner, content, off_s)
     except ValueError as error:
         raise InputError(f"state file {path}", str(error), "learned parameters saved by this program", REMEDY) from error
 
@@ -248,7 +248,7 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
     def with_learned(text: str) -> str:
         document = Document(text)
         for state in counts:
-            file_values.update(_set(document, vehicle, of_file[state], departures[state], stds[state]))
+            file_values.update(_set_learnable(document, vehicle, of_file[state], departures[state], stds[state]))
         return document.text() or f"# {comment}\n{document.plain()}"
 
     changes = FileChanges(None, (), {}, by="trackres replay", amend=with_learned)
@@ -265,7 +265,7 @@ def _value(vehicle: AnyVehicle, path: str) -> float:
     return value
 
 
-def _set(
+def _set_learnable(
     document: Document, vehicle: AnyVehicle, learnable: Learnable, departure: float, std: float
 ) -> dict[str, tuple[float, float]]:
     """Put a departure into the values of the file that it is of; these before and after, by path.

@@ -23,7 +23,7 @@ from trackres_ros.arrays import Array
 from trackres_ros.files.cache import cached_arrays
 from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
-from trackres_ros.model.rubber import RubberModel, cubic_weights, thinned
+from trackres_ros.model.rubber import RubberModel, cubic_weights, thinned_numbers
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
 from trackres_ros.vehicle import Vehicle
 
@@ -106,7 +106,7 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
     def compute() -> dict[str, Array]:
         rubber, track = RubberModel(vehicle.rubber), vehicle.tracks[track_name]
         spectral = vehicle.hysteresis == Spectral.name
-        nodes = thinned(TABLE_HARMONICS, HARMONICS_EACH)
+        nodes = thinned_numbers(TABLE_HARMONICS, HARMONICS_EACH)
         method = Spectral(track, rubber, TABLE_HARMONICS, nodes) if spectral else METHODS[vehicle.hysteresis](track, rubber)
         return build(method, load_range(vehicle, track_name))
 

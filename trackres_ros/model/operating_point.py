@@ -136,7 +136,7 @@ def vehicle_state(
     belts = np.array(belts_degc)
     mean = float(belts[0] + (belts - belts[0]).mean())
     instant = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=mean)
-    terms = _on_belts(effects_used, instant)
+    terms = _belt_terms(effects_used, instant)
     for _ in range(DRIVE_PASSES):
         by_kind = {
             (track, load, degc): _assembly_state(
@@ -156,20 +156,20 @@ def vehicle_state(
                 torque[part] += value
         torque["effects"] = _effects_torque(effects_used, instant, torque["hysteresis"] + torque["bearing"] + torque["wind"])
         torque["resistance"] = sum(torque[part] for part in RESISTANCE_PARTS)
-        last_terms, terms = terms, _on_belts(effects_used, instant._replace(drive_torque=torque["resistance"]))
+        last_terms, terms = terms, _belt_terms(effects_used, instant._replace(drive_torque=torque["resistance"]))
         if terms == last_terms:
             break
     radii = vehicle.sprocket_radii
     arms = loads * radii / (loads @ radii)  # effects act on the whole vehicle, each assembly's part at its own radius
     shares = [sum(assembly.torque.values()) + torque["effects"] * arm for assembly, arm in zip(assemblies, arms, strict=True)]
     force = float(resistance.force_along(torque["resistance"], shares, radii))
-    refusals, remarks = _doubted(effects_used, instant._replace(drive_torque=torque["resistance"]))
+    refusals, remarks = _doubtful_effects(effects_used, instant._replace(drive_torque=torque["resistance"]))
     return VehicleState(assemblies, mean, torque, force, [*left_out, *refusals], remarks)
 
 
-def _on_belts(effects: Sequence[Active], instant: Conditions) -> Terms:
+def _belt_terms(effects: Sequence[Active], instant: Conditions) -> Terms:
     """Terms of effects on loss, heat and cooling of the belts."""
-    return _together(effects, instant)._replace(torque=0.0, drive_gain=1.0, extrapolated=0.0)
+    return _sum_terms(effects, instant)._replace(torque=0.0, drive_gain=1.0, extrapolated=0.0)
 
 
 def _assembly_state(
@@ -229,7 +229,7 @@ def explain_road(
     instant = conditions(vehicle.constants, speed, weight=weight, ambient=ambient)
     torque["effects"] = _effects_torque(effects_used, instant, sum(torque.values()))
     wheel_torque = sum(torque[part] for part in ON_WHEELS)
-    refusals, remarks = _doubted(effects_used, instant._replace(drive_torque=wheel_torque))
+    refusals, remarks = _doubtful_effects(effects_used, instant._replace(drive_torque=wheel_torque))
     return {
         "vehicle": vehicle.name,
         "method": vehicle.hysteresis,
@@ -246,7 +246,10 @@ def explain_road(
 def left_out_at(vehicle: AnyVehicle, speed: float, ambient: float) -> list[str]:
     """Names of the effects that a steady state at a speed [m/s] leaves out, with belts as cold as the air [degC]."""
     effects_used, left_out = _effects(vehicle)
-    return [*left_out, *_doubted(effects_used, conditions(vehicle_constants(vehicle), speed, ambient=ambient, belt=ambient))[0]]
+    return [
+        *left_out,
+        *_doubtful_effects(effects_used, conditions(vehicle_constants(vehicle), speed, ambient=ambient, belt=ambient))[0],
+    ]
 
 
 def _effects(vehicle: AnyVehicle) -> tuple[list[Active], list[str]]:
@@ -269,12 +272,12 @@ def _terms(active: Active, instant: Conditions) -> Terms | None:
     return terms if is_usable else None
 
 
-def _together(effects: Sequence[Active], instant: Conditions) -> Terms:
+def _sum_terms(effects: Sequence[Active], instant: Conditions) -> Terms:
     """Terms of usable effects in a steady state."""
     return together([terms for active in effects if (terms := _terms(active, instant)) is not None])
 
 
-def _doubted(effects: Sequence[Active], instant: Conditions) -> tuple[list[str], list[str]]:
+def _doubtful_effects(effects: Sequence[Active], instant: Conditions) -> tuple[list[str], list[str]]:
     """Names of the effects with unusable terms, and remarks on learned ones beyond their ranges."""
     refusals, remarks = [], []
     for active in effects:
@@ -290,7 +293,7 @@ def _effects_torque(effects: Sequence[Active], instant: Conditions, other_torque
     """Torque of effects added to the other parts [Nm]; some depend on the total drive torque."""
     extra = 0.0
     for _ in range(DRIVE_PASSES):
-        terms = _together(effects, instant._replace(drive_torque=other_torque + extra))
+        terms = _sum_terms(effects, instant._replace(drive_torque=other_torque + extra))
         extra = float(terms.torque) + (other_torque + float(terms.torque)) * (float(terms.drive_gain) - 1.0)
     return extra
 

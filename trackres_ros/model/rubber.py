@@ -22,7 +22,7 @@ from trackres_ros.vehicle import Rubber
 STEEPEST_END = 3.0  # of a monotone cubic's slope at its end, over that of the line to the next value
 
 
-def thinned(count: int, density: int) -> Array:
+def thinned_numbers(count: int, density: int) -> Array:
     """Whole numbers 1 to `count`, of large ones so many that there are `density` for a factor e."""
     numbers = [1]
     while numbers[-1] < count:
@@ -63,7 +63,7 @@ class MonotoneCubic:
     def __init__(self, nodes: Array, values: Array) -> None:
         length = np.diff(nodes)
         line = np.diff(values) / length
-        slope = np.concatenate([[_end(length, line)], _inner(length, line), [_end(length[::-1], line[::-1])]])
+        slope = np.concatenate([[_end(length, line)], _inner_slopes(length, line), [_end(length[::-1], line[::-1])]])
         third = (slope[:-1] + slope[1:] - 2.0 * line) / length
         self._nodes = nodes
         self._coefficients = values[:-1], slope[:-1], (line - slope[:-1]) / length - third, third / length
@@ -77,7 +77,7 @@ class MonotoneCubic:
         return np.asarray(c_0 + offset * (c_1 + offset * (c_2 + offset * c_3)))
 
 
-def _inner(length: Array, line: Array) -> Array:
+def _inner_slopes(length: Array, line: Array) -> Array:
     """Slopes in the inner nodes."""
     weight, other_weight = 2.0 * length[1:] + length[:-1], length[1:] + 2.0 * length[:-1]
     turns = line[:-1] * line[1:] <= 0.0

@@ -24,9 +24,9 @@ from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MP
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.settings import setting
 from trackres_ros.estimator.snapshot import LEARNED_AT
-from trackres_ros.learning.columns import LearningColumns, lines, shown
+from trackres_ros.learning.columns import LearningColumns, learning_values, lines
 from trackres_ros.learning.learner import OFF, ON, Learner, use_file
-from trackres_ros.learning.store import go_on, since_learned, stored
+from trackres_ros.learning.store import continue_session, learner_content, since_learned
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Status
 from trackres_ros.units import MAD_TO_STD, NANOSECOND
@@ -403,7 +403,7 @@ class LiveLearning:
         if self.learner is None:
             self._stored = values
             return "the learned parameters are kept, but no torque is measured"
-        go_on(session, self.learner, values, since_learned(values, now_s))
+        continue_session(session, self.learner, values, since_learned(values, now_s))
         self._stored = values if self.mode == OFF else None
         return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
@@ -414,7 +414,7 @@ class LiveLearning:
 
     def stored(self) -> Any:
         """Plain values for the state file; None if nothing was learned."""
-        return self._stored if self.learner is None or self._stored is not None else stored(self.learner)
+        return self._stored if self.learner is None or self._stored is not None else learner_content(self.learner)
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
@@ -438,9 +438,9 @@ class LiveLearning:
             self.mode = mode
             return
         if mode == OFF:
-            self._stored = {LEARNED_AT: time.time(), **stored(self.learner)}
+            self._stored = {LEARNED_AT: time.time(), **learner_content(self.learner)}
         elif self._stored is not None:
-            go_on(session, self.learner, self._stored, since_learned(self._stored, time.time()))
+            continue_session(session, self.learner, self._stored, since_learned(self._stored, time.time()))
             self._stored = None
         if OFF in (mode, self.mode):
             self.learner.restart()
@@ -481,7 +481,7 @@ class LiveLearning:
             ("frozen", self.learner.frozen),
             ("disturbance", self.learner.disturbance),
         )
-        learned = lines(self.learner, shown(self.learner))
+        learned = lines(self.learner, learning_values(self.learner))
         rows = [("learning", self.text, overall), *learned]
         return [Status(Level.OK, f"{node}: {name}", message, vehicle, values) for name, message, values in rows]
 

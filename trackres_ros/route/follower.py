@@ -32,7 +32,7 @@ NOTHING_YET = (*(math.nan,) * 6, 0.0, 0.0, 0.0, 0.0, EVERY_S, *(math.nan,) * 3, 
 
 
 @kernel
-def forget(follower: Array) -> None:
+def forget_position(follower: Array) -> None:
     """As at the start."""
     for i in range(FOLLOWED):
         follower[i] = NOTHING_YET[i]
@@ -71,7 +71,7 @@ def drive_on(follower: Array, speed: float, dt: float, since_position: float) ->
 
 
 @kernel
-def look(cells: IntArray, places: Array, follower: Array, is_old: bool) -> None:
+def look_up_ground(cells: IntArray, places: Array, follower: Array, is_old: bool) -> None:
     """Look up the ground under the vehicle, if the last look-up is old enough; `is_old` means that the last position
     is old.
     """

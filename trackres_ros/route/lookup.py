@@ -94,7 +94,7 @@ def seen_from(
 
 
 @kernel
-def between(
+def neighbour_places(
     cells: IntArray, places: Array, kind: int, x: float, y: float, east: float, north: float
 ) -> tuple[int, int, float, float, float]:
     """The places behind and ahead of a vehicle at (x, y) [m] that travels in a direction.
@@ -152,7 +152,7 @@ def learned_at(cells: IntArray, places: Array, kind: int, x: float, y: float, ea
     """Learned value of a kind for travel at (x, y) [m] in a direction, and its standard deviation; nan where
     unknown.
     """
-    back, front, share, back_sign, front_sign = between(cells, places, kind, x, y, east, north)
+    back, front, share, back_sign, front_sign = neighbour_places(cells, places, kind, x, y, east, north)
     total = spread = weight = 0.0
     if back >= 0 and share < 1.0:
         side = 1 if back_sign < 0.0 else 0

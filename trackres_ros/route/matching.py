@@ -19,9 +19,9 @@ from trackres_ros.route.lookup import (
     SPACING_M,
     Array,
     Lookup,
-    between,
     cell_of,
     lookup_of,
+    neighbour_places,
     seen_from,
 )
 from trackres_ros.route.track import STEP_M, DrivenTrack
@@ -109,13 +109,13 @@ def places_of(tracks: Sequence[DrivenTrack]) -> Places:
     """Places of all driven streets, in the order of their first pass."""
     places = Places()
     for track in tracks:
-        for point in _known(track):
+        for point in _known_points(track):
             if not places.is_near(*point[1:]):
                 places.add(*point[1:])
     return places
 
 
-def matched(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
+def match_tracks(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
     """Position of tracks between places, and the number of earlier passes of each."""
     pass_counts, last_m = np.full((len(places), 3), -1), np.full((len(places), 3), -np.inf)  # one way, the other, and either
     lookup = places.lookup
@@ -124,8 +124,8 @@ def matched(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
     for track in tracks:
         place, share, sign = np.full((len(track), 2), -1), np.zeros((len(track), 2)), np.zeros((len(track), 2))
         number = np.full((len(track), 2), -1)
-        for i, *point in _known(track):
-            back, front, front_share, *signs = between(*lookup, 0, *point)
+        for i, *point in _known_points(track):
+            back, front, front_share, *signs = neighbour_places(*lookup, 0, *point)
             if back < 0:
                 continue
             place[i], share[i], sign[i] = numbers[[back, front]], (1.0 - front_share, front_share), signs
@@ -139,7 +139,7 @@ def matched(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
     return matches
 
 
-def neighbours(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
+def neighbour_pairs(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
     """Consecutive places on some track, the lower number first, and whether they have the same direction (1, else -1)."""
     pairs: dict[tuple[int, int], float] = {}
     for track in tracks:
@@ -157,7 +157,7 @@ def neighbours(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
     return pairs
 
 
-def _known(track: DrivenTrack) -> list[tuple[int, float, float, float, float]]:
+def _known_points(track: DrivenTrack) -> list[tuple[int, float, float, float, float]]:
     index = np.flatnonzero(track.known)
     rows = zip(*(x[index].tolist() for x in (track.x, track.y, track.east, track.north)), strict=True)
     return [(i, *row) for i, row in zip(index.tolist(), rows, strict=True)]

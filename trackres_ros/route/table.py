@@ -50,7 +50,7 @@ def write_route(path: Path, route: Sequence[RouteMap]) -> None:
     """Write learned values by place: a row for each place with any, and an empty cell for a missing one."""
     rows: dict[str, dict[str, str]] = {}
     for route_map in route:
-        for place, values, count in zip(_places(route_map), _learned(route_map), route_map.passes.tolist(), strict=True):
+        for place, values, count in zip(_places(route_map), _learned_values(route_map), route_map.passes.tolist(), strict=True):
             if any(values.values()):
                 rows.setdefault(place, {}).update({**values, "passes": str(count)})
     kinds = [kind for kind in LEARNED if of_kind(route, kind) is not None]
@@ -65,7 +65,7 @@ def _places(route: RouteMap) -> list[str]:
     return [f"{a:.7f},{b:.7f},{c:.1f}" for a, b, c in rows]
 
 
-def _learned(route: RouteMap) -> list[dict[str, str]]:
+def _learned_values(route: RouteMap) -> list[dict[str, str]]:
     digits = 5 if route.kind == SLOPE else 1
     std = np.where(np.isfinite(route.value), route.std, np.nan)
     values = np.stack([route.value, std], axis=2).reshape(len(route), -1)
@@ -108,7 +108,7 @@ def _row(row: list[str], limits_by_name: Mapping[str, tuple[float, float]], line
         raise InputError(line, f"{len(row)} values", f"{len(limits_by_name)}: {', '.join(limits_by_name)}")
     may_be_empty = limits_by_name.keys() - PLACE.keys() - PASSES.keys()
     numbers = [
-        math.nan if name in may_be_empty and not text.strip() else number(_parsed(text), f"{line}: {name}", *limits)
+        math.nan if name in may_be_empty and not text.strip() else number(_parse_number(text), f"{line}: {name}", *limits)
         for text, (name, limits) in zip(row, limits_by_name.items(), strict=True)
     ]
     values = dict(zip(limits_by_name, numbers, strict=True))
@@ -118,7 +118,7 @@ def _row(row: list[str], limits_by_name: Mapping[str, tuple[float, float]], line
     return numbers
 
 
-def _parsed(text: str) -> float | str:
+def _parse_number(text: str) -> float | str:
     try:
         return float(text)
     except ValueError:

@@ -27,7 +27,7 @@ from trackres_ros.estimator.drives import by_column
 from trackres_ros.estimator.energy import DriveTotals, StepTimes
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.records import Steps
-from trackres_ros.estimator.snapshot import read_learning, rested, resume
+from trackres_ros.estimator.snapshot import read_learning, rest_session, resume
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
@@ -156,7 +156,7 @@ def resumed(source: Source, estimator: Estimator, path: Path) -> Resumed:
         of_stood = [role == "stood" for role in source.roles]
         off_s = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
         off_s = 0.0 if math.isnan(off_s) else off_s
-        session = rested(session, off_s)
+        session = rest_session(session, off_s)
     end_s, begin_s = int(last.last_arrival) * NANOSECOND, int(first.arrival_ns[0]) * NANOSECOND
     return Resumed(session, off_s, *since_saved(path, learned, end_s, begin_s, off_s))
 

@@ -25,7 +25,7 @@ from trackres_ros.effects.stepping import (
     UNUSABLE,
     EffectScratch,
     EffectTable,
-    cooled,
+    cool_memory,
     new_effect_scratch,
     new_memory,
     rest_effects,
@@ -123,7 +123,7 @@ class OwnBase(Base):
             if i > 0 and np.isfinite(session.gap):
                 rest_own(*acting.table, memory, scratch, float(session.ambient[0]), session.gap)
             else:
-                memory = cooled(memory)
+                memory = cool_memory(memory)
                 if session.first_drive:
                     memory[DISTANCE] = distance = 0.0
             true = replace(session, speed=acting.speed(session), accel=acting.accel(session))

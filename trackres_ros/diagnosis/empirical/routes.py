@@ -26,7 +26,7 @@ from trackres_ros.diagnosis.selection.locate import torque_residuals
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import SPACING_M
-from trackres_ros.route.matching import Matched, Places, matched, neighbours, places_of
+from trackres_ros.route.matching import Matched, Places, match_tracks, neighbour_pairs, places_of
 from trackres_ros.route.track import Frame, track_of
 from trackres_ros.text import figures
 from trackres_ros.vehicle.writing.changes import BY_PLACE
@@ -93,10 +93,10 @@ def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     frame = Frame.about(latitude, longitude)
     tracks = [track_of(w.driven, *frame.metres(w.latitude, w.longitude)) for w in ways]
     places = places_of(tracks)
-    matches = matched(places, tracks)
+    matches = match_tracks(places, tracks)
     within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(matches, tracks, ways, strict=True))
     middles = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
-    return Roads(frame, places, StreetGraph.of(neighbours(matches), places.table, matches), middles, within)
+    return Roads(frame, places, StreetGraph.of(neighbour_pairs(matches), places.table, matches), middles, within)
 
 
 def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Term | None:

@@ -68,7 +68,7 @@ from trackres_ros.estimator.records import Steps
 from trackres_ros.recording.recording import Recording, stamped
 from trackres_ros.recording.samples import Series, standing_time
 from trackres_ros.route.learned import SLOPE, RouteMap
-from trackres_ros.route.matching import matched
+from trackres_ros.route.matching import match_tracks
 from trackres_ros.route.track import track_of
 from trackres_ros.text import number_of, some_of
 from trackres_ros.units import SECOND_NS
@@ -436,7 +436,7 @@ def _along(session: DriveSession, route: RouteMap) -> Array:
     """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
-    match = matched(route.places, [track])[0].at(track.nearest(way.driven))
+    match = match_tracks(route.places, [track])[0].at(track.nearest(way.driven))
     learned = route.value[match.place, (match.sign < 0.0).astype(int)]
     known = np.isfinite(learned) & (match.share > 0.0) & match.known[:, np.newaxis]
     share = np.where(known, match.share, 0.0)

@@ -16,9 +16,9 @@ from trackres_ros.effects.calls import CALL
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.records import LONGEST_STEP_S
-from trackres_ros.kernels.extension import filled, used_helpers
+from trackres_ros.kernels.extension import fill_template, used_helpers
 from trackres_ros.kernels.functions import Instance
-from trackres_ros.kernels.kinds import INT, REAL, WIDE, ArrayOf, Record, safe
+from trackres_ros.kernels.kinds import INT, REAL, WIDE, ArrayOf, Record, safe_name
 from trackres_ros.recording.roles import ROLES, UNITS
 from trackres_ros.tools.export.parts import Parts, StateArray
 
@@ -70,7 +70,7 @@ class CSource:
         """Each file by its name."""
         common = {"TITLE": self._title, "MADE": self._made, "REAL": self.real, "VERSION": self.version()}
         values = {"trackres.h": self._header(), "trackres.c": self._source(), "main.c": self._main(), "CMakeLists.txt": {}}
-        return {name: filled((TEMPLATES / name).read_text(encoding="utf-8"), common | of) for name, of in values.items()}
+        return {name: fill_template((TEMPLATES / name).read_text(encoding="utf-8"), common | of) for name, of in values.items()}
 
     def version(self) -> str:
         """Version number of the state: a digest of everything that defines the numbers in a state."""
@@ -189,7 +189,7 @@ class CSource:
                 parts.append(f"state->tuned[{self.parts.tuned.index(field)}]")
             else:
                 cast = f"({self.translator.declared(part).removesuffix('*')}*)" if const else ""
-                parts.append(f"{cast}state->{safe(field)}")
+                parts.append(f"{cast}state->{safe_name(field)}")
         return f"{{{', '.join(parts)}}}"
 
     def _call(self, one: Instance, **given: str) -> str:

@@ -48,7 +48,7 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, changes: FileChanges, text
     comments.
     """
     document = open_document(vehicle.source)
-    rubber = copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name)
+    rubber = copy_pairs(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name)
     document.set(("rubber", "file"), rubber)
     for key, method in (("hysteresis", vehicle.hysteresis), ("thermal", vehicle.thermal)):
         document.set(("model", key), method)
@@ -187,7 +187,7 @@ def finish(
     effects = changes.of("vehicle")
     site_effects = [*surroundings, *changes.of("surroundings")] if diagnosed else []
     own_files = [*effect_files, *sources_of(effects)]
-    names = _copied([*own_files, *sources_of(site_effects)], path.parent)
+    names = _copy_files([*own_files, *sources_of(site_effects)], path.parent)
     document.add("effects", {active.effect.name: _values(active) for active in effects})
     if own_files:
         document.set(("effect_files",), _copy_names(own_files, names))
@@ -222,7 +222,7 @@ def finish(
 def _free_places(path: Path) -> tuple[Path, Path]:
     """Where surroundings and route go beside a vehicle file: into those of an earlier diagnosis, but into no other file."""
     for count in itertools.count(1):
-        site, route = (path.with_name(_numbered(Path(name), count).name) for name in (SURROUNDINGS_FILE, ROUTE_FILE))
+        site, route = (path.with_name(_numbered_path(Path(name), count).name) for name in (SURROUNDINGS_FILE, ROUTE_FILE))
         old_text = _text(site)
         is_own = DIAGNOSED in old_text
         if (is_own or is_free(site)) and ((is_own and f"route: {route.name}\n" in old_text) or is_free(route)):
@@ -234,7 +234,7 @@ def _text(path: Path) -> str:
     return (present(path) or b"").decode(errors="replace")
 
 
-def _numbered(path: Path, count: int) -> Path:
+def _numbered_path(path: Path, count: int) -> Path:
     """The path with a number in its name, from 2 on."""
     return path if count == 1 else path.with_stem(f"{path.stem}_{count}")
 
@@ -274,16 +274,16 @@ def sources_of(effects: Iterable[Active]) -> list[Path]:
     return [active.effect.source for active in effects if active.effect.source is not None]
 
 
-def _copied(sources: Iterable[Path], folder: Path) -> dict[Path, str]:
+def _copy_files(sources: Iterable[Path], folder: Path) -> dict[Path, str]:
     """Copies the files of effects of the user's own; the name of each copy, relative to the folder."""
-    return {source: copied(source, folder, Path("effects") / source.name) for source in dict.fromkeys(sources)}
+    return {source: copy_pairs(source, folder, Path("effects") / source.name) for source in dict.fromkeys(sources)}
 
 
 def _copy_names(sources: Iterable[Path], names: Mapping[Path, str]) -> list[str]:
     return list(dict.fromkeys(names[source] for source in sources))
 
 
-def copied(source: Path, folder: Path, relative: Path) -> str:
+def copy_pairs(source: Path, folder: Path, relative: Path) -> str:
     """Copy a file into a folder; return its place for the vehicle file.
 
     Another file of that name stays: the copy then has a number in its name.
@@ -302,7 +302,7 @@ def write_numbered(path: Path, content: bytes) -> Path:
     its name.
     """
     for count in itertools.count(1):
-        place = _numbered(path, count)
+        place = _numbered_path(path, count)
         if is_free(place):
             with file_set():
                 write(place, content)
