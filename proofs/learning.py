@@ -149,7 +149,7 @@ class Listening(Learner):
 
     def _close(self, session: Any, passed: int) -> None:
         super()._close(session, passed)
-        for text in (self.frozen, self.disturbance and UNEXPLAINED_TORQUE, self.left_out.partition(" in ")[0]):
+        for text in (self.freeze_reason, self.disturbance and UNEXPLAINED_TORQUE, self.left_out.partition(" in ")[0]):
             if text:
                 key = KEY.sub("", text.split(":")[0]).strip()
                 self.said[key] = self.said.get(key, 0) + 1
@@ -197,7 +197,7 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
         learner = Listening(estimator, "on")
         if path is not drives[0]:  # belts begin soaked at the measured air's temperature, as with every other file
             take_content(learner, read_learning(estimator, state))
-            learner.age(APART_S)
+            learner.age_values(APART_S)
         kept: list[Steps] = []
         done = replay(open_source([path], None), estimator, kept.append, learner=learner)
         save(done.session, state, 0.0, learner_content(learner))
@@ -210,7 +210,7 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
             "seconds": learner.learned.seconds,
             "applied": learner.learned.applied.tolist(),
             "std": np.sqrt(np.diag(learner.learned.covariance)).tolist(),
-            "counts": [state for state in VEHICLES_OWN if learner.counted[state]],
+            "counts": [state for state in VEHICLES_OWN if learner.has_evidence[state]],
         }
     return said
 

@@ -35,7 +35,7 @@ def all_entries() -> dict[str, FunctionType]:
 def source(name: str, entries: Mapping[str, FunctionType]) -> str:
     """The C of some kernels, of all effects if they call any, and of the module of that name that they are in."""
     translator = Translator(translate_body)
-    translator.checked = False
+    translator.is_checked = False
     effects = EffectCalls(translator, others=True)
     extension = Extension(name, translator, entries, {"SOURCES": sources_digest()})
     if not effects.called:

@@ -309,7 +309,7 @@ def native(kernel: FunctionType) -> Any:
     if interpreted():
         return kernel
     translator = Translator(translate_body)
-    translator.checked = False
+    translator.is_checked = False
     name = f"proofs_{kernel.__name__}"
     module = load_module(name, Extension(name, translator, {kernel.__name__: kernel}).text())
     return kernel if module is None else getattr(module, kernel.__name__)

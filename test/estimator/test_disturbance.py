@@ -100,9 +100,9 @@ def test_a_level_decays_to_zero_and_its_variance_to_the_prior(level, share, keep
 def test_without_a_residual_it_is_there_as_often_as_it_is():
     watch = DisturbanceWatch(SPELLS)
     for belief in (watch.belief(START_NS), fed(watch, math.nan, 60.0)):
-        assert belief.there == pytest.approx(SHARE)
+        assert belief.probability == pytest.approx(SHARE)
         assert belief.torque_nm == pytest.approx(MEAN_NM)
-        assert not belief.present
+        assert not belief.is_present
         assert belief.since_ns is None
     assert fed(DisturbanceWatch(DRIFT), math.nan, 60.0).torque_nm == 0.0
 
@@ -110,22 +110,22 @@ def test_without_a_residual_it_is_there_as_often_as_it_is():
 def test_a_lasting_level_is_found_and_dated_within_a_few_blocks():
     watch = DisturbanceWatch(SPELLS)
     away = fed(watch, -50.0, 60.0)
-    assert away.there < 0.1
-    assert not away.present
+    assert away.probability < 0.1
+    assert not away.is_present
     there = fed(watch, 300.0, 3.0 * BLOCK_S, start_s=60.0)
-    assert there.there > 0.9
-    assert there.present
+    assert there.probability > 0.9
+    assert there.is_present
     assert there.since_ns == pytest.approx(START_NS + 60 * 10**9, abs=1.1 * BLOCK_S * 1e9)
     over = fed(watch, -50.0, 3.0 * BLOCK_S, start_s=75.0)
-    assert not over.present
+    assert not over.is_present
     assert over.since_ns == pytest.approx(START_NS + 75 * 10**9, abs=1.1 * BLOCK_S * 1e9)
 
 
 def test_a_spell_that_does_not_end_is_overdue():
     watch, longest_s = DisturbanceWatch(SPELLS), LONGEST_MEANS * SPELLS.mean_there
-    assert not fed(watch, 300.0, longest_s - 1.0, dt=0.5).overdue
-    assert fed(watch, 300.0, 20.0, start_s=longest_s, dt=0.5).overdue
-    assert not fed(watch, -50.0, 20.0, start_s=longest_s + 20.0).overdue
+    assert not fed(watch, 300.0, longest_s - 1.0, dt=0.5).is_overdue
+    assert fed(watch, 300.0, 20.0, start_s=longest_s, dt=0.5).is_overdue
+    assert not fed(watch, -50.0, 20.0, start_s=longest_s + 20.0).is_overdue
 
 
 def test_in_reverse_it_resists_the_other_way():
@@ -163,7 +163,7 @@ def test_a_drift_is_followed_and_never_taken_for_more_than_one():
     belief = fed(watch, lambda t: 120.0 + rng.normal(0.0, 200.0), 600.0)
     assert belief.torque_nm == pytest.approx(120.0, abs=3.0 * belief.std_nm)
     assert belief.std_nm < 40.0
-    assert math.isnan(belief.there)
+    assert math.isnan(belief.probability)
     large = fed(watch, 1e4, 3600.0, start_s=600.0, dt=0.5)
     assert large.torque_nm == MOST_DRIFT * DRIFT.size
 
@@ -203,5 +203,5 @@ def test_whatever_comes_the_belief_is_one(steps):
     for step, residual in steps:
         stamp += step
         belief = watch.take(stamp, residual, 8.0)
-        assert 0.0 <= belief.there <= 1.0
+        assert 0.0 <= belief.probability <= 1.0
         assert SPELLS.rest <= belief.torque_nm <= SPELLS.level

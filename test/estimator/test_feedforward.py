@@ -155,7 +155,7 @@ def test_at_standstill_it_is_gone_within_its_fade_at_any_rate(rate, fade):
     for i, speed in enumerate(braking):
         session.handle(at.SPEED, START_NS + 20_000_000 * i, START_NS + 20_000_000 * i, speed)
     slower = Estimator(load("xgd24d"), Settings(feedforward_rate=rate, feedforward_fade_s=fade)).session()
-    slower.adopt(session)
+    slower.copy_from(session)
     slower.motion[at.Motion.feedforward] = estimator.constants.number.feedforward_limit
     rows = [slower.handle(at.SPEED, now, now, 0.0) for now in (START_NS + 20_000_000 * i for i in range(267, 400))]
     assert all(row.feedforward_torque_nm == 0.0 for row in rows[round(fade * 50) + 1 :])

@@ -158,7 +158,7 @@ def drive_on(session, seconds, after=0):
 def with_setting(session):
     """The session with another uncertainty of an assumed air."""
     found = Estimator(session.estimator.vehicle, replace(session.estimator.settings, ambient_unknown_std_k=2.0)).session()
-    found.adopt(session)
+    found.copy_from(session)
     return found
 
 

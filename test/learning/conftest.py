@@ -58,10 +58,10 @@ class Road:
                 continue
             row = estimate.row.tolist()
             self.learner.take(stamp, row, self.session)
-            learned = self.columns.of(row, self.session)[0]
+            learned = self.columns.row_values(row, self.session)[0]
             self.rows.append((truth["resistance_torque_nm"], estimate["resistance_torque_nm"], learned))
-            if self.learner.frozen:
-                self.said.add(self.learner.frozen.split(":")[0])
+            if self.learner.freeze_reason:
+                self.said.add(self.learner.freeze_reason.split(":")[0])
         return self
 
     def errors(self, minutes):

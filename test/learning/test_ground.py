@@ -54,7 +54,7 @@ def level(car):
 
 def test_a_car_is_learned_on_the_level_and_acts(level):
     assert rolling_of(level)[0] == pytest.approx(MORE_ROLLING, abs=0.05)
-    assert level.learner.counted[at.OF_BEARING]
+    assert level.learner.has_evidence[at.OF_BEARING]
     true, expected = np.array(level.rows[-1200:]).T[:2]
     assert np.abs(expected - true).mean() < 0.05 * np.abs(true).mean()
 

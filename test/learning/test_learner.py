@@ -63,8 +63,8 @@ def test_fifteen_minutes_suffice_to_learn_a_20_percent_error(learned):
     file, with_it = learned.errors(5.0)
     assert file > 0.08
     assert with_it < 0.02
-    assert learned.learner.acts
-    assert learned.learner.counted[at.OF_LOSS]
+    assert learned.learner.is_active
+    assert learned.learner.has_evidence[at.OF_LOSS]
 
 
 def test_on_and_watching_learn_the_same(learned, road):
@@ -97,7 +97,7 @@ def test_a_file_that_is_right_stays_right(driven_before):
 
 def test_one_corner_is_not_the_whole(road):
     driven = road("on", {at.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
-    assert not any(driven.learner.counted[state] for state in VEHICLES_OWN)
+    assert not any(driven.learner.has_evidence[state] for state in VEHICLES_OWN)
     assert driven.session.learned[at.Learned.on] == 0.0
 
 
@@ -110,7 +110,7 @@ def test_another_sensor_is_a_step_and_not_the_rubber(driven_before, share):
     assert driven.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(before[VEHICLES_OWN,], abs=0.03)
     frozen = driven.learner.learned.mean[VEHICLES_OWN,].copy()
     driven.drive(0.1, lambda torque, _i: (1.0 + share) * torque)
-    assert driven.learner.frozen
+    assert driven.learner.freeze_reason
     assert driven.learner.learned.mean[VEHICLES_OWN,] == pytest.approx(frozen, abs=1e-12)
 
 
@@ -169,7 +169,7 @@ def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
                 level[0] = keep * level[0] + 100.0 * np.sqrt(1.0 - keep**2) * random.normal()
             return torque + level[0]
 
-        learner = road("watch").drive(20.0, learning_values).learner
+        learner = road("watch").drive(20.0, shown).learner
         past = learner.learned.past
         shares.append(past.slow / (past.slow + past.white))
     assert shares[0] < 0.2
@@ -288,7 +288,7 @@ def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
     for pieces, days in ((1, 10.0), (1, 30.0), (30, 1.0), (1, 1e4)):
         learner = copy.deepcopy(learned.learner)
         for _ in range(pieces):
-            learner.age(days * 86400.0)
+            learner.age_values(days * 86400.0)
         after = learner.learned
         rises.append(after.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5 - before.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5)
         assert after.mean[SLOW] == 0.0
@@ -335,7 +335,7 @@ def rest(driven, how):
     """Two hours, with the node off or on."""
     driven.steps += 72_000
     if how == "off":
-        driven.learner.age(7200.0)
+        driven.learner.age_values(7200.0)
 
 
 @pytest.mark.parametrize("how", ["off", "on"])
@@ -343,9 +343,9 @@ def test_a_vehicle_repaired_at_rest_has_its_file_in_a_minute(driven_before, how)
     driven = driven_before("on")
     rest(driven, how)
     at.Learned(driven.true.learned).departures[at.OF_LOSS] = 0.0
-    assert driven.learner.acts
+    assert driven.learner.is_active
     driven.drive(1.2)
-    assert not driven.learner.acts
+    assert not driven.learner.is_active
 
 
 @pytest.mark.parametrize("how", ["off", "on"])
@@ -353,7 +353,7 @@ def test_a_rest_alone_takes_nothing_learned_away(driven_before, how):
     driven = driven_before("on")
     rest(driven, how)
     driven.drive(3.0)
-    assert driven.learner.acts
+    assert driven.learner.is_active
     assert driven.errors(3.0)[1] < 0.01
 
 
@@ -372,7 +372,7 @@ def test_unrenewed_belt_departures_fade_but_not_the_vehicles(driven_before, how)
     before = s.applied.copy()
     driven.steps += 9000 if how == "stopped" else 0
     driven.drive(0.02 if how == "stopped" else 15.0, sensor, speed)
-    assert bool(driven.learner.frozen) is (how == "frozen")
+    assert bool(driven.learner.freeze_reason) is (how == "frozen")
     acting = at.Learned(driven.session.learned).departures
     assert acting[at.OF_BELT] == pytest.approx(10.0 * math.exp(-1.0), rel=0.05)
     assert np.delete(acting, at.OF_BELT) == pytest.approx(np.delete(before, at.OF_BELT), abs=1e-12)
@@ -383,10 +383,10 @@ def test_unrenewed_belt_departures_fade_but_not_the_vehicles(driven_before, how)
 class Sure(Learner):
     """A learner that accepts whatever it has of the vehicle."""
 
-    acts, held = True, np.zeros(at.LEARNABLE, dtype=bool)
+    is_active, is_at_bound = True, np.zeros(at.LEARNABLE, dtype=bool)
 
     @property
-    def counted(self):
+    def has_evidence(self):
         return np.isin(np.arange(at.LEARNABLE), self.own)
 
 
@@ -426,7 +426,7 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
         low, high = learner.prior.low[state], learner.prior.high[state]
         assert low <= 0.0 <= high
         s.mean[state] = low + share * (high - low)
-    found = target_departures(s, learner.prior, learner.counted)
+    found = target_departures(s, learner.prior, learner.has_evidence)
     write_learned(learner, vehicle, file)
     written = tr.load_vehicle(file).parameters
     stds = learner.stds(s.covariance, learner.own)

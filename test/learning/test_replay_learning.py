@@ -139,7 +139,7 @@ def test_the_vehicle_file_has_what_is_printed_even_if_that_lags(watched, tmp_pat
     learner.learned.applied[:] = 0.0
     done = write_learned(learner, before, tmp_path / "v.yaml")
     after, said = tr.load_vehicle(tmp_path / "v.yaml"), str(watched).splitlines()
-    assert learner.counted[at.OF_LOSS]
+    assert learner.has_evidence[at.OF_LOSS]
     assert done.changed["rubber.loss_modulus_scale"][1] == pytest.approx(1.2, abs=0.02)
     for path, (old, new) in done.changed.items():
         assert (before.parameters[path].value, after.parameters[path].value) == (old, new)

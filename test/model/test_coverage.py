@@ -52,7 +52,7 @@ def test_colder_or_faster_than_the_data_leaves_the_sweep(xgd24d, low, share, fac
 
     def equivalent(v):
         frequency = model.loss.contacts(v, coldest, load_n).frequency.mean()
-        return float(rubber.equivalent_temperature(rubber.reduced(frequency, coldest)))
+        return float(rubber.equivalent_temperature(rubber.reduced_frequency(frequency, coldest)))
 
     assert equivalent(speed / factor) > low  # slower it is within the sweep
     assert equivalent(speed * factor) == pytest.approx(low)  # faster it is held at the end

@@ -48,7 +48,9 @@ def test_another_reference_of_the_same_shift_changes_nothing(xgd24d, moved):
     alike["wlf_c1"] = r.wlf_c1 * r.wlf_c2 / alike["wlf_c2"]
     other = variants(xgd24d)({f"rubber.{name}": value for name, value in alike.items()})
     belts, speed, load_n = np.array([[0.0], [40.0], [110.0]]), np.array([0.05, 2.0, 15.0]), 60e3
-    one, two = (loss_table(v, kind).at(np.log10(speed) + RubberModel(v.rubber).log_shift(belts), load_n) for v in (xgd24d, other))
+    one, two = (
+        loss_table(v, kind).loss_at(np.log10(speed) + RubberModel(v.rubber).log_shift(belts), load_n) for v in (xgd24d, other)
+    )
     assert two == pytest.approx(one, rel=1e-4)
 
 
@@ -69,9 +71,9 @@ def test_beyond_its_edges_the_table_holds_its_values(table, x, share, reach):
     last_x = table.first_x + table.step_x * (len(table.loss) - 1)
     low, high = table.first_log_load, table.first_log_load + table.step_log_load * (table.loss.shape[1] - 1)
     load_n = float(np.exp(low + share * (high - low)))
-    assert table.at(x, load_n) == pytest.approx(float(table.at(np.clip(x, table.first_x, last_x), load_n)), rel=1e-5)
-    assert table.at(0.0, np.exp(low) / reach) == pytest.approx(float(table.at(0.0, np.exp(low))), rel=1e-5)
-    assert table.at(0.0, np.exp(high) * reach) == pytest.approx(float(table.at(0.0, np.exp(high))), rel=1e-5)
+    assert table.loss_at(x, load_n) == pytest.approx(float(table.loss_at(np.clip(x, table.first_x, last_x), load_n)), rel=1e-5)
+    assert table.loss_at(0.0, np.exp(low) / reach) == pytest.approx(float(table.loss_at(0.0, np.exp(low))), rel=1e-5)
+    assert table.loss_at(0.0, np.exp(high) * reach) == pytest.approx(float(table.loss_at(0.0, np.exp(high))), rel=1e-5)
 
 
 @given(x=st.floats(-7.9, 9.4), log_load=st.floats(9.6, 11.9))

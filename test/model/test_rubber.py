@@ -38,14 +38,16 @@ def test_the_sweep_comes_back_at_its_own_frequency(compound, index):
 @given(shift=wlf, t=st.floats(-90.0, 120.0))
 def test_equivalent_temperature_undoes_the_shift(compound, shift, t):
     rubber = shifted(compound, *shift)
-    assert float(rubber.equivalent_temperature(rubber.reduced(compound.sweep_frequency, t))) == pytest.approx(t, abs=1e-8)
+    assert float(rubber.equivalent_temperature(rubber.reduced_frequency(compound.sweep_frequency, t))) == pytest.approx(
+        t, abs=1e-8
+    )
 
 
 @given(f=frequencies, t=temperatures)
 def test_superposition(compound, f, t):
     """E(f, T) = E(f_sweep, T_eq)."""
     rubber = RubberModel(compound)
-    equivalent = rubber.equivalent_temperature(rubber.reduced(f, t))
+    equivalent = rubber.equivalent_temperature(rubber.reduced_frequency(f, t))
     assert float(rubber.loss_modulus(f, t)) == pytest.approx(
         float(rubber.loss_modulus(compound.sweep_frequency, equivalent)), rel=1e-9
     )

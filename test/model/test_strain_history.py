@@ -42,11 +42,11 @@ def sampled(values):
 def test_profiles_are_periodic_and_continuous(triangular, data, s):
     loop = sh.build_loop(data.draw(tracks(triangular)))
     for profile in (loop.curvature, loop.drive):
-        assert profile.at(s) == pytest.approx(profile.at(s + loop.length), abs=1e-9)
+        assert profile.values_at(s) == pytest.approx(profile.values_at(s + loop.length), abs=1e-9)
         steps = np.diff(np.append(profile.position, profile.position[0] + loop.length))
         assert steps.min() > 0.0  # no two values at one place: no jump
         steepest = np.abs(np.diff(np.append(profile.value, profile.value[0])) / steps).max()
-        assert abs(profile.at(s + 1e-4) - profile.at(s)) <= 1e-4 * steepest * (1 + 1e-6) + 1e-9
+        assert abs(profile.values_at(s + 1e-4) - profile.values_at(s)) <= 1e-4 * steepest * (1 + 1e-6) + 1e-9
 
 
 @given(data=st.data())
@@ -62,7 +62,7 @@ def test_curvature_adds_up_to_the_wrap_angles(triangular, data):
 def test_the_shipped_loops_close(track):
     loop = sh.build_loop(track)
     corners = [*loop.curvature.position, loop.curvature.position[0] + loop.length]
-    turned, _ = quad(lambda s: float(loop.curvature.at(s)), corners[0], corners[-1], points=corners[1:-1], limit=200)
+    turned, _ = quad(lambda s: float(loop.curvature.values_at(s)), corners[0], corners[-1], points=corners[1:-1], limit=200)
     assert turned == pytest.approx(2.0 * math.pi, abs=CLOSED_LOOP_TOLERANCE_RAD)
     assert loop.arcs[-1][1] == pytest.approx(loop.length)  # the last wheel hands the belt to the ground run
 
@@ -71,10 +71,10 @@ def test_the_belt_is_curved_on_wheels_and_straight_between_them(triangular):
     loop = sh.build_loop(triangular)
     for (start, end, curvature), wheel in zip(loop.arcs, triangular.wrapped_wheels, strict=True):
         assert curvature == pytest.approx(1.0 / (wheel.radius + triangular.belt.cord_height))
-        assert float(loop.curvature.at((start + end) / 2)) == pytest.approx(curvature)
-        assert float(loop.curvature.at((start + 2 * end) / 3)) == pytest.approx(curvature)
-        assert float(loop.curvature.at(start)) == pytest.approx(curvature / 2)  # taken up half before, half on the wheel
-    on_ground = loop.curvature.at(np.linspace(0.05, 1.3, 200))
+        assert float(loop.curvature.values_at((start + end) / 2)) == pytest.approx(curvature)
+        assert float(loop.curvature.values_at((start + 2 * end) / 3)) == pytest.approx(curvature)
+        assert float(loop.curvature.values_at(start)) == pytest.approx(curvature / 2)  # taken up half before, half on the wheel
+    on_ground = loop.curvature.values_at(np.linspace(0.05, 1.3, 200))
     assert np.abs(on_ground).max() < 1e-12  # road wheels in the middle of the ground run do not bend it
 
 
@@ -84,7 +84,7 @@ def test_amplitudes_are_those_of_the_sampled_profile(triangular, data):
     at = np.arange(SAMPLES) / SAMPLES * loop.length
     for profile in (loop.curvature, loop.drive):
         exact = profile.amplitudes(HARMONICS)
-        assert np.abs(sampled(profile.at(at)) - exact).max() <= 1e-5 * np.abs(exact).max()
+        assert np.abs(sampled(profile.values_at(at)) - exact).max() <= 1e-5 * np.abs(exact).max()
 
 
 @given(share=st.floats(0.01, 0.5))
@@ -136,8 +136,8 @@ def test_reverse_is_the_mirror_image(triangular, mirrored, data):
     there, back = sh.build_loop(track), sh.build_loop(mirrored(track))
     s = np.linspace(0.0, there.length, 501)
     run = track.road_wheels.ground_run
-    assert back.curvature.at(run - s) == pytest.approx(there.curvature.at(s), abs=1e-6)
-    assert 1.0 - back.drive.at(run - s) == pytest.approx(there.drive.at(s), abs=1e-6)
+    assert back.curvature.values_at(run - s) == pytest.approx(there.curvature.values_at(s), abs=1e-6)
+    assert 1.0 - back.drive.values_at(run - s) == pytest.approx(there.drive.values_at(s), abs=1e-6)
     half = np.linspace(0.01, 0.02, len(there.wheel_positions))
     assert sh.through_thickness(back, half[::-1], run - s) == pytest.approx(sh.through_thickness(there, half, s), abs=1e-9)
     for one, other in ((back.curvature, there.curvature), (back.drive, there.drive)):
@@ -148,11 +148,11 @@ def test_drive_tension_grows_on_the_ground_and_ends_on_sprocket(triangular):
     """Equations (22) and (23): each of n teeth takes M_D/(n R_D); over the wrap the steps add up to the whole drive force."""
     loop = sh.build_loop(triangular)
     start, end, _ = loop.arcs[1]
-    assert loop.drive.at([0.0, triangular.road_wheels.ground_run, start, end]) == pytest.approx([0.0, 1.0, 1.0, 0.0])
+    assert loop.drive.values_at([0.0, triangular.road_wheels.ground_run, start, end]) == pytest.approx([0.0, 1.0, 1.0, 0.0])
     teeth = 7
     steps = np.cumsum(np.full(teeth, 1.0 / teeth))
     middles = start + (end - start) * (np.arange(teeth) + 0.5) / teeth
-    assert 1.0 - loop.drive.at(middles) == pytest.approx(steps - 0.5 / teeth)
+    assert 1.0 - loop.drive.values_at(middles) == pytest.approx(steps - 0.5 / teeth)
 
 
 @given(height=st.floats(0.0, 0.035), steady=st.floats(0.0, 0.01), drive=st.floats(-1e-3, 1e-3), s=st.floats(0.0, 4.8))

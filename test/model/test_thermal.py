@@ -201,7 +201,7 @@ def test_steps_against_an_ode_solver_on_the_same_table(thermal, dt):
         speed = float(np.interp(t, corners, speeds))
         matrix, by_ambient, by_heat = conductances(model.network, speed)
         x = math.log10(max(speed, 1e-6)) + float(model.rubber.log_shift(nodes[0]))
-        return matrix @ nodes + by_ambient * 15.0 + by_heat * float(table.at(x, 68e3)) * speed
+        return matrix @ nodes + by_ambient * 15.0 + by_heat * float(table.loss_at(x, 68e3)) * speed
 
     time = np.arange(0.0, 600.0 + dt / 2, dt)
     begun = one.cold_start(one.inputs(0.0, ambient=15.0))

@@ -16,7 +16,7 @@ def matched_drive(one):
     track = track_of(one.distance, one.x, one.y)
     places = places_of([track])
     whole = match_tracks(places, [track])[0]
-    return places, whole, whole.at(track.nearest(one.distance))
+    return places, whole, whole.select(track.nearest_index(one.distance))
 
 
 def test_metres_and_positions_are_each_others_inverse():
@@ -37,30 +37,30 @@ def test_passes_in_both_directions_share_their_places(seed):
     one = drive(seed, (1, 1, -1, 1, -1))
     places, _, at = matched_drive(one)
     assert len(places) < 1.4 * LAP_M / SPACING_M
-    assert at.known.mean() > 0.98
+    assert at.is_known.mean() > 0.98
     nearer = np.take_along_axis(at.place, (at.share[:, 1:] > 0.5).astype(int), axis=1)[:, 0]
-    shown = places.table[nearer[at.known], :2]
-    away = np.hypot(*(shown.T - np.array(place_at(one.way[at.known]))))
+    shown = places.table[nearer[at.is_known], :2]
+    away = np.hypot(*(shown.T - np.array(place_at(one.way[at.is_known]))))
     assert np.quantile(away, 0.95) < SPACING_M + 15.0
     first = at.sign[one.direction > 0.0, 0]
-    assert (first[at.known[one.direction > 0.0]] > 0.0).mean() > 0.98
-    assert (at.sign[at.known & (one.direction < 0.0), 0] < 0.0).mean() > 0.98
+    assert (first[at.is_known[one.direction > 0.0]] > 0.0).mean() > 0.98
+    assert (at.sign[at.is_known & (one.direction < 0.0), 0] < 0.0).mean() > 0.98
 
 
 def test_passes_are_counted():
     one = drive(5, (1, 1, 1, -1))
     _, _, at = matched_drive(one)
-    last = at.number[at.known & (one.distance > 3.2 * LAP_M)]
+    last = at.number[at.is_known & (one.distance > 3.2 * LAP_M)]
     assert np.median(last) == 3
-    assert at.number[at.known & (one.distance < 0.8 * LAP_M)].max() == 0
+    assert at.number[at.is_known & (one.distance < 0.8 * LAP_M)].max() == 0
 
 
 def test_a_tunnel_has_no_places_and_a_short_gap_is_bridged():
     one = drive(6, (1, 1), hidden=((500.0, 500.0 + 0.5 * LONGEST_GAP_M), (900.0, 1200.0)))
     _, _, at = matched_drive(one)
     tunnel = (one.way > 930.0) & (one.way < 1170.0)
-    assert not at.known[tunnel].any()
-    assert at.known[(one.way > 500.0) & (one.way < 550.0)].all()
+    assert not at.is_known[tunnel].any()
+    assert at.is_known[(one.way > 500.0) & (one.way < 550.0)].all()
 
 
 def test_streets_that_cross_have_places_of_their_own():
@@ -99,5 +99,5 @@ def test_without_positions_nothing_is_known(known):
     x = np.full(50, np.nan)
     x[:known] = 3.0
     track = track_of(np.arange(50.0), x, x)
-    assert not track.known.any()
+    assert not track.is_known.any()
     assert len(places_of([track])) == 0

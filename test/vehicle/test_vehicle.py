@@ -271,7 +271,9 @@ def test_only_a_diagnosis_touches_surroundings(tmp_path, own, by, surrounded):
     before, vehicle = contents(), with_surroundings(load(left[0]), left[1]) if surrounded else load(left[0])
     for configuration in (tmp_path, tmp_path / "other"):
         configuration.mkdir(exist_ok=True)
-        files = write_track_vehicle(vehicle, configuration / "car.yaml", FileChanges(None, (), {}, by=by), f"Written by {by}.")
+        files = write_track_vehicle(
+            vehicle, configuration / "car.yaml", FileChanges(None, (), {}, command=by), f"Written by {by}."
+        )
         after = contents()
         assert {path: after[path] for path in before} == before
         assert after.keys() - before.keys() <= set(files) <= after.keys()

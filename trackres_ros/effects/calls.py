@@ -70,11 +70,11 @@ def effect_function(translator: Translator, kind: type[Effect], method: str, nam
     function: FunctionType = namespace[name]
     translator.add_text(function, text)
     kinds = [ArrayOf(REAL, (LOOKED_AT,)), ArrayOf(REAL, (len(names),), names), ArrayOf(REAL, (answer_count,))]
-    old_check, translator.checked = translator.checked, is_of_user(kind)
+    old_check, translator.is_checked = translator.is_checked, is_of_user(kind)
     try:
         return translator.instance(function, kinds)
     finally:
-        translator.checked = old_check
+        translator.is_checked = old_check
 
 
 # Compiled effects of a user
@@ -114,7 +114,7 @@ def _text(kind: type[Any], method: str, names: tuple[str, ...]) -> str:
     translator = Translator(translate_body)
     instance = effect_function(translator, kind, method, names)
     functions = translator.text_of_functions([instance])
-    arguments = ", ".join([*(name for name, _ in instance.given), *["&failed"] * instance.fails])
+    arguments = ", ".join([*(name for name, _ in instance.given), *["&failed"] * instance.has_failure])
     return "\n".join(
         (
             "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
@@ -296,9 +296,9 @@ class EffectCalls:
         for number, instance in self.functions.items():
             arguments = [{"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in instance.given] + [
                 "&failed"
-            ] * instance.fails
+            ] * instance.has_failure
             cases += f"    case {number}:\n        {instance.name}({', '.join(arguments)});\n        break;\n"
-        has_failure = any(instance.fails for instance in self.functions.values())
+        has_failure = any(instance.has_failure for instance in self.functions.values())
         start = "    bool failed = false;\n" if has_failure else ""
         finish = "    answer[0] = failed ? NAN : answer[0];\n" if has_failure else ""
         casts = [

@@ -57,7 +57,7 @@ class Function:
     """A function of `math` or of Python; in C it is that `of` which it is made."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.of = function
+        self.function = function
 
 
 class Forgiving(Function):
@@ -66,9 +66,9 @@ class Forgiving(Function):
     def __call__(self, *arguments: Any) -> Any:
         """Call it."""
         try:
-            return self.of(*arguments)
+            return self.function(*arguments)
         except (ArithmeticError, ValueError):
-            name = self.of.__name__
+            name = self.function.__name__
             return getattr(np, OF_NUMPY.get(name, name))(*arguments)
 
 
@@ -77,7 +77,7 @@ class Whole(Function):
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it."""
-        if not abs(number := self.of(*arguments)) < LARGEST_WHOLE:
+        if not abs(number := self.function(*arguments)) < LARGEST_WHOLE:
             raise OverflowError
         return number
 

@@ -173,7 +173,7 @@ BELTS = OF_BELT + 1  # the first departures act through hysteresis
 @kernel
 def learned_hysteresis(part: Part, learned: Learned) -> float:
     """Learned change of the hysteresis [Nm], without its sign: the sum of d dM/dd."""
-    extra, departures, torque_by = 0.0, learned.departures, part.by
+    extra, departures, torque_by = 0.0, learned.departures, part.torque_by
     for index in range(BELTS):
         extra += departures[index] * torque_by[index]
     return float(extra * learned.on)
@@ -202,7 +202,7 @@ def learn_from(total: Part, learned: Learned, sign: float, drive_gain: float, of
     of_drag
         The effects' torque that grows with the drag area, at that of the file [Nm]; they look at the learned one themselves.
     """
-    departures, sensitivities, torque_by = learned.departures, learned.sensitivities, total.by
+    departures, sensitivities, torque_by = learned.departures, learned.sensitivities, total.torque_by
     for index in range(BELTS):
         sensitivities[index] = torque_by[index] * sign * drive_gain
     sensitivities[OF_BEARING] = total.bearing * drive_gain
@@ -224,7 +224,7 @@ def learned_variance(total: Part, learned: Learned, rolling_bearing: float, driv
     s are the sensitivities without the sign of travel, as at rest friction has a size too; `rolling_bearing` is that of the
     bearings [N]. F is the factor of the departures' covariance. Inertia is no resistance, so its s is excluded.
     """
-    variance, factor, torque_by = squared(learned.slow), learned.factor, total.by
+    variance, factor, torque_by = squared(learned.slow), learned.factor, total.torque_by
     bearing, wind = total.arm * rolling_bearing * drive_gain, abs(learned.sensitivities[OF_DRAG])
     for column in range(OF_MASS):
         projection = factor[OF_BEARING * LEARNABLE + column] * bearing + factor[OF_DRAG * LEARNABLE + column] * wind
@@ -302,7 +302,7 @@ def fill_departures(
 
     The temperature change per relative departure follows from the departures by cause (ours).
     """
-    departures, torque_by = learned.departures, part.by
+    departures, torque_by = learned.departures, part.torque_by
     warming_k = departures[OF_BELT]
     for index in range(3):
         kelvin = 0.0

@@ -72,7 +72,7 @@ class Part(Row):
     arm = Real()  # m, arm of a force on the whole vehicle
     unsigned = Real()  # Nm, resistance without its sign
     equal = Real()  # index of the first assembly with the same numbers
-    by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
+    torque_by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
     belt_change = Reals(3)  # K of the belt, per the first three
     consider = Reals(4)  # Nm, by each of the four causes of uncertainty
 

@@ -72,20 +72,20 @@ class Belief:
     """Belief about a disturbance at one time."""
 
     form: str  # `spells` or `drift`
-    there: float  # probability of a spell; nan for a drift
+    probability: float  # probability of a spell; nan for a drift
     torque_nm: float  # expected torque against travel
     std_nm: float  # its standard deviation
     since_ns: int | None  # stamp at which the present spell began or the last one ended; None before either, and for a drift
-    present: bool  # whether a spell is reported
-    overdue: bool  # whether it lasts longer than spells do: then it is a different, lasting change
+    is_present: bool  # whether a spell is reported
+    is_overdue: bool  # whether it lasts longer than spells do: then it is a different, lasting change
 
     @property
     def text(self) -> str:
         """The same in a sentence."""
         if self.form == Drift.form:
             return f"the drifting torque is estimated at {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
-        state = "present for longer than usual" if self.overdue else "present" if self.present else "absent"
-        return f"the intermittent torque is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
+        state = "present for longer than usual" if self.is_overdue else "present" if self.is_present else "absent"
+        return f"the intermittent torque is {state} (probability {self.probability:.2f}): {self.torque_nm:.0f} Nm against travel"
 
 
 class _SpellsFilter:
@@ -95,16 +95,16 @@ class _SpellsFilter:
         self.restart()
 
     def restart(self) -> None:
-        self.there = self._comes / (self._comes + self._goes)
+        self.probability = self._comes / (self._comes + self._goes)
 
-    def age(self, seconds: float) -> None:
-        self.there = predict_presence(self.there, self._comes, self._goes, seconds / BLOCK_S)
+    def predict(self, seconds: float) -> None:
+        self.probability = predict_presence(self.probability, self._comes, self._goes, seconds / BLOCK_S)
 
-    def see(self, mean: float, variance: float) -> None:
-        self.there = update_presence(self.there, mean, (self._spells.rest, self._spells.level), variance)
+    def update(self, mean: float, variance: float) -> None:
+        self.probability = update_presence(self.probability, mean, (self._spells.rest, self._spells.level), variance)
 
-    def after(self, seconds: float) -> tuple[float, float, float]:
-        probability = predict_presence(self.there, self._comes, self._goes, seconds / BLOCK_S)
+    def belief_after(self, seconds: float) -> tuple[float, float, float]:
+        probability = predict_presence(self.probability, self._comes, self._goes, seconds / BLOCK_S)
         jump = self._spells.level - self._spells.rest
         return probability, self._spells.rest + probability * jump, abs(jump) * math.sqrt(probability * (1.0 - probability))
 
@@ -117,15 +117,15 @@ class _DriftFilter:
     def restart(self) -> None:
         self.level, self.variance = 0.0, self._drift.size**2
 
-    def age(self, seconds: float) -> None:
+    def predict(self, seconds: float) -> None:
         self.level, self.variance = self._later(seconds)
 
-    def see(self, mean: float, variance: float) -> None:
+    def update(self, mean: float, variance: float) -> None:
         limit = OUTLIER * math.sqrt(self.variance + variance)
         bounded_mean = min(max(mean, self.level - limit), self.level + limit)
         self.level, self.variance = update_level(self.level, self.variance, bounded_mean, variance)
 
-    def after(self, seconds: float) -> tuple[float, float, float]:
+    def belief_after(self, seconds: float) -> tuple[float, float, float]:
         level, variance = self._later(seconds)
         limit = MOST_DRIFT * self._drift.size
         return math.nan, min(max(level, -limit), limit), math.sqrt(variance)
@@ -186,21 +186,21 @@ class DisturbanceWatch:
                 self._sum += residual_nm * math.copysign(1.0, speed_mps) * seconds
                 self._seconds += seconds
             self._last_ns = stamp_ns
-        self._turn(self.belief(stamp_ns).there, began_ns)
+        self._turn(self.belief(stamp_ns).probability, began_ns)
         return self.belief(stamp_ns)
 
     def belief(self, stamp_ns: int) -> Belief:
         """Belief at a time [ns], from the blocks before it."""
         seconds = 0.0 if self._block_ns is None else max(0, stamp_ns - self._known_ns) * NANOSECOND
-        probability, torque, std = self._filter.after(seconds)
+        probability, torque, std = self._filter.belief_after(seconds)
         is_overdue = self._present and self._since_ns is not None and (stamp_ns - self._since_ns) * NANOSECOND > self._longest_s
         return Belief(self.form, probability, torque, std, self._since_ns, self._present, is_overdue)
 
     def _close_block(self, end_ns: int) -> None:
-        self._filter.age((end_ns - self._known_ns) * NANOSECOND)
+        self._filter.predict((end_ns - self._known_ns) * NANOSECOND)
         self._known_ns = end_ns
         if self._seconds >= LEAST_COMPARED_S:
-            self._filter.see(self._sum / self._seconds, self._noise**2 * BLOCK_S / self._seconds)
+            self._filter.update(self._sum / self._seconds, self._noise**2 * BLOCK_S / self._seconds)
         self._sum, self._seconds = 0.0, 0.0
 
     def _turn(self, probability: float, began_ns: int) -> None:

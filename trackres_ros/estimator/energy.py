@@ -38,7 +38,7 @@ class StepTimes:
         self._jump_ns, self._bridge_s = round(settings.clock_jump_s * SECOND_NS), settings.bridge_s
         self._last: tuple[int, int] | None = None
 
-    def of(self, steps: Steps) -> Array:
+    def step_times(self, steps: Steps) -> Array:
         """Time of each step of the next block [s]; 0 for the first of all, for one back, and over a gap too long to bridge."""
         stamp, arrival = steps.stamp_ns, steps.arrival_ns
         last_stamp, last_arrival = self._last or (int(stamp[0]), int(arrival[0]))

@@ -392,7 +392,7 @@ class Session:
         self.belts[:], self.motion[:], self.effects[:], self.learned[:] = state
         self.motion[layout.Motion.started] = layout.RESTS
 
-    def adopt(self, other: Session) -> None:
+    def copy_from(self, other: Session) -> None:
         """Continue from another session of the same vehicle, with its whole memory and this one's settings."""
         self.belts[:], self.motion[:] = other.belts, other.motion
         self.effects[:], self.learned[:] = other.effects, other.learned

@@ -252,7 +252,7 @@ def torque_variance(
     Each cause is summed over the assemblies before squaring: heating of all belts stays one cause. Learned variances replace
     those of the file. The gears' gain is on all torques behind them; that of learned torques has it already.
     """
-    number, torque_by, gain = k.number, total.by, terms[TERM.drive_gain]
+    number, torque_by, gain = k.number, total.torque_by, terms[TERM.drive_gain]
     of_place = 0.0 if math.isnan(of_place_std) else of_place_std * road.sign
     variance: float = (
         (terms[TERM.variance] + terms[TERM.loss_variance] * squared(torque_by[OF_LOSS])) * squared(gain)

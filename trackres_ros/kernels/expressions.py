@@ -55,7 +55,7 @@ class Value:
 
     kind: Kind
     code: str
-    binds: int = ATOM
+    precedence: int = ATOM
     root: str | None = None
     by_pointer: bool = False
     parts: tuple[Value, ...] = ()
@@ -75,7 +75,7 @@ class Expressions:
     """Translates the expressions of one function; `Operators` has those with operators."""
 
     def __init__(self, translator: Translator, instance: Instance) -> None:
-        self.translator, self.one = translator, instance
+        self.translator, self.instance = translator, instance
         self.kinds: dict[str, Kind] = {}
         self.pointers: set[str] = set()  # records that are parameters
         self.written: set[str] = set()
@@ -86,7 +86,7 @@ class Expressions:
 
     def refuse(self, node: ast.AST, code: str, allowed: str) -> InputError:
         """The refusal of a part of the source."""
-        return refusal_at(self.one.source, node, code, allowed)
+        return refusal_at(self.instance.source, node, code, allowed)
 
     # Names
 
@@ -98,7 +98,7 @@ class Expressions:
         value: Value = method(node)
         return value
 
-    def later(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
+    def guarded_value(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
         """Translate a part of an expression that Python computes only sometimes."""
         return read(node)
 
@@ -123,7 +123,7 @@ class Expressions:
             if isinstance(kind, Const):
                 return self.const(kind.value)
             return Value(kind, safe_name(name), ATOM, name, name in self.pointers)
-        function = self.one.function
+        function = self.instance.function
         closure = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         if name in closure:
             return self.const(closure[name].cell_contents)
@@ -154,8 +154,8 @@ class Expressions:
         if isinstance(owner.kind, ArrayOf) and node.attr in owner.kind.names:
             code = f"{self.pointer(owner)}[{owner.kind.names.index(node.attr)} /* {node.attr} */]"
             if (count := owner.kind.names.count(node.attr)) > 1:
-                return self.array(ArrayOf(owner.kind.of, (count,)), code, (None,), owner.root)
-            return Value(owner.kind.of, code, ATOM, owner.root)
+                return self.array(ArrayOf(owner.kind.element, (count,)), code, (None,), owner.root)
+            return Value(owner.kind.element, code, ATOM, owner.root)
         if isinstance(owner.kind, Record) and (part := owner.kind.kind_of(node.attr)) is not None:
             return self.part(owner, node.attr, part)
         raise self.refuse(node, ast.unparse(node)[:80], "an attribute that it has")
@@ -164,12 +164,14 @@ class Expressions:
         """The length of an array along an axis."""
         assert isinstance(array.kind, ArrayOf)
         length = array.kind.shape[axis]
-        return Value(INT, f"{self.within(array, ATOM)}.{array.kind.place_of(axis)}") if length is LENGTH else self.const(length)
+        return (
+            Value(INT, f"{self.code_within(array, ATOM)}.{array.kind.place_of(axis)}") if length is LENGTH else self.const(length)
+        )
 
     def pointer(self, array: Value) -> str:
         """The code of the pointer to the first entry of an array that is no constant."""
         brings_lengths = isinstance(array.kind, ArrayOf) and array.kind.lengths
-        return f"{self.within(array, ATOM)}.at" if brings_lengths else self.within(array, ATOM)
+        return f"{self.code_within(array, ATOM)}.at" if brings_lengths else self.code_within(array, ATOM)
 
     def array(self, kind: ArrayOf, entry: str, lengths: Sequence[Value | None], root: str | None) -> Value:
         """An array of a kind that begins at an entry, with the lengths that it brings along."""
@@ -182,7 +184,7 @@ class Expressions:
         """A part of a record."""
         if isinstance(kind, Const):
             return self.const(kind.value)
-        if isinstance(kind, Record) and not list(kind.stored()):
+        if isinstance(kind, Record) and not list(kind.stored_fields()):
             return Value(kind, "")
         return Value(kind, f"{record.code}{'->' if record.by_pointer else '.'}{safe_name(name)}", ATOM, record.root)
 
@@ -230,7 +232,7 @@ class Expressions:
             if value.is_const and isinstance(value.const, tuple):
                 inner = self.initial([self.const(item) for item in value.const], kind)
                 return f"({self.translator.struct(kind)}){{{inner}}}"
-            if isinstance(value.kind, Record) and tuple(value.kind.stored()) != tuple(kind.stored()):
+            if isinstance(value.kind, Record) and tuple(value.kind.stored_fields()) != tuple(kind.stored_fields()):
                 parts = value.parts or [self.part(value, name, part_kind) for name, part_kind in value.kind.fields]
                 return f"({self.translator.struct(kind)}){{{self.initial(parts, kind)}}}"
             return f"*{value.code}" if value.by_pointer else value.code
@@ -238,7 +240,7 @@ class Expressions:
             if value.is_const and not isinstance(value.const, np.ndarray):
                 return self.translator.literal(float(value.const))
             if self.translator.single and (value.kind == INT or (value.kind, kind) == (WIDE, REAL)):
-                return f"({self.translator.number(kind)}){self.within(value, UNARY)}"
+                return f"({self.translator.number(kind)}){self.code_within(value, UNARY)}"
         if isinstance(kind, ArrayOf) and isinstance(value.const, np.ndarray):
             return self.table(value, "table")
         if isinstance(kind, ArrayOf) and not kind.lengths:
@@ -278,8 +280,8 @@ class Expressions:
         name = self.table(owner, ast.unparse(node.value)) if isinstance(owner.const, np.ndarray) else self.pointer(owner)
         offset = self.offset(node, owner, array, places, indices)
         if len(places) == len(array.shape):
-            return Value(array.of, f"{name}[{offset}]", ATOM, owner.root)
-        inner = ArrayOf(array.of, array.shape[len(places) :])
+            return Value(array.element, f"{name}[{offset}]", ATOM, owner.root)
+        inner = ArrayOf(array.element, array.shape[len(places) :])
         lengths = [
             self.length(owner, axis) if array.shape[axis] is LENGTH else None for axis in range(len(places), len(array.shape))
         ]
@@ -302,7 +304,7 @@ class Expressions:
 
     def _place(self, node: ast.AST, place: Value, length: Length) -> Value:
         """A place in an axis as Python counts it; kernels have only those within it."""
-        if not self.translator.checked:
+        if not self.translator.is_checked:
             return place
         if not isinstance(length, int):
             raise self.refuse(node, ast.unparse(node)[:80], "places that are known, or an array of known length")
@@ -333,7 +335,9 @@ class Expressions:
             else:
                 place_value = self._place(node, place, length)
                 terms.append(
-                    " * ".join([self.within(place_value, PRODUCT), *factors]) if factors else self.within(place_value, SUM)
+                    " * ".join([self.code_within(place_value, PRODUCT), *factors])
+                    if factors
+                    else self.code_within(place_value, SUM)
                 )
         constant_names = [ast.unparse(n).rpartition(".")[2] for n in nodes if isinstance(n, ast.Name | ast.Attribute)]
         constant_names = [name for name in constant_names if name.isupper()]
@@ -360,21 +364,21 @@ class Expressions:
                 begin, stop, _ = slice(lower.const, end.const).indices(count)
                 lower, end = self.const(begin), self.const(stop)
             length = max(self._known_place(node, end.const, None) - lower.const, 0)
-        elif self.translator.checked:
+        elif self.translator.is_checked:
             raise self.refuse(node, ast.unparse(node)[:80], "a slice with known ends, of an array of known length")
         places = [*(self.value(index) for index in indices[:-1]), lower]
         name = self.table(owner, ast.unparse(node.value)) if isinstance(owner.const, np.ndarray) else self.pointer(owner)
         offset = self.offset(node, owner, array, places, [*indices[:-1], *([last_index.lower] if last_index.lower else [])], True)
-        return self.array(ArrayOf(array.of, (length,)), f"{name}[{offset}]", (end,), owner.root)
+        return self.array(ArrayOf(array.element, (length,)), f"{name}[{offset}]", (end,), owner.root)
 
     def note_written(self, value: Value) -> None:
         """Record that the owner of an array or record is changed here."""
         if value.root is not None:
             self.written.add(value.root)
 
-    def within(self, value: Value, precedence: int) -> str:
+    def code_within(self, value: Value, precedence: int) -> str:
         """The code of a value inside of an operator."""
-        return value.code if value.binds >= precedence else f"({value.code})"
+        return value.code if value.precedence >= precedence else f"({value.code})"
 
 
 # Operators
@@ -415,7 +419,7 @@ class Operators(Expressions):
         if value.kind == BOOL:
             return value
         if value.kind in (INT, *REALS):
-            return Value(BOOL, f"{self.within(value, SHIFTED)} != 0", COMPARED)
+            return Value(BOOL, f"{self.code_within(value, SHIFTED)} != 0", COMPARED)
         raise self.refuse(node, ast.unparse(node)[:80], "a condition")
 
     def _binop(self, node: ast.BinOp) -> Value:
@@ -436,7 +440,9 @@ class Operators(Expressions):
             return self._power(left_value, right_value)
         if sign in ("%", "/") and isinstance(op, ast.Mod | ast.FloorDiv):
             helper = "modulo" if isinstance(op, ast.Mod) else "floored"
-            return self.helped(f"{helper}_{'real' if kind in REALS else 'int'}", [left_value, right_value], narrow_kind(kind))
+            return self.helper_call(
+                f"{helper}_{'real' if kind in REALS else 'int'}", [left_value, right_value], narrow_kind(kind)
+            )
         if sign == "/":
             kind = join_kinds(kind, REAL) or REAL
             if left_value.kind not in REALS and right_value.kind not in REALS:
@@ -444,7 +450,7 @@ class Operators(Expressions):
         if sign in OF_WHOLE_NUMBERS and kind in REALS:
             raise self.refuse(node, ast.unparse(node)[:80], "whole numbers")
         if (
-            self.translator.checked
+            self.translator.is_checked
             and sign in ("<<", ">>")
             and not (right_value.is_const and 0 <= right_value.const < BITS_OF_INT)
         ):
@@ -455,14 +461,14 @@ class Operators(Expressions):
             left_value, right_value = self._real_pair(left_value, right_value, kind)
         low = SUM if sign in ("<<", ">>") else UNARY if sign in ("&", "|", "^") else precedence
         right_low = low if sign in OF_WHOLE_NUMBERS else precedence + 1
-        return Value(kind, f"{self.within(left_value, low)} {sign} {self.within(right_value, right_low)}", precedence)
+        return Value(kind, f"{self.code_within(left_value, low)} {sign} {self.code_within(right_value, right_low)}", precedence)
 
     def _real_pair(self, left_value: Value, right_value: Value, kind: Kind) -> tuple[Value, Value]:
         """Convert both to real numbers, constants none wider than a `float`."""
         pair = []
         for v in (left_value, right_value):
             code = self.as_kind(v, kind)
-            pair.append(v if code == v.code else replace(v, code=code, binds=UNARY))
+            pair.append(v if code == v.code else replace(v, code=code, precedence=UNARY))
         return pair[0], pair[1]
 
     def as_real(self, value: Value) -> str:
@@ -471,7 +477,7 @@ class Operators(Expressions):
             return self.translator.literal(float(value.const))
         if value.kind in REALS:
             return self.as_kind(value, REAL)
-        return f"({self.translator.number(REAL)}){self.within(value, UNARY)}"
+        return f"({self.translator.number(REAL)}){self.code_within(value, UNARY)}"
 
     def _power(self, base: Value, exponent: Value) -> Value:
         if exponent.is_const and exponent.const == 2 and base.kind == INT and base.code.replace("_", "").isalnum():
@@ -481,7 +487,7 @@ class Operators(Expressions):
     def _unaryop(self, node: ast.UnaryOp) -> Value:
         if isinstance(node.op, ast.Not):
             truth = self.condition(node.operand)
-            return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.within(truth, UNARY)}", UNARY)
+            return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.code_within(truth, UNARY)}", UNARY)
         operand = self.value(node.operand)
         if not isinstance(widen_kind(operand.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
             raise self.refuse(node, ast.unparse(node)[:80], "a number with a sign, or not")
@@ -490,7 +496,7 @@ class Operators(Expressions):
         return (
             self.const(-operand.const)
             if operand.is_const
-            else Value(widen_kind(operand.kind), f"-{self.within(operand, ATOM)}", UNARY)
+            else Value(widen_kind(operand.kind), f"-{self.code_within(operand, ATOM)}", UNARY)
         )
 
     def condition(self, node: ast.expr) -> Value:
@@ -503,7 +509,7 @@ class Operators(Expressions):
         """The operands of `and` or `or`, up to one that is known to decide."""
         operands: list[Value] = []
         for operand in node.values:
-            operands.append(self.later(operand, read) if operands else read(operand))
+            operands.append(self.guarded_value(operand, read) if operands else read(operand))
             if self.truth(operand, operands[-1]).const is isinstance(node.op, ast.Or):
                 break
         return operands
@@ -515,7 +521,7 @@ class Operators(Expressions):
         if len(operands) < 2:
             return operands[0] if operands else self.const(not decider)
         sign, precedence = ("||", OR) if decider else ("&&", AND)
-        return Value(BOOL, f" {sign} ".join(self.within(v, COMPARED) for v in operands), precedence)
+        return Value(BOOL, f" {sign} ".join(self.code_within(v, COMPARED) for v in operands), precedence)
 
     def _boolop(self, node: ast.BoolOp) -> Value:
         values = self._until_decided(node, self.value)
@@ -544,7 +550,7 @@ class Operators(Expressions):
                 left_value, right_value = self._real_pair(
                     left_value, right_value, WIDE if WIDE in (left_value.kind, right_value.kind) else REAL
                 )
-            comparisons.append(f"{self.within(left_value, SHIFTED)} {sign} {self.within(right_value, SHIFTED)}")
+            comparisons.append(f"{self.code_within(left_value, SHIFTED)} {sign} {self.code_within(right_value, SHIFTED)}")
         if not comparisons:
             return self.const(True)
         return Value(BOOL, comparisons[0], COMPARED) if len(comparisons) == 1 else Value(BOOL, " && ".join(comparisons), AND)
@@ -553,7 +559,7 @@ class Operators(Expressions):
         test = self.condition(node.test)
         if test.is_const:
             return self.value(node.body if test.const else node.orelse)
-        return self._choice(node, test, self.later(node.body, self.value), self.later(node.orelse, self.value))
+        return self._choice(node, test, self.guarded_value(node.body, self.value), self.guarded_value(node.orelse, self.value))
 
     def _choice(self, node: ast.AST, test: Value, then_value: Value, else_value: Value) -> Value:
         """One of two values, by a condition."""
@@ -565,10 +571,10 @@ class Operators(Expressions):
         codes = [
             v.code if isinstance(kind, Scalar) and not v.is_const else self.as_kind(v, kind) for v in (then_value, else_value)
         ]
-        then_code = codes[0] if then_value.binds > TERNARY else f"({codes[0]})"
-        return Value(kind, f"{self.within(test, OR)} ? {then_code} : {codes[1]}", TERNARY)
+        then_code = codes[0] if then_value.precedence > TERNARY else f"({codes[0]})"
+        return Value(kind, f"{self.code_within(test, OR)} ? {then_code} : {codes[1]}", TERNARY)
 
-    def helped(self, name: str, values: Sequence[Value], kind: Kind) -> Value:
+    def helper_call(self, name: str, values: Sequence[Value], kind: Kind) -> Value:
         """A call of a function of the file's own, see templates/helpers.c."""
         codes = [self.as_kind(v, kind) for v in values]
         return Value(kind, f"tr_{name}({', '.join(codes)})")

@@ -93,13 +93,13 @@ class Extension:
 
     def _views(self, kind: Kind) -> int:
         if isinstance(kind, Record):
-            return sum(self._views(part) for _, part in kind.stored())
+            return sum(self._views(part) for _, part in kind.stored_fields())
         return int(isinstance(kind, ArrayOf))
 
     def _views_of(self, instance: Instance) -> int:
         return sum(map(self._views, instance.arguments.values()))
 
-    def _taken(self, kind: Kind, source: str, place: str, name: str, writes: bool) -> str:
+    def _take_code(self, kind: Kind, source: str, place: str, name: str, writes: bool) -> str:
         """The condition that an argument could be taken to a place."""
         if isinstance(kind, Scalar):
             return f"{TAKEN[kind]}({source}, &{place})"
@@ -110,7 +110,7 @@ class Extension:
         shape = ", ".join("-1" if length is LENGTH else str(length) for length in kind.shape)
         pointer, lengths = (f"{place}.at", f"&{place}.n0") if kind.lengths else (place, "NULL")
         shape_text = f'(const int64_t[]){{{shape}}}, {str(writes).lower()}, "{name}", {lengths}'
-        return f"({pointer} = tr_array(held, {source}, '{LETTERS[kind.of]}', {len(kind.shape)}, {shape_text})) != NULL"
+        return f"({pointer} = tr_array(held, {source}, '{LETTERS[kind.element]}', {len(kind.shape)}, {shape_text})) != NULL"
 
     def _binding(self) -> str:
         parts = [part for kind in self._records.values() for part in self._of_record(kind)]
@@ -133,7 +133,7 @@ class Extension:
         conditions = [f'tr_is_record(given, {len(kind.fields)}, "{name}")']
         for place, (field, part) in enumerate(kind.fields):
             source = f"PyTuple_GetItem(given, {place})"
-            conditions.append(self._taken(part, source, f"found->{safe_name(field)}", f"{name}.{field}", False))
+            conditions.append(self._take_code(part, source, f"found->{safe_name(field)}", f"{name}.{field}", False))
         holder = "held" if self._views(kind) else "Py_UNUSED(held)"
         yield (
             f"static bool fill_{name}(struct tr_held *{holder}, PyObject *given, {struct} *found)\n{{\n    return "
@@ -173,24 +173,24 @@ class Extension:
                 pointer = f"take_{self._name(kind)}(held, given[{place}], &here_{parameter})"
                 conditions.append(f"({variable} = {pointer}) != NULL")
             else:
-                lines.append(f"    {self.translator.declared(kind)}{variable};")
+                lines.append(f"    {self.translator.declaration(kind)}{variable};")
                 writes = parameter in instance.writes
-                conditions.append(self._taken(kind, f"given[{place}]", variable, f"{name}: {parameter}", writes))
+                conditions.append(self._take_code(kind, f"given[{place}]", variable, f"{name}: {parameter}", writes))
             codes.append(variable)
         call = f"{instance.name}({', '.join(codes)})"
-        target = "" if instance.returns is None else f"const {self.translator.declared(instance.returns)}found = "
+        target = "" if instance.returns is None else f"const {self.translator.declaration(instance.returns)}found = "
         lines += ["    here.used = 0;", f"    if ({chr(10).join(conditions).replace(chr(10), chr(10) + '        && ')}) {{"]
         lines += ["        PyThreadState *state = PyEval_SaveThread();", f"        {target}{call};"]
-        lines += ["        PyEval_RestoreThread(state);", f"        answer = {self._answer(instance.returns)};", "    }"]
+        lines += ["        PyEval_RestoreThread(state);", f"        answer = {self._answer_code(instance.returns)};", "    }"]
         return "\n".join([*lines, "    tr_release(held);", "    return answer;", "}", ""])
 
-    def _answer(self, kind: Kind | None) -> str:
+    def _answer_code(self, kind: Kind | None) -> str:
         if kind is None or isinstance(kind, Const):
             return "Py_NewRef(Py_None)"
         if isinstance(kind, Scalar):
             return GIVEN_BACK[kind].format("found")
         if isinstance(kind, Record) and all(isinstance(part, Scalar) for _, part in kind.fields):
-            parts = [GIVEN_BACK[part].format(f"found.{name}") for name, part in kind.stored() if isinstance(part, Scalar)]
+            parts = [GIVEN_BACK[part].format(f"found.{name}") for name, part in kind.stored_fields() if isinstance(part, Scalar)]
             return f'Py_BuildValue("({"N" * len(parts)})", {", ".join(parts)})'
         raise TypeError(f"no entry gives back {kind}")
 

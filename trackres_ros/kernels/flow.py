@@ -26,7 +26,7 @@ def translate_body(translator: Translator, instance: Instance) -> None:
             break
         state = body.found
     instance.text = body.text
-    instance.fails = FAILED in instance.text
+    instance.has_failure = FAILED in instance.text
     instance.calls = [callee for callee in body.calls if f"{callee.name}(" in instance.text or "tr_call_effect(" in instance.text]
 
 
@@ -70,7 +70,7 @@ class Body(Statements):
     def _return_statement(self, node: ast.Return, depth: int) -> bool:
         value = self.const(None) if node.value is None else self.value(node.value)
         if value.const is None and value.is_const:
-            if self.one.returns is not None:
+            if self.instance.returns is not None:
                 raise self.refuse(node, "None", "a value, as at the other ends")
             self.line("return;", depth)
             return True
@@ -78,14 +78,14 @@ class Body(Statements):
             self.note_written(value)
         elif value.is_const and not isinstance(value.const, bool | int | float | tuple):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers, or a tuple of them")
-        kind = join_kinds(self.one.returns, narrow_kind(value.kind))
+        kind = join_kinds(self.instance.returns, narrow_kind(value.kind))
         if kind is None:
             raise self.refuse(node, ast.unparse(node)[:80], "the kind of value that the other ends give")
-        self.one.returns = kind
+        self.instance.returns = kind
         if not isinstance(kind, Const):
             self.line(f"return {self.as_kind(value, kind)};", depth)
         elif self.written:
-            self.one.returns = widen_kind(kind)
+            self.instance.returns = widen_kind(kind)
         return True
 
     def _for_statement(self, node: ast.For, depth: int) -> bool:
@@ -107,7 +107,7 @@ class Body(Statements):
             self.kinds[name] = join_kinds(self.kinds.get(name), head[1].kind) or INT
             self._within.append(name)
             if head[1].code and (self.found is None or name in self._read_before):
-                self.line(f"const {self.translator.declared(self.kinds[name])}{safe_name(name)} = {head[1].code};", depth + 1)
+                self.line(f"const {self.translator.declaration(self.kinds[name])}{safe_name(name)} = {head[1].code};", depth + 1)
             self.block(node.body, depth + 1)
         self._within.pop()
         self.line("}", depth)
@@ -165,7 +165,7 @@ class Body(Statements):
             if has_setup:
                 self._depth = depth + 1
                 test = self.condition(node.test)
-                self.line(f"if (!{self.within(test, UNARY)}) {{", depth + 1)
+                self.line(f"if (!{self.code_within(test, UNARY)}) {{", depth + 1)
                 self.line("    break;", depth + 1)
                 self.line("}", depth + 1)
             self.block(node.body, depth + 1)

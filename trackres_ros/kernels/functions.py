@@ -85,8 +85,8 @@ class Instance:
     reads: set[str] = field(default_factory=set)  # parameters that it reads
     writes: set[str] = field(default_factory=set)  # arrays among them that it changes
     calls: list[Instance] = field(default_factory=list)  # the instances that it calls
-    fails: bool = False  # whether it, or a function that it calls, may note a failure
-    done: bool = False
+    has_failure: bool = False  # whether it, or a function that it calls, may note a failure
+    is_done: bool = False
 
     @property
     def given(self) -> list[tuple[str, Kind]]:
@@ -122,7 +122,7 @@ class Translator:
         self.intrinsics: dict[Any, Callable[..., Any]] = {}
         self.sources: dict[Any, Source] = {}
         self.table_names: dict[int, str] = {}
-        self.checked = True
+        self.is_checked = True
         self._names = set(NAMES_OF_HELPERS)
         self._running: list[Instance] = []
 
@@ -136,19 +136,19 @@ class Translator:
         InputError
             With file and line, if it cannot be written in C.
         """
-        key = (id(function), tuple(kinds), self.checked)
+        key = (id(function), tuple(kinds), self.is_checked)
         if key not in self.instances:
             source = self.source(function)
             names = [argument.arg for argument in source.tree.args.args]
             instance = Instance(function, source, "", dict(zip(names, kinds, strict=True)))
-            instance.name = self.unused(f"tr_{function.__name__}")
+            instance.name = self.unused_name(f"tr_{function.__name__}")
             self.instances[key] = instance
             self._running.append(instance)
             self._translate(self, instance)
-            instance.done = True
+            instance.is_done = True
             self._running.pop()
         previous = self.instances[key]
-        if not previous.done:
+        if not previous.is_done:
             raise refusal_at(previous.source, previous.source.tree, f"{function.__name__} calls itself", "a loop instead")
         return previous
 
@@ -162,7 +162,7 @@ class Translator:
         """Register the source of a function that is in no file."""
         self.sources[function] = Source(cast(ast.FunctionDef, ast.parse(text).body[0]), "<export>", 1)
 
-    def unused(self, name: str) -> str:
+    def unused_name(self, name: str) -> str:
         """A unique name in C."""
         free_name, number = name, 1
         while free_name in self._names:
@@ -175,24 +175,24 @@ class Translator:
 
     def struct(self, kind: Record) -> str:
         """The struct of a record."""
-        key = tuple(kind.stored()), kind.name
+        key = tuple(kind.stored_fields()), kind.name
         if key not in self.structs:
             letter_of = {REAL: "d", INT: "i", BOOL: "b"}
-            letters = "".join(letter_of.get(part, "p") if isinstance(part, Scalar) else "p" for _, part in kind.stored())
-            for _, part in kind.stored():
-                self.declared(part)
-            self.structs[key] = (self.unused(f"tr_{kind.name or letters}"), kind)
+            letters = "".join(letter_of.get(part, "p") if isinstance(part, Scalar) else "p" for _, part in kind.stored_fields())
+            for _, part in kind.stored_fields():
+                self.declaration(part)
+            self.structs[key] = (self.unused_name(f"tr_{kind.name or letters}"), kind)
         return f"struct {self.structs[key][0]}"
 
-    def declared(self, kind: Kind | None, changes: bool = True) -> str:
+    def declaration(self, kind: Kind | None, changes: bool = True) -> str:
         """The type of a variable of this kind; of an array a pointer, with a blank or star at its end."""
         if kind is None:
             return "void "
         if isinstance(kind, ArrayOf) and kind.lengths:
-            self.arrays.add((kind.of, kind.lengths))
+            self.arrays.add((kind.element, kind.lengths))
             return f"{self.array(kind)} "
         if isinstance(kind, ArrayOf):
-            return f"{'' if changes else 'const '}{self.number(kind.of)} *"
+            return f"{'' if changes else 'const '}{self.number(kind.element)} *"
         if isinstance(kind, Record):
             return f"{self.struct(kind)} "
         if isinstance(kind, Scalar):
@@ -201,8 +201,8 @@ class Translator:
 
     def array(self, kind: ArrayOf) -> str:
         """The struct of an array with lengths."""
-        self.arrays.add((kind.of, kind.lengths))
-        return f"struct tr_{words(kind.of.name)}s_{kind.lengths}"
+        self.arrays.add((kind.element, kind.lengths))
+        return f"struct tr_{words(kind.element.name)}s_{kind.lengths}"
 
     def number(self, kind: Scalar) -> str:
         """The type of a number."""
@@ -212,7 +212,7 @@ class Translator:
         """The name in C of a constant array or tuple of numbers."""
         if id(value) not in self.tables:
             known_as = self.table_names.get(id(value), name.rpartition(".")[2])
-            self.tables[id(value)] = (self.unused(f"TR_{words(known_as).strip('_').upper()}"), value)
+            self.tables[id(value)] = (self.unused_name(f"TR_{words(known_as).strip('_').upper()}"), value)
         return self.tables[id(value)][0]
 
     def literal(self, value: Any) -> str:
@@ -230,7 +230,9 @@ class Translator:
         names = {name for name, _ in self.structs.values() if re.search(rf"struct {name}\b", functions)}
         for name, kind in reversed(self.structs.values()):
             if name in names:
-                names |= {self.structs[tuple(p.stored()), p.name][0] for _, p in kind.stored() if isinstance(p, Record)}
+                names |= {
+                    self.structs[tuple(p.stored_fields()), p.name][0] for _, p in kind.stored_fields() if isinstance(p, Record)
+                }
         lines = []
         for scalar, count in sorted(self.arrays, key=lambda key: (key[0].name, key[1])):
             lengths = "".join(f"    int64_t n{i};\n" for i in range(count))
@@ -239,7 +241,7 @@ class Translator:
         for name, kind in self.structs.values():
             if name not in names:
                 continue
-            parts = "".join(f"    {self.declared(part)}{safe_name(field)};\n" for field, part in kind.stored())
+            parts = "".join(f"    {self.declaration(part)}{safe_name(field)};\n" for field, part in kind.stored_fields())
             lines.append(f"struct {name} {{\n{parts or '    char nothing;'}}};\n")
         return "\n".join(lines)
 
@@ -282,11 +284,11 @@ class Translator:
             if isinstance(kind, Record):
                 parameters.append(f"const {self.struct(kind)} *{safe_name(name)}")
             else:
-                parameters.append(f"{self.declared(kind, name in instance.writes)}{safe_name(name)}")
-        if instance.fails:
+                parameters.append(f"{self.declaration(kind, name in instance.writes)}{safe_name(name)}")
+        if instance.has_failure:
             parameters.append(f"bool *{FAILED}")
         return_kind = None if isinstance(instance.returns, Const) else instance.returns
-        return f"static {self.declared(return_kind)}{instance.name}({', '.join(parameters) or 'void'})"
+        return f"static {self.declaration(return_kind)}{instance.name}({', '.join(parameters) or 'void'})"
 
 
 def _short(line: str) -> str:

@@ -70,7 +70,7 @@ class ArrayOf:
     if unknown; `names` are those of entries, if any.
     """
 
-    of: Scalar
+    element: Scalar
     shape: tuple[Length, ...]
     names: tuple[str, ...] = ()
 
@@ -95,7 +95,7 @@ class Record:
         """Kind of a part; None for an unknown name."""
         return dict(self.fields).get(name)
 
-    def stored(self) -> Iterator[tuple[str, Kind]]:
+    def stored_fields(self) -> Iterator[tuple[str, Kind]]:
         """The parts in the struct."""
         return ((name, kind) for name, kind in self.fields if not isinstance(kind, Const))
 
@@ -175,10 +175,10 @@ def join_kinds(kind: Kind | None, new_kind: Kind) -> Kind | None:
     if (
         isinstance(kind, ArrayOf)
         and isinstance(new_kind, ArrayOf)
-        and kind.of == new_kind.of
+        and kind.element == new_kind.element
         and len(kind.shape) == len(new_kind.shape)
     ):
-        return ArrayOf(kind.of, tuple(a if a == b else None for a, b in zip(kind.shape, new_kind.shape, strict=True)))
+        return ArrayOf(kind.element, tuple(a if a == b else None for a, b in zip(kind.shape, new_kind.shape, strict=True)))
     return kind if kind == new_kind else None
 
 

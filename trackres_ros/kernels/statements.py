@@ -67,7 +67,7 @@ class Scopes:
         """Variables that must be declared before all statements."""
         return sorted(name for name, blocks in self._blocks.items() if not blocks)
 
-    def see(self, name: str, block: Path, stored: bool) -> None:
+    def add_use(self, name: str, block: Path, stored: bool) -> None:
         """A variable is used in a block: it gets a value, or is looked at."""
         self._uses.setdefault(name, []).append((block, stored))
 
@@ -108,7 +108,7 @@ class Calls(Operators):
 
     def _call(self, node: ast.Call) -> Value:
         target = self.value(node.func)
-        function = getattr(target.const, "of", target.const)
+        function = getattr(target.const, "function", target.const)
         if not target.is_const or not callable(function):
             raise self.refuse(node, ast.unparse(node)[:80], "a call of a function that is known")
         if isinstance(function, type) and hasattr(function, "_fields"):
@@ -116,8 +116,10 @@ class Calls(Operators):
         values = self.spread(node.args)
         if isinstance(function, type) and issubclass(function, Row):
             array = self.array_kind(node, values[0])
-            code = self.table(values[0], "row") if values[0].is_const else self.as_kind(values[0], ArrayOf(array.of, (None,)))
-            return replace(values[0], kind=ArrayOf(array.of, (function.columns,), function.names), code=code)
+            code = (
+                self.table(values[0], "row") if values[0].is_const else self.as_kind(values[0], ArrayOf(array.element, (None,)))
+            )
+            return replace(values[0], kind=ArrayOf(array.element, (function.columns,), function.names), code=code)
         if function in self.translator.intrinsics:
             return Value(Const(None), self.translator.intrinsics[function](self, values))
         if isinstance(function, FunctionType):
@@ -156,7 +158,7 @@ class Calls(Operators):
         if not instance.writes and (instance.returns is None or isinstance(instance.returns, Const)):
             return self.const(instance.returns.value if isinstance(instance.returns, Const) else None)
         self.calls.append(instance)
-        codes = [self.argument(arguments[name], kind) for name, kind in instance.given] + [FAILED] * instance.fails
+        codes = [self.argument(arguments[name], kind) for name, kind in instance.given] + [FAILED] * instance.has_failure
         kind = Const(None) if instance.returns is None else instance.returns
         return Value(kind, f"{instance.name}({', '.join(codes)})")
 
@@ -171,9 +173,9 @@ class Calls(Operators):
         if value.by_pointer:
             return value.code
         is_place = value.code.startswith("(struct ") or value.code.replace(".", "").replace("->", "").replace("_", "").isalnum()
-        return f"&{value.code if is_place else self.hoisted(value, kind)}"
+        return f"&{value.code if is_place else self.hoist(value, kind)}"
 
-    def hoisted(self, value: Value, kind: Kind) -> str:
+    def hoist(self, value: Value, kind: Kind) -> str:
         """The name of a variable that holds a value from before the statement."""
         raise NotImplementedError
 
@@ -202,13 +204,13 @@ class Calls(Operators):
         module = "numpy" if isinstance(function, np.ufunc) else getattr(function, "__module__", "")
         name = OF_NUMPY.get(name, name) if module == "numpy" else name
         if function in (min, max) and len(values) > 1:
-            return self._extreme(name, values)
+            return self._extreme_call(name, values)
         if module not in ("math", "numpy", "builtins") or len(values) != SAME_IN_C.get(name, 2 if name in REMAINDERS else 1):
             return None
         if function is float:
-            return Value(REAL, self.as_real(operand), operand.binds if operand.kind == REAL else UNARY)
+            return Value(REAL, self.as_real(operand), operand.precedence if operand.kind == REAL else UNARY)
         if function in (int, math.trunc):
-            return operand if operand.kind not in REALS else self._whole(self.as_real(operand))
+            return operand if operand.kind not in REALS else self._whole_number(self.as_real(operand))
         if function is bool:
             return self.truth(ast.Constant(0), operand)
         if function is abs or name == "fabs":
@@ -216,23 +218,23 @@ class Calls(Operators):
                 return Value(INT, f"tr_abs_int({operand.code})")
             return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(operand)})")
         if module == "math" and name in TO_WHOLE:
-            return self._whole(f"{self.translator.call(name)}({self.as_real(operand)})")
+            return self._whole_number(f"{self.translator.call(name)}({self.as_real(operand)})")
         if name in ASKED:
             return Value(BOOL, f"{name}({self.as_real(operand)})")
         if name in REMAINDERS and module == "numpy":
-            return self.helped("modulo_real", values, REAL)
+            return self.helper_call("modulo_real", values, REAL)
         if name in SAME_IN_C:
             return Value(REAL, f"{self.translator.call(name)}({', '.join(map(self.as_real, values))})")
         return None
 
-    def _whole(self, code: str) -> Value:
+    def _whole_number(self, code: str) -> Value:
         """A whole number; what is none leaves an effect out, as in Python."""
-        return Value(INT, f"tr_whole_number({code}, {FAILED})" if self.translator.checked else f"tr_whole({code})")
+        return Value(INT, f"tr_whole_number({code}, {FAILED})" if self.translator.is_checked else f"tr_whole({code})")
 
-    def _extreme(self, name: str, values: list[Value]) -> Value:
+    def _extreme_call(self, name: str, values: list[Value]) -> Value:
         kind = narrow_kind(join_kinds(join_kinds(INT, widen_kind(values[0].kind)), widen_kind(values[1].kind)) or REAL)
-        result = self.helped(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
-        return self._extreme(name, [result, *values[2:]]) if len(values) > 2 else result
+        result = self.helper_call(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
+        return self._extreme_call(name, [result, *values[2:]]) if len(values) > 2 else result
 
 
 # Statements
@@ -273,7 +275,7 @@ class Statements(Calls):
         self._within = []
         self._scopes.begin()
         has_ended = self.block(self._tree.body, 1)
-        if not has_ended and self.one.returns is not None:
+        if not has_ended and self.instance.returns is not None:
             raise self.refuse(self._tree, "a way to its end without a value", "a return at each end")
         at_top = [name for name in self._scopes.at_top if name in self._read_before]
         lines = [self._declaration(name) for name in at_top if self._is_stored(name)]
@@ -283,9 +285,9 @@ class Statements(Calls):
                 self.written.add(parent)
                 name = parent
         self._read_before = self._read_names()
-        self.one.reads = self._parameters & self._read_before
-        self.one.writes = self._parameters & self.written
-        self.found = dict(self.kinds), set(self._read_before), set(self.written), self.one.returns, self.text
+        self.instance.reads = self._parameters & self._read_before
+        self.instance.writes = self._parameters & self.written
+        self.found = dict(self.kinds), set(self._read_before), set(self.written), self.instance.returns, self.text
 
     def _read_names(self) -> set[str]:
         """Names whose value is used: not those that are only assigned."""
@@ -304,13 +306,13 @@ class Statements(Calls):
         free_name = f"{name}_{self._number}"
         return self.temporary(name) if free_name in self._stores or free_name in self._parameters else free_name
 
-    def hoisted(self, value: Value, kind: Kind) -> str:
+    def hoist(self, value: Value, kind: Kind) -> str:
         """See `Calls`."""
         name = self.temporary("given")
-        self.line(f"const {self.translator.declared(kind)}{name} = {self.as_kind(value, kind)};", self._depth)
+        self.line(f"const {self.translator.declaration(kind)}{name} = {self.as_kind(value, kind)};", self._depth)
         return name
 
-    def later(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
+    def guarded_value(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
         """See `Expressions`."""
         line_count = len(self._lines)
         value = read(node)
@@ -323,7 +325,7 @@ class Statements(Calls):
         if name in self._of_loops and name not in self._within:
             raise self.refuse(self._tree, f"{name} behind its loop", "a variable that the loop fills")
         if name not in self._of_loops and name not in self._parameters:
-            self._scopes.see(name, self._path, False)
+            self._scopes.add_use(name, self._path, False)
 
     def block(self, statements: Sequence[ast.stmt], depth: int) -> bool:
         """Statements in a row; return whether none of them lets the next one run."""
@@ -353,14 +355,14 @@ class Statements(Calls):
 
     def _is_stored(self, name: str) -> bool:
         kind = self.kinds.get(name)
-        return not isinstance(kind, Const) and not (isinstance(kind, Record) and not list(kind.stored()))
+        return not isinstance(kind, Const) and not (isinstance(kind, Record) and not list(kind.stored_fields()))
 
     def _declaration(self, name: str) -> str:
         kind = self.kinds[name]
         real = self.translator.literal(0.0)
         zero = {INT: "0", REAL: real, WIDE: real}.get(kind, "false") if isinstance(kind, Scalar) else "{0}"
         zero = "0" if isinstance(kind, ArrayOf) and not kind.lengths else zero
-        return f"{self.translator.declared(kind, name in self.written)}{safe_name(name)} = {zero};"
+        return f"{self.translator.declaration(kind, name in self.written)}{safe_name(name)} = {zero};"
 
     def assign(self, node: ast.AST, name: str, value: Value, depth: int) -> None:
         """A variable gets a value."""
@@ -372,7 +374,7 @@ class Statements(Calls):
             raise self.refuse(node, f"{name} in place of an argument", "another name")
         self.kinds[name] = known
         if name not in self._parameters:
-            self._scopes.see(name, self._path, True)
+            self._scopes.add_use(name, self._path, True)
         if isinstance(known, ArrayOf) and value.root is not None:
             self.parents[name] = value.root
             if name in self.written:
@@ -381,7 +383,7 @@ class Statements(Calls):
             return
         if self.found is not None and name not in self._read_before:
             if any(one.writes and one.name in value.code for one in self.calls):
-                self.line(f"(void){self.within(value, 8)};", depth)
+                self.line(f"(void){self.code_within(value, 8)};", depth)
             return
         code = self.as_kind(value, known)
         if name in self._parameters or not self._scopes.declares(name, self._path):
@@ -390,7 +392,7 @@ class Statements(Calls):
         once = "const " if self._stores[name] == 1 and not isinstance(known, ArrayOf) else ""
         if isinstance(known, Record) and code.startswith("(struct "):
             code = code.partition(")")[2]
-        self.line(f"{once}{self.translator.declared(known, name in self.written)}{safe_name(name)} = {code};", depth)
+        self.line(f"{once}{self.translator.declaration(known, name in self.written)}{safe_name(name)} = {code};", depth)
 
     def _assign_statement(self, node: ast.Assign, depth: int) -> bool:
         first = node.targets[0]
@@ -400,7 +402,7 @@ class Statements(Calls):
         value = self.value(node.value)
         if len(node.targets) > 1 and not value.is_const and isinstance(first, ENTRIES):
             name = self.temporary("same")
-            self.line(f"const {self.translator.declared(widen_kind(value.kind))}{name} = {value.code};", depth)
+            self.line(f"const {self.translator.declaration(widen_kind(value.kind))}{name} = {value.code};", depth)
             value = Value(widen_kind(value.kind), name)
         for target in node.targets[::-1]:
             self.store(node, target, value, depth)
@@ -427,7 +429,7 @@ class Statements(Calls):
         assert isinstance(place.kind, ArrayOf)
         entry = self.temporary("entry")
         self.line(f"for (int64_t {entry} = 0; {entry} < {self.length(place, 0).code}; {entry}++) {{", depth)
-        self.line(f"    {self.pointer(place)}[{entry}] = {self.as_kind(value, place.kind.of)};", depth)
+        self.line(f"    {self.pointer(place)}[{entry}] = {self.as_kind(value, place.kind.element)};", depth)
         self.line("}", depth)
 
     def _unpack(self, node: ast.Assign, target: ast.Tuple, depth: int) -> None:
@@ -440,7 +442,7 @@ class Statements(Calls):
             whole = self.value(node.value)
             if not whole.is_const and "(" in whole.code:
                 name = self.temporary("found")
-                self.line(f"const {self.translator.declared(whole.kind)}{name} = {self.as_kind(whole, whole.kind)};", depth)
+                self.line(f"const {self.translator.declaration(whole.kind)}{name} = {self.as_kind(whole, whole.kind)};", depth)
                 whole = Value(whole.kind, name)
             values = self.parts(node.value, whole)
         if len(values) != len(target.elts):
@@ -458,7 +460,7 @@ class Statements(Calls):
             looks_up = any(isinstance(n, ast.Call | ENTRIES) for n in ast.walk(node))
             if (stored & names or (entries and looks_up)) and not value.is_const and isinstance(value.kind, Scalar):
                 name = self.temporary("old")
-                self.line(f"const {self.translator.declared(value.kind)}{name} = {value.code};", depth)
+                self.line(f"const {self.translator.declaration(value.kind)}{name} = {value.code};", depth)
                 value = Value(value.kind, name)
             stored |= {n.id for n in ast.walk(one) if isinstance(n, ast.Name)}
             entries |= isinstance(one, ENTRIES)

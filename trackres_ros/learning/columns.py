@@ -30,14 +30,14 @@ class LearningColumns:
         self._values: list[float] = []
         self._second = -2
 
-    def of(self, row: Sequence[float], session: Session) -> list[float]:
+    def row_values(self, row: Sequence[float], session: Session) -> list[float]:
         """The columns of a finished step."""
         learner, values = self._learner, session.learned
         second = learner.gate.second.number
         if second != self._second:
             self._values, self._second = learning_values(learner), second
         torque = row[layout.Results.resistance_torque_nm]
-        if values[layout.Learned.on] == 0.0 and learner.acts and learner.learned.applied.any():
+        if values[layout.Learned.on] == 0.0 and learner.is_active and learner.learned.applied.any():
             torques = learner.learned.applied * values[layout.Learned.sensitivities]
             torque += float(torques.sum()) - float(torques[layout.OF_MASS])
             torque += learner.learned.lasting_nm * direction(row[layout.Results.speed_mps])
@@ -62,15 +62,15 @@ def columns_of(learnable: Learnable) -> tuple[str, str, str]:
 
 def learning_values(learner: Learner) -> list[float]:
     """The columns but for the torque, which change once a second."""
-    values = [learner.buckets.share, float(learner.acts)]
-    is_frozen, has_evidence, is_bound = bool(learner.frozen), learner.counted, learner.held
+    values = [learner.buckets.share, float(learner.is_active)]
+    is_frozen, has_evidence, is_at_bound = bool(learner.freeze_reason), learner.has_evidence, learner.is_at_bound
     stds = learner.stds(learner.learned.covariance, learner.own)
     for learnable in learner.learnables:
         if learnable.state == DELAY:
-            values += [*learner.delay.kept.value, float(LEARNED if learner.delay.kept.known else LEARNING)]
+            values += [*learner.delay.kept.value, float(LEARNED if learner.delay.kept.is_known else LEARNING)]
             continue
         counts = learnable.state in VEHICLES_OWN and bool(has_evidence[learnable.state])
-        status = HELD if counts and is_bound[learnable.state] else LEARNED if counts else LEARNING
+        status = HELD if counts and is_at_bound[learnable.state] else LEARNED if counts else LEARNING
         state = FROZEN if is_frozen and counts else status
         values += [
             learnable.value(float(learner.learned.mean[learnable.state])),

@@ -260,7 +260,7 @@ class KeptDelays:
         return _weighted_mean(self.delays, self.variances)
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether the delay is known: from enough consistent windows, some of them since the start."""
         has_windows = np.count_nonzero(self.variances) >= LEAST_WINDOWS and self.fresh >= LATE
         return bool(has_windows) and self.value[1] < KNOWN_STD_S

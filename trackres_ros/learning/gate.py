@@ -89,7 +89,7 @@ class Second:
         return self.taken >= LEAST_SHARE * (self.taken + float(self.refused.sum())) and self.taken > 0
 
     @property
-    def mostly(self) -> int:
+    def main_reason(self) -> int:
         """Why most of the others do not."""
         return int(np.argmax(self.refused))
 
@@ -253,7 +253,7 @@ class Buckets:
         self._weights = [share * nominal_weight for share in LOAD_SHARES]
         self.seconds, self.accelerating = np.zeros(SHAPE), np.zeros(1)
 
-    def clear(self) -> None:
+    def reset(self) -> None:
         """Empty buckets."""
         self.seconds[:], self.accelerating[:] = 0.0, 0.0
 
@@ -264,13 +264,13 @@ class Buckets:
             self.accelerating += 1.0
 
     @property
-    def filled(self) -> Mask:
+    def is_filled(self) -> Mask:
         """Buckets with enough in them, shape SHAPE."""
         return np.asarray(self.seconds >= FILLED_S)
 
-    def covered(self) -> Mask:
+    def has_evidence(self) -> Mask:
         """Whether each departure was excited enough, shape (LEARNABLE,)."""
-        is_filled: Mask = self.filled
+        is_filled: Mask = self.is_filled
         if self.seconds.sum() < LEAST_S or is_filled.sum() < self._least:
             return np.zeros(layout.LEARNABLE, dtype=bool)
         speeds = np.asarray(is_filled.any(axis=(1, 2)))
@@ -283,7 +283,7 @@ class Buckets:
     @property
     def share(self) -> float:
         """Share of the required driving, 0 to 1."""
-        return float(min(self.seconds.sum() / LEAST_S, self.filled.sum() / self._least, 1.0))
+        return float(min(self.seconds.sum() / LEAST_S, self.is_filled.sum() / self._least, 1.0))
 
 
 def _place(edges: tuple[float, ...] | list[float], value: float) -> int:

@@ -47,8 +47,8 @@ class Ground:
     stood_ns: int = 0  # start of a standstill, or the last altitude in motion
     stood_m: float = 0.0  # that altitude
     zero_m: float = 0.0  # the altitude at which the filter's height is 0
-    follows: bool = False  # whether an altitude is used
-    feels: bool = False  # whether an IMU is
+    has_altitude: bool = False  # whether an altitude is used
+    has_force: bool = False  # whether an IMU is
     altitude_variance: float = ALTITUDE_STD_M**2
     drift: float = DRIFT
     felt_variance: float = FELT_STD**2
@@ -58,11 +58,11 @@ class Ground:
         """Begin another drive: its starting height is unknown; the tilt of an IMU is kept."""
         self.way_m = self.rise_m = 0.0
         self.step_ns = self.stood_ns = 0
-        self.lost()
+        self.forget_height()
 
-    def lost(self) -> None:
+    def forget_height(self) -> None:
         """Restart at the next altitude, as the rise since the last one is unknown."""
-        self.follows = False
+        self.has_altitude = False
 
     def drive(self, stamp_ns: int, speed: float, slope: float) -> None:
         """Process a step at a speed [m/s], on ground with a slope known to the step."""
@@ -73,7 +73,7 @@ class Ground:
             self.way_m += way
             self.rise_m += slope * way
         elif passed_ns > 0:
-            self.lost()
+            self.forget_height()
 
     def close(self, mean: Array, covariance: Array, session: Session, freedom: Mask) -> None:
         """Finish a second: predict the rise from the slope, and update by a new altitude; changes both."""
@@ -81,7 +81,7 @@ class Ground:
         self.known_slope = rise / way if way else 0.0
         stamp = int(session.memory.times[layout.ALTITUDE, layout.Times.last_stamp])
         is_new = bool(session.memory.times[layout.ALTITUDE, layout.Times.seen]) and stamp != self.altitude_ns
-        if self.follows or self.feels:
+        if self.has_altitude or self.has_force:
             # Expected total, given the present estimate (the step of an EM algorithm).
             slope_square = float(mean[SLOPE] ** 2 + covariance[SLOPE, SLOPE])
             self.slope_variance += min(abs(way) / SLOPE_MEMORY_M, 1.0) * (
@@ -94,11 +94,11 @@ class Ground:
         if not is_new:
             return
         altitude = float(session.memory.values[layout.ALTITUDE])
-        if not self.follows or stamp - self.altitude_ns > DRIFT_MEMORY_S * SECOND_NS:
+        if not self.has_altitude or stamp - self.altitude_ns > DRIFT_MEMORY_S * SECOND_NS:
             _begin(mean, covariance, HEIGHT, self.altitude_variance)
-            if not self.follows and not self.feels:
+            if not self.has_altitude and not self.has_force:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
-            self.zero_m, self.follows = altitude, True
+            self.zero_m, self.has_altitude = altitude, True
         else:
             if abs(way) < STANDS_M:  # changes of the altitude at standstill are not the ground's
                 climb = abs(altitude - self.stood_m) - 2.0 * math.sqrt(self.altitude_variance)
@@ -114,11 +114,11 @@ class Ground:
         """Mean IMU acceleration of the finished second [m/s^2]; changes both."""
         if not math.isfinite(specific_force) or abs(accel) > FELT_TO_MPS2:
             return
-        if not self.feels:
+        if not self.has_force:
             _begin(mean, covariance, TILT, TILT_STD**2)
-            if not self.follows:
+            if not self.has_altitude:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
-            self.feels = True
+            self.has_force = True
         slope = (specific_force - accel) / GRAVITY - self.known_slope
         self.felt_variance = _take_measurement(
             mean, covariance, (SLOPE, TILT), slope, self.felt_variance, LEAST_FELT_STD, freedom
@@ -129,7 +129,7 @@ class Ground:
         mean[HEIGHT] += way * mean[SLOPE] + rise
         covariance[HEIGHT, :] += way * covariance[SLOPE, :]
         covariance[:, HEIGHT] += way * covariance[:, SLOPE]
-        covariance[HEIGHT, HEIGHT] += self.drift if self.follows else 0.0
+        covariance[HEIGHT, HEIGHT] += self.drift if self.has_altitude else 0.0
         share = math.exp(-abs(way) / REACH_M)
         mean[SLOPE] *= share
         covariance[SLOPE, :] *= share

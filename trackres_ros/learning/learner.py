@@ -210,7 +210,7 @@ class Learner:
     def reset(self) -> None:
         """Forget all learned values."""
         self.gate = Gate(self._belts, self.prior.rolling_nm)
-        self.buckets.clear()
+        self.buckets.reset()
         self.delay.reset()
         self.learned = nothing_learned(self.prior)
 
@@ -220,12 +220,12 @@ class Learner:
         self.delay.restart()
         self.learned.begin_anew(self.prior)
 
-    def age(self, seconds: float) -> None:
+    def age_values(self, seconds: float) -> None:
         """Account for time off [s]: learned values are less certain."""
-        self.wear(seconds)
+        self.add_wear(seconds)
         self.restart()
 
-    def wear(self, seconds: float) -> None:
+    def add_wear(self, seconds: float) -> None:
         """Add the uncertainty of a time without evidence [s], up to the file's own; the correlations stay."""
         covariance = self.learned.covariance
         stds, prior_stds = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(self.prior.covariance))
@@ -276,25 +276,25 @@ class Learner:
         s.ground.close(s.mean, s.covariance, session, self._free(0.0))
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)  # the ground corrects all states, also in unused seconds
         if second.counts:
-            self._learn(session)
+            self._learn_second(session)
         update_lasting(s, second.counts)
-        has_update = second.counts and not self.frozen
+        has_update = second.counts and not self.freeze_reason
         if has_update and s.seconds % AIMS_EVERY_S == 0.0:
-            s.aim[:] = target_departures(s, self.prior, self.counted)
+            s.aim[:] = target_departures(s, self.prior, self.has_evidence)
         approach_target(s)
         fade_belts(s, seconds - has_update)
         if self.mode == ON:
-            self.act(session, seconds)
+            self.apply_learned(session, seconds)
 
-    def act(self, session: Session, seconds: int = 1) -> None:
+    def apply_learned(self, session: Session, seconds: int = 1) -> None:
         """Let the accepted values act on the session's next steps, as certain as they are then; none if they are not accepted.
 
         The next step comes `seconds` seconds after the present one.
         """
         next_second = self.gate.second.number + seconds - 1
-        apply_departures(self.learned, self.acts, session.learned, next_second, belt_variances(session)[1])
+        apply_departures(self.learned, self.is_active, session.learned, next_second, belt_variances(session)[1])
 
-    def _learn(self, session: Session) -> None:
+    def _learn_second(self, session: Session) -> None:
         s, second = self.learned, self.gate.second
         n = float(second.taken)
         residual, drive, inertia, speed = second.residual / n, second.drive / n, second.inertia / n, second.speed / n
@@ -308,7 +308,7 @@ class Learner:
         s.rolling += (abs(second.resisting / n) - s.rolling) / max(min(s.seconds + 1.0, ROLLING_MEMORY_S), 30.0)
         s.seconds += 1.0
         s.step_s += 1.0
-        self._pass(seconds, session)
+        self._pass_time(seconds, session)
         freedom = self._free(second.accel / n)
         s.ground.take_force(s.mean, s.covariance, second.felt / n, second.accel / n, freedom)
         known_hill = float(s.mean[SLOPE] * sensitivities[SLOPE])  # from an altitude or an IMU, before this torque has its say
@@ -326,11 +326,11 @@ class Learner:
         if s.block.seconds >= BLOCK_S:
             close_block(s)
 
-    def _pass(self, seconds: float, session: Session) -> None:
+    def _pass_time(self, seconds: float, session: Session) -> None:
         """Predict: the slow disturbance decays, wear adds uncertainty, a belt is as uncertain as the estimate says."""
         s = self.learned
         if seconds > PAUSE_S:
-            self.wear(seconds)
+            self.add_wear(seconds)
             s.require_evidence()
             s.block = ResidualBlock()
         shares, noise = np.ones(STATES), np.zeros(STATES)
@@ -365,7 +365,7 @@ class Learner:
     # Acceptance
 
     @property
-    def frozen(self) -> str:
+    def freeze_reason(self) -> str:
         """Reason why learning is paused; empty if it is not."""
         return why_frozen(self.learned, self._vehicle.disturbance)
 
@@ -382,23 +382,23 @@ class Learner:
 
     def _free(self, accel: float) -> Mask:
         freedom = np.ones(STATES, dtype=bool)
-        if self.frozen:
+        if self.freeze_reason:
             freedom[list(VEHICLES_OWN)] = False
         if abs(accel) < ACCELERATES_MPS2:  # a small one is mostly noise, which biases a mass low
             freedom[layout.OF_MASS] = False
         return freedom
 
     @property
-    def counted(self) -> Mask:
+    def has_evidence(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
-        return np.asarray(self.buckets.covered() & well_known(self.learned, self.prior))
+        return np.asarray(self.buckets.has_evidence() & well_known(self.learned, self.prior))
 
     @property
-    def held(self) -> Mask:
+    def is_at_bound(self) -> Mask:
         """Accepted departures that only their bounds hold, so that their error is unknown; (LEARNABLE,)."""
         mean, margin = self.learned.mean[: layout.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: layout.LEARNABLE])
         is_within = (mean > self.prior.low[: layout.LEARNABLE] + margin) & (mean < self.prior.high[: layout.LEARNABLE] - margin)
-        return np.asarray(self.counted & ~is_within)
+        return np.asarray(self.has_evidence & ~is_within)
 
     def stds(self, covariance: Array, own_states: Sequence[int]) -> Array:
         """Reported standard deviations of the filter's first states by their covariance, see `reported_stds`."""
@@ -406,7 +406,7 @@ class Learner:
         return reported_stds(covariance, self.prior, own_states, self._rise * np.sqrt(seconds / noise))
 
     @property
-    def acts(self) -> bool:
+    def is_active(self) -> bool:
         """Whether learned values are used, or would be by mode `on`: some are accepted, and they fit better than the file."""
         return self.learned.fresh.better and self.mode != OFF
 
@@ -420,23 +420,23 @@ class Learner:
     @property
     def _stage(self) -> str:
         s = self.learned
-        if self.frozen:
-            return f"frozen: {self.frozen}"
-        is_bound = self.held
-        if is_bound.any():
+        if self.freeze_reason:
+            return f"frozen: {self.freeze_reason}"
+        is_at_bound = self.is_at_bound
+        if is_at_bound.any():
             names = ", ".join(
-                learnable.name for learnable in self.learnables if learnable.state in self.own and is_bound[learnable.state]
+                learnable.name for learnable in self.learnables if learnable.state in self.own and is_at_bound[learnable.state]
             )
             return f"at the end of the plausible range, with an unknown error: {names}"
         second = self.gate.second
         if self.disturbance:
             return f"{self.disturbance}, separate from the vehicle's parameters"
         if not s.seconds and second.number >= 0:
-            return f"no usable data yet: {TEXTS[second.mostly]}"
-        count = int(self.counted.sum())
+            return f"no usable data yet: {TEXTS[second.main_reason]}"
+        count = int(self.has_evidence.sum())
         if not count:
             return f"learning: {100.0 * self.buckets.share:.0f} % of the required driving is done"
-        if not self.acts:
+        if not self.is_active:
             return "the learned parameters fit no better than the vehicle file so far: the file is used"
         usage = "used" if self.mode == ON else "not used in this mode"
         gain = self.learned.fresh.gain  # within its standard error they stay in use

@@ -239,7 +239,7 @@ class LearnerState:
             self.covariance[state, :] = self.covariance[:, state] = 0.0
             self.covariance[state, state] = prior.covariance[state, state]
         self.aim[layout.OF_BELT] = self.applied[layout.OF_BELT] = 0.0
-        if self.ground.feels:
+        if self.ground.has_force:
             self.covariance[SLOPE, SLOPE] = self.ground.slope_variance
         self.store_recent()
         self.store_recent()
@@ -340,7 +340,7 @@ def _step_found(s: LearnerState, size: float) -> None:
     s.covariance[GAIN, GAIN] += GAIN_STEP_STD**2
     s.mean[STEP] += size
     s.past.pause()
-    s.ground.lost()
+    s.ground.forget_height()
     s.step_s, s.step_nm = 0.0, size
     s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
 

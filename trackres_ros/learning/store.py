@@ -118,7 +118,7 @@ def continue_session(session: Session, learner: Learner | None, content: object,
         return
     take_content(learner, content)
     if off_s is not None:
-        learner.age(off_s)
+        learner.age_values(off_s)
 
 
 def continue_from(path: Path, session: Session, learner: Learner | None, content: object, off_s: float | None = None) -> None:
@@ -232,17 +232,17 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
 
     It has the values that were learned. Those acting follow them at a limited rate, so they may be half-way.
     """
-    is_bound, has_evidence = learner.held.any(), learner.counted
-    counts = [state for state in learner.own if learner.acts and has_evidence[state] and not is_bound]
+    is_at_bound, has_evidence = learner.is_at_bound.any(), learner.has_evidence
+    counts = [state for state in learner.own if learner.is_active and has_evidence[state] and not is_at_bound]
     of_file = {learnable.state: learnable for learnable in learner.learnables}
     old_values = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state].paths}
     if not counts:
         fits = "the learned parameters fit no better than the vehicle file"
-        return LearnedFile(path, (), {}, old_values, fits if has_evidence.any() and not is_bound else learner.text)
+        return LearnedFile(path, (), {}, old_values, fits if has_evidence.any() and not is_at_bound else learner.text)
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = learner.stds(learner.learned.covariance, counts).tolist()
-    departures = target_departures(learner.learned, learner.prior, learner.counted).tolist()
+    departures = target_departures(learner.learned, learner.prior, learner.has_evidence).tolist()
     file_values: dict[str, tuple[float, float]] = {}
 
     def with_learned(text: str) -> str:
@@ -251,7 +251,7 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
             file_values.update(_set_learnable(document, vehicle, of_file[state], departures[state], stds[state]))
         return document.text() or f"# {comment}\n{document.plain()}"
 
-    changes = FileChanges(None, (), {}, by="trackres replay", amend=with_learned)
+    changes = FileChanges(None, (), {}, command="trackres replay", amend=with_learned)
     if isinstance(vehicle, RoadVehicle):
         paths = write_road_vehicle(vehicle, path, changes, comment)
     else:

@@ -112,7 +112,7 @@ class Profile:
     value: Array
     length: float
 
-    def at(self, position: ArrayLike) -> Array:
+    def values_at(self, position: ArrayLike) -> Array:
         """Values at positions [m], any shape."""
         return np.asarray(np.interp(np.asarray(position, float), self.position, self.value, period=self.length))
 
@@ -264,5 +264,5 @@ def along_belt(loop: Loop, height: ArrayLike, position: ArrayLike, steady_strain
     drive_strain
         Strain of the whole drive force, M_D/(R_D E_S A); negative when braking.
     """
-    bending = (np.asarray(height, float) - loop.track.belt.cord_height) * loop.curvature.at(position)
-    return np.asarray(bending + steady_strain + drive_strain * loop.drive.at(position))
+    bending = (np.asarray(height, float) - loop.track.belt.cord_height) * loop.curvature.values_at(position)
+    return np.asarray(bending + steady_strain + drive_strain * loop.drive.values_at(position))

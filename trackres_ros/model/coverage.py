@@ -161,7 +161,9 @@ def balance_degc(vehicle: Vehicle, track_name: str, table: LossTable, speed: flo
     load = load_range(vehicle, track_name).nominal
 
     def heat_surplus(belt_degc: float) -> float:
-        return ambient + resistance * speed * float(table.at(np.log10(speed) + rubber.log_shift(belt_degc), load)) - belt_degc
+        return (
+            ambient + resistance * speed * float(table.loss_at(np.log10(speed) + rubber.log_shift(belt_degc), load)) - belt_degc
+        )
 
     low, high = ambient, ambient + 1.0
     while heat_surplus(high) > 0.0:

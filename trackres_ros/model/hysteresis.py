@@ -134,7 +134,7 @@ class LossByTorque:
     bending: Array
     drive: Callable[[ArrayLike], Array]
 
-    def at(self, drive_torque: ArrayLike) -> LossForce:
+    def loss_at(self, drive_torque: ArrayLike) -> LossForce:
         """Loss per metre of travel [N] at a torque [Nm]."""
         drive = self.drive(drive_torque)
         indentation, bending = (np.broadcast_to(part, drive.shape) for part in (self.indentation, self.bending))
@@ -204,7 +204,7 @@ class LossMethod(ABC):
             Speed [m/s], belt temperature [degC], load on the assembly with its own weight [N] and torque on its sprocket
             [Nm]; arrays broadcast. The sign of the speed does not matter: reverse mirrors forward.
         """
-        return self.by_torque(speed, belt_degc, load).at(drive_torque)
+        return self.by_torque(speed, belt_degc, load).loss_at(drive_torque)
 
     def by_torque(self, speed: ArrayLike, belt_degc: ArrayLike, load: ArrayLike) -> LossByTorque:
         """Loss as a function of the torque on the sprocket; see `loss_force`."""

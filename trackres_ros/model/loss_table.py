@@ -54,7 +54,7 @@ class LossTable:
     loss: Array  # (x, load)
     drive: Array  # (x, 2): N per Nm of sprocket torque, with its sign and of its size
 
-    def at(self, log_reduced_speed: ArrayLike, load: ArrayLike, drive_torque: ArrayLike = 0.0) -> Array:
+    def loss_at(self, log_reduced_speed: ArrayLike, load: ArrayLike, drive_torque: ArrayLike = 0.0) -> Array:
         """Loss [N] by the same interpolation as the live kernel, any broadcast shape."""
         x, g, m = np.broadcast_arrays(*(np.asarray(a, float) for a in (log_reduced_speed, load, drive_torque)))
         losses = np.empty(x.shape)
@@ -174,7 +174,7 @@ def interpolation_error(
     load = np.exp(random.uniform(np.log(loads.low), np.log(loads.high), points))
     torque = random.uniform(-1.0, 1.0, points) * DRIVE_TORQUE_SHARE * load * model.track.sprocket_radius
     exact_loss = model.loss.loss_force(speed, belt_degc, load, torque).total
-    return table.at(np.log10(speed) + model.rubber.log_shift(belt_degc), load, torque) / exact_loss - 1.0
+    return table.loss_at(np.log10(speed) + model.rubber.log_shift(belt_degc), load, torque) / exact_loss - 1.0
 
 
 def drive_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> float:

@@ -183,7 +183,7 @@ def _assembly_state(
     bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
     by_torque, drive = model.loss.by_torque(speed, belt_degc, load), 0.0
     for _ in range(DRIVE_PASSES):
-        loss = by_torque.at(drive)
+        loss = by_torque.loss_at(drive)
         total = float(loss.total) * loss_factor
         drive = radius * (total * direction + bearing + wind * load / instant.weight)
     slope = network.film_slope * float(effects.film_slope_factor)

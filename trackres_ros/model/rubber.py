@@ -156,20 +156,20 @@ class RubberModel:
         equivalent = r.glass_transition + np.where(y > y_glass, (y - y_glass) / slope, above_glass)
         return np.asarray(np.clip(equivalent, r.sweep_degc[0], r.sweep_degc[-1]))
 
-    def reduced(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
+    def reduced_frequency(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """log10(a_T f / Hz) at frequencies [Hz] and temperatures [degC], broadcast; frequency 0 is replaced by 1e-30 Hz."""
         return np.asarray(np.log10(np.maximum(frequency, 1e-30)) + self.log_shift(belt_degc))
 
     def storage_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """E' [Pa]."""
-        return np.asarray(np.exp(self._log_storage(self.equivalent_temperature(self.reduced(frequency, belt_degc)))))
+        return np.asarray(np.exp(self._log_storage(self.equivalent_temperature(self.reduced_frequency(frequency, belt_degc)))))
 
     def loss_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """E'' [Pa]."""
-        return np.asarray(np.exp(self._log_loss(self.equivalent_temperature(self.reduced(frequency, belt_degc)))))
+        return np.asarray(np.exp(self._log_loss(self.equivalent_temperature(self.reduced_frequency(frequency, belt_degc)))))
 
     def dynamic_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """abs(E*) [Pa], equation (2), times the stiffening of a confined layer."""
-        equivalent = self.equivalent_temperature(self.reduced(frequency, belt_degc))
+        equivalent = self.equivalent_temperature(self.reduced_frequency(frequency, belt_degc))
         moduli = np.exp(self._log_storage(equivalent)), np.exp(self._log_loss(equivalent))
         return np.asarray(np.hypot(*moduli) * self.rubber.layer_stiffening)

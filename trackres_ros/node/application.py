@@ -553,7 +553,7 @@ class Application:
 
     def _continue_with(self, estimator: Estimator) -> None:
         session = estimator.session()
-        session.adopt(self.session)
+        session.copy_from(self.session)
         self.estimator, self.session, self.filter.session = estimator, session, session
 
     def _rest_unused_belts(self) -> None:

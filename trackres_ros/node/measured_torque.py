@@ -357,7 +357,7 @@ class Comparison:
             counts = self._detector.settings.compares(speed, accel)
             now_ns = stamp_ns + set_ns
             self.belief = self._watch.take(now_ns, residual if counts else math.nan, speed, now_ns - arrival_ns, jumped)
-            explained = 0.0 if self.belief.overdue else self.belief.torque_nm * math.copysign(1.0, speed)
+            explained = 0.0 if self.belief.is_overdue else self.belief.torque_nm * math.copysign(1.0, speed)
         self._detector.take(
             stamp_ns, residual - explained, row[at.Results.drive_torque_nm], row[at.Results.resistance_std_nm], speed, accel
         )
@@ -368,15 +368,15 @@ class Comparison:
         verdict, belief = self.verdict, self.belief
         return [
             *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
-            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
+            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.is_present else []),
         ]
 
 
 def _spell_change(last: Belief | None, belief: Belief | None) -> str:
     """Text that a spell begins or is over; empty if neither."""
-    if last is None or belief is None or last.present is belief.present:
+    if last is None or belief is None or last.is_present is belief.is_present:
         return ""
-    return f"{'the disturbance begins' if belief.present else 'the disturbance is over'}: {belief.text}"
+    return f"{'the disturbance begins' if belief.is_present else 'the disturbance is over'}: {belief.text}"
 
 
 class LiveLearning:
@@ -410,7 +410,7 @@ class LiveLearning:
     def wear(self, seconds: float) -> None:
         """Account for more time off [s] before the first speed; values that are only kept say when they were learned."""
         if self.learner is not None and self._stored is None:
-            self.learner.wear(seconds)
+            self.learner.add_wear(seconds)
 
     def stored(self) -> Any:
         """Plain values for the state file; None if nothing was learned."""
@@ -430,7 +430,7 @@ class LiveLearning:
 
     def columns(self, row: list[float], session: Session) -> list[float]:
         """Values of the columns after those of an estimate."""
-        return [] if self._columns is None else self._columns.of(row, session)
+        return [] if self._columns is None else self._columns.row_values(row, session)
 
     def change(self, mode: str, session: Session) -> None:
         """Change the mode; learned values stay, and act only in mode `on`."""
@@ -477,8 +477,8 @@ class LiveLearning:
             return ()
         overall = (
             ("mode", self.mode),
-            ("acts", str(self.learner.acts).lower()),
-            ("frozen", self.learner.frozen),
+            ("acts", str(self.learner.is_active).lower()),
+            ("frozen", self.learner.freeze_reason),
             ("disturbance", self.learner.disturbance),
         )
         learned = lines(self.learner, learning_values(self.learner))
@@ -489,6 +489,6 @@ class LiveLearning:
         """Present notices of the learning."""
         if self.learner is None or self.mode == OFF:
             return []
-        frozen, left_out = self.learner.frozen, self.learner.left_out
+        frozen, left_out = self.learner.freeze_reason, self.learner.left_out
         text = f"learning is paused: {frozen}" if frozen else f"learning skips samples: {left_out}"
         return [Notice("LEARNING_FROZEN", text)] if frozen or left_out else []

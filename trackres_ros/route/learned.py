@@ -45,7 +45,7 @@ class RouteMap:
     @cached_property
     def frame(self) -> Frame:
         """Local metres about the middle of it."""
-        return Frame.about(self.latitude, self.longitude)
+        return Frame.of_positions(self.latitude, self.longitude)
 
     @cached_property
     def places(self) -> Places:
@@ -69,7 +69,9 @@ def of_kind(route: Sequence[RouteMap], kind: str) -> RouteMap | None:
 
 def frame_of(route: Sequence[RouteMap]) -> Frame:
     """Local metres about the middle of all maps."""
-    return Frame.about(*(np.concatenate([np.empty(0), *(getattr(m, name) for m in route)]) for name in ("latitude", "longitude")))
+    return Frame.of_positions(
+        *(np.concatenate([np.empty(0), *(getattr(m, name) for m in route)]) for name in ("latitude", "longitude"))
+    )
 
 
 def followed_in(route: Sequence[RouteMap], frame: Frame) -> Lookup:

@@ -88,19 +88,19 @@ class Matched:
     number_this_way: Indices  # among those in this direction
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def is_known(self) -> NDArray[np.bool_]:
         """Whether each point is at a place."""
         return np.asarray(self.number >= 0)
 
-    def at(self, points: Indices) -> Matched:
+    def select(self, points: Indices) -> Matched:
         """Of some points of the track, in their order."""
         number, this_way = self.number[points], self.number_this_way[points]
         return Matched(self.place[points], self.share[points], self.sign[points], number, this_way)
 
     def middles(self, size: int) -> Matched:
         """The middle point of each group of so many; at no place unless all of them are at one."""
-        centre = self.at(np.arange(size // 2, len(self.number), size))
-        is_whole = self.known.reshape(-1, size).all(axis=1)
+        centre = self.select(np.arange(size // 2, len(self.number), size))
+        is_whole = self.is_known.reshape(-1, size).all(axis=1)
         number, this_way = (np.where(is_whole, n, -1) for n in (centre.number, centre.number_this_way))
         return Matched(centre.place, centre.share, centre.sign, number, this_way)
 
@@ -144,7 +144,7 @@ def neighbour_pairs(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
     pairs: dict[tuple[int, int], float] = {}
     for track in tracks:
         last_place: tuple[int, float] | None = None
-        for places, signs, has_place in zip(track.place.tolist(), track.sign.tolist(), track.known.tolist(), strict=True):
+        for places, signs, has_place in zip(track.place.tolist(), track.sign.tolist(), track.is_known.tolist(), strict=True):
             if not has_place:
                 last_place = None
                 continue
@@ -158,6 +158,6 @@ def neighbour_pairs(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
 
 
 def _known_points(track: DrivenTrack) -> list[tuple[int, float, float, float, float]]:
-    index = np.flatnonzero(track.known)
+    index = np.flatnonzero(track.is_known)
     rows = zip(*(x[index].tolist() for x in (track.x, track.y, track.east, track.north)), strict=True)
     return [(i, *row) for i, row in zip(index.tolist(), rows, strict=True)]

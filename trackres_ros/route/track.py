@@ -44,7 +44,7 @@ class Frame:
     longitude: float
 
     @classmethod
-    def about(cls, latitude: Array, longitude: Array) -> Frame:
+    def of_positions(cls, latitude: Array, longitude: Array) -> Frame:
         """The middle of positions [rad], on either side of the date line too; zero without any."""
         has_position = np.isfinite(latitude) & np.isfinite(longitude)
         if not has_position.any():
@@ -74,12 +74,12 @@ class DrivenTrack:
     y: Array  # north [m]
     east: Array  # direction of travel, of length 1
     north: Array
-    known: Mask  # where positions and the distance driven agree
+    is_known: Mask  # where positions and the distance driven agree
 
     def __len__(self) -> int:
         return len(self.x)
 
-    def nearest(self, distance: Array) -> NDArray[np.int64]:
+    def nearest_index(self, distance: Array) -> NDArray[np.int64]:
         """The point at each distance driven [m]."""
         return np.clip(np.round(distance / STEP_M).astype(np.int64), 0, len(self) - 1)
 

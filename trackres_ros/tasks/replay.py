@@ -447,7 +447,7 @@ def _learned(learner: Learner) -> dict[str, Any]:
     return {
         "mode": learner.mode,
         "text": learner.text,
-        "acts": learner.acts,
+        "acts": learner.is_active,
         "coverage": values[0],
         "parameters": [{"name": name, "text": text, **dict(fields)} for name, text, fields in texts],
     }

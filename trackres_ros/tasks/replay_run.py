@@ -198,7 +198,7 @@ def replay(
 
     def take(steps: Steps) -> None:
         if len(steps):
-            totals.add(times.of(steps), by_column(estimator, steps.rows))
+            totals.add(times.step_times(steps), by_column(estimator, steps.rows))
         preview.take(steps, write)
 
     messages, start = 0, None
@@ -255,7 +255,7 @@ class LearningSteps:
             row, of_speed = estimate.row.tolist(), at.Times(session.memory.times[at.SPEED])
             stamp = int(of_speed.last_stamp)
             learner.take(stamp, row, session)
-            rows.append([*row, *self._columns.of(row, session)])
+            rows.append([*row, *self._columns.row_values(row, session)])
             stamps.append(stamp)
             arrivals.append(int(of_speed.last_arrival))
         width = len(session.estimator.columns) + len(column_names(learner.learnables))
@@ -283,7 +283,7 @@ class DisturbanceColumns:
             counts = abs(speed) >= STEADY_MPS and abs(accel) <= STEADY_MPS2
             jumped = bool(int(reasons) & CLOCK_JUMPED)
             belief = watch.take(stamp, residual if counts else math.nan, speed, stamp - arrival, jumped)
-            columns[:, i] = belief.there, belief.torque_nm
+            columns[:, i] = belief.probability, belief.torque_nm
         return list(columns)
 
 

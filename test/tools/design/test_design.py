@@ -197,15 +197,15 @@ def test_where_stamps_jump_a_step_has_the_time_of_arrival():
     given = Steps(stamp, arrival, np.empty((40, 0)))
     of_blocks = StepTimes(Settings())
     blocks = (Steps(stamp[rows], arrival[rows], given.rows[rows]) for rows in (slice(25), slice(25, 40)))
-    assert np.concatenate([of_blocks.of(block) for block in blocks]) == pytest.approx([0.0] + [0.1] * 39)
-    assert StepTimes(Settings()).of(Steps(stamp, stamp, given.rows)).sum() == pytest.approx(3.6)
+    assert np.concatenate([of_blocks.step_times(block) for block in blocks]) == pytest.approx([0.0] + [0.1] * 39)
+    assert StepTimes(Settings()).step_times(Steps(stamp, stamp, given.rows)).sum() == pytest.approx(3.6)
 
 
 def test_what_waited_in_a_queue_adds_no_time_to_a_replay():
     stamp = np.concatenate([np.arange(50), np.arange(1000, 1100)]) * 20_000_000 + 10**18
     arrival = np.where(np.arange(150) < 25, stamp, np.maximum(stamp, stamp[50]))
     steps = Estimator(load("agri3t")).session().handle_block(np.zeros(150, np.int16), stamp, arrival, np.full(150, 2.0))
-    assert StepTimes(Settings()).of(steps).sum() == pytest.approx((stamp[-1] - stamp[0]) * 1e-9)
+    assert StepTimes(Settings()).step_times(steps).sum() == pytest.approx((stamp[-1] - stamp[0]) * 1e-9)
 
 
 def test_an_effect_may_cool_a_belt_below_the_air():

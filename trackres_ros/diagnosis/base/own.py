@@ -175,7 +175,7 @@ class OwnBase(Base):
         values = kept.values or {}
         parameters = {name: (values.get(name, parameter[0]), *parameter[1:]) for name, parameter in self.model.parameters.items()}
         parameters = {n: (v, min(low, v), max(high, v), unit) for n, (v, low, high, unit) in parameters.items()}
-        return replace(self.model, parameters=parameters, effects=(*self.model.effects, *kept.of("vehicle")))
+        return replace(self.model, parameters=parameters, effects=(*self.model.effects, *kept.effects_of("vehicle")))
 
     def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """See `base.Base`: the values of the parameters, and effects."""

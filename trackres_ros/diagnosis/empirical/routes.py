@@ -77,7 +77,7 @@ class Roads:
         """Number of passes of each place on used samples, shape (places,)."""
         pairs = set()
         for track, mask in zip(self.within, masks, strict=True):
-            used = np.repeat(mask, len(track.number) // len(mask)) & track.known
+            used = np.repeat(mask, len(track.number) // len(mask)) & track.is_known
             nearest = np.where(track.share[used, 1] > 0.5, track.place[used, 1], track.place[used, 0])
             pairs |= set(zip(nearest.tolist(), track.number[used].tolist(), strict=True))
         return np.bincount(np.array([place for place, _ in pairs], dtype=np.int64), minlength=len(self.places))
@@ -90,11 +90,11 @@ def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     known = np.isfinite(latitude) & np.isfinite(longitude)
     if not known.any():
         return None
-    frame = Frame.about(latitude, longitude)
+    frame = Frame.of_positions(latitude, longitude)
     tracks = [track_of(w.driven, *frame.metres(w.latitude, w.longitude)) for w in ways]
     places = places_of(tracks)
     matches = match_tracks(places, tracks)
-    within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(matches, tracks, ways, strict=True))
+    within = tuple(m.select(t.nearest_index(w.driven)) for m, t, w in zip(matches, tracks, ways, strict=True))
     middles = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
     return Roads(frame, places, StreetGraph.of(neighbour_pairs(matches), places.table, matches), middles, within)
 
@@ -134,7 +134,7 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
     if not term.matters:
         return None
     metres = SPACING_M * int((passes > 0).sum())
-    course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.middles)
+    course = tuple(np.where(m.is_known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.middles)
     typical_passes = int(np.median(passes[passes > 1]))
     return replace(term, pattern=Route(best.slope_gain, metres, again_m, typical_passes, course, best.places, best.learned))
 
@@ -151,7 +151,7 @@ def _slope_or_torque(
     }
     typical = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius), TORQUE: spread}
     base = _base_columns(current, fitted)
-    at_places = [m & t.known for m, t in zip(masks, roads.middles, strict=True)]  # elsewhere the base alone would take a slope
+    at_places = [m & t.is_known for m, t in zip(masks, roads.middles, strict=True)]  # elsewhere the base alone would take a slope
     learned = {kind: learn(c, residuals, at_places, noise, typical[kind], base) for kind, c in columns.items()}
     slope_gain = learned[SLOPE].evidence - learned[TORQUE].evidence
     kind = SLOPE if slope_gain > SURE_OF_KIND else TORQUE

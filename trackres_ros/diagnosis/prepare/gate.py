@@ -436,9 +436,9 @@ def _along(session: DriveSession, route: RouteMap) -> Array:
     """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
-    match = match_tracks(route.places, [track])[0].at(track.nearest(way.driven))
+    match = match_tracks(route.places, [track])[0].select(track.nearest_index(way.driven))
     learned = route.value[match.place, (match.sign < 0.0).astype(int)]
-    known = np.isfinite(learned) & (match.share > 0.0) & match.known[:, np.newaxis]
+    known = np.isfinite(learned) & (match.share > 0.0) & match.is_known[:, np.newaxis]
     share = np.where(known, match.share, 0.0)
     total = share.sum(axis=1)
     values = (share * np.where(known, learned, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)

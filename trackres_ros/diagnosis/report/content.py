@@ -34,7 +34,7 @@ BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
 def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
     """All findings as plain data."""
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
-    lines = sensor_lines(d.kept.of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
+    lines = sensor_lines(d.kept.effects_of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
     kept = {kind: d.kept.names_of(kind) for kind in BELONGS_TO}
     routes = [_route(t, t.pattern, d.final) for t in d.in_order if isinstance(t.pattern, Route)]
     content = {

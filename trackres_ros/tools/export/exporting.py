@@ -92,7 +92,7 @@ def _learned(estimator: Estimator, path: Path) -> Any:
     saved, session, learner = snapshot.read_learning(estimator, path), estimator.session(), Learner(estimator, ON)
     session.begin(estimator.cold_start(estimator.inputs(0.0)))
     continue_from(path, session, learner, saved, off_s=0.0)
-    learner.act(session)
+    learner.apply_learned(session)
     if not session.learned[layout.Learned.on] > 0.0:
         given, allowed = "a state without active learned parameters", "a state of a run with --learning on"
         raise InputError(f"state file {path}", given, allowed, "save it with --learning on, after enough driving")

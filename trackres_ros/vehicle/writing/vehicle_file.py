@@ -66,13 +66,13 @@ def write_road_vehicle(vehicle: RoadVehicle, path: Path, changes: FileChanges, t
     document = open_document(vehicle.source)
     for name, value in (changes.values or {}).items():
         quantity = vehicle.parameters[f"{SECTION}.{name}"]
-        set_quantity(document, (SECTION, name), quantity, value, changes.range_of(name), ROAD_LOAD[name], changes.by)
+        set_quantity(document, (SECTION, name), quantity, value, changes.range_of(name), ROAD_LOAD[name], changes.command)
     return finish(document, vehicle.name, _effect_files(vehicle.source), vehicle.surroundings, path, changes, text, vehicle.route)
 
 
 def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float], changes: FileChanges) -> None:
     def set_value(path: tuple[str, ...], value: float, interval: Range, limits: Mapping[str, Limits]) -> None:
-        set_quantity(document, path, vehicle.parameters[".".join(path)], value, interval, limits[path[-1]], changes.by)
+        set_quantity(document, path, vehicle.parameters[".".join(path)], value, interval, limits[path[-1]], changes.command)
 
     for section, name, limits in (
         ("rubber", "loss_modulus_scale", RUBBER),
@@ -183,9 +183,9 @@ def finish(
     """
     if changes.disturbance is not None:
         _set_disturbance(document, changes.disturbance)
-    diagnosed = changes.by == DIAGNOSE
-    effects = changes.of("vehicle")
-    site_effects = [*surroundings, *changes.of("surroundings")] if diagnosed else []
+    diagnosed = changes.command == DIAGNOSE
+    effects = changes.effects_of("vehicle")
+    site_effects = [*surroundings, *changes.effects_of("surroundings")] if diagnosed else []
     own_files = [*effect_files, *sources_of(effects)]
     names = _copy_files([*own_files, *sources_of(site_effects)], path.parent)
     document.add("effects", {active.effect.name: _values(active) for active in effects})
