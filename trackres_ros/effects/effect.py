@@ -61,7 +61,7 @@ class Parameter:
         return self.times(float(f"{typical / self.start:.2g}"))
 
     def times(self, factor: float) -> Parameter:
-        """The same for a vehicle so many times the size."""
+        """The same parameter for a vehicle of `factor` times the size."""
         low, high, start = (factor * x for x in (self.low, self.high, self.start))
         return replace(self, low=low, high=high, start=start, more_starts=tuple(factor * x for x in self.more_starts))
 
@@ -262,7 +262,7 @@ class Effect(ABC):
         raise NotImplementedError
 
     def values_after(self, values: Mapping[str, float], distance: float) -> dict[str, float]:  # noqa: ARG002 - most do not wear
-        """The values that act alike from a first start that comes so much further [m], see `Conditions.distance`."""
+        """The values with the same action if the first start comes `distance` [m] later, see `Conditions.distance`."""
         return dict(values)
 
     def acts(self, values: Mapping[str, float]) -> tuple[str, str]:  # noqa: ARG002 - most show it in the drives
@@ -321,7 +321,7 @@ class Active:
         return bool(sizes) and all(self.values[q.name] == q.off for q in sizes)
 
     def after(self, distance: float) -> Active:
-        """The same effect from a first start that comes so much further [m]."""
+        """The same effect if the first start comes `distance` [m] later."""
         return replace(self, values=self.effect.values_after(self.values, distance))
 
     def terms(self, at: Conditions, own: float = 0.0) -> Terms:

@@ -289,7 +289,7 @@ def learned_effect(name: str, parameters: object, size: float) -> EmpiricalEffec
 
 
 def examples() -> list[EmpiricalEffect]:
-    """One of each class, and a curve of each number of knots: all that differ in their code."""
+    """One effect of each class, and one curve for each number of knots: all that need their own C code."""
     curves = [Curve(SPEED, [0.0] * count) for count in range(1, MOST_KNOTS + 1)]
     return [*curves, *(factory() for factory in OTHERS.values())]
 

@@ -54,7 +54,7 @@ OF_NUMPY = {"pow": "float_power", **{f"a{name}": f"arc{name}" for name in ("sin"
 
 
 class Function:
-    """A function of `math` or of Python; in C it is that `of` which it is made."""
+    """A function of `math` or of Python. In C, `function` itself is called."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
@@ -234,7 +234,7 @@ def _effects_in(module: ModuleType) -> list[type[Effect]]:
 
 
 def _make_own_effect(kind: type[Effect], path: Path) -> Effect:
-    """An effect of a user's file. Raises InputError whatever is wrong with it."""
+    """An effect of a user's file. Raises InputError for any fault in it."""
     try:
         effect = kind()
         effect.source = path.resolve()

@@ -174,7 +174,7 @@ def refuse_unusable(active: Active, instant: Conditions) -> None:
 
 
 def new_memory(count: int) -> Array:
-    """Memory of so many effects at the very beginning."""
+    """Memory of a number of effects before the first step."""
     memory = np.full(FIRST_OWN + EACH * count, math.nan)
     memory[DISTANCE] = memory[LAST_SPEED] = 0.0
     return memory
@@ -380,7 +380,7 @@ def step_effects(rows: Rows, values: Table, memory: Array, scratch: EffectScratc
             call_terms(rows[row, TERMS_AT], conditions, values[row], answer)
             if is_usable(answer, most_torque):
                 of_loss = answer[TERM.loss_factor] / loss_factor - 1.0
-                if conditions[FACT.cooling] > 0.0:  # there are belts; what the inside keeps back is as if the outside took less
+                if conditions[FACT.cooling] > 0.0:  # with belts: heat that stays inside counts as less cooling outside
                     of_loss -= (answer[TERM.softening] - softening) * (conditions[NOW.belt] - SOFTENING_FROM_DEGC)
                     of_inside = (answer[TERM.inner_resistance] - inner_resistance) * cooling
                     terms[TERM.cooling_variance] += squared(cooling_of(answer, conditions) / cooling - 1.0 - of_inside)

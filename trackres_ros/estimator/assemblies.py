@@ -318,7 +318,7 @@ def fill_departures(
 
 @kernel
 def belt_change_variance(terms: Array, part: Part) -> float:
-    """Variance of a belt's temperature [K^2] due to the ranges of effects, as if these departed from the beginning (ours)."""
+    """Variance of a belt's temperature [K^2] due to the ranges of effects, taken to depart since the start (ours)."""
     change = part.belt_change
     of_loss, of_cooling = terms[TERM.loss_variance], terms[TERM.cooling_variance]
     return float(of_loss * squared(change[OF_LOSS]) + of_cooling * squared(change[OF_COOLING]))

@@ -280,7 +280,7 @@ class Running(NamedTuple):
 
 
 def check_own_effects(vehicle: AnyVehicle) -> None:
-    """Refuse a user's effect that fails where all that it may look at is known. In a step it would only be inactive."""
+    """Refuse a user's effect that fails although all its inputs are known. In a step it would only be inactive."""
     instant = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
     for active in vehicle.active:
         if active.effect.source is not None:
@@ -455,7 +455,7 @@ def relative_weight_std(vehicle: AnyVehicle) -> float:
 
 
 def drag_area_stds(vehicle: AnyVehicle) -> dict[str, float]:
-    """Standard deviation of the drag area [m^2] by path of the value it is due to; the air density's is as if the area had it."""
+    """Standard deviation of the drag area [m^2] by the path of its cause. That of the air density is given as an area."""
     chassis, quantities = vehicle.chassis, vehicle.parameters
     area = chassis.drag_coefficient * chassis.frontal_area
     if isinstance(vehicle, RoadVehicle):

@@ -101,7 +101,7 @@ def _of_assemblies(vehicle: Vehicle, columns: Mapping[str, Array], name: str) ->
     for assembly, arm in zip(names, arms, strict=True):
         if f"{name}/{assembly}" in columns:
             yield columns[f"{name}/{assembly}"]
-        elif name == "drive_torque_nm":  # a grade and the inertia beside the resistance
+        elif name == "drive_torque_nm":  # grade and inertia too, besides the resistance
             yield columns[f"{RESISTANCE}/{assembly}"] + (columns[name] - columns[RESISTANCE]) * (arm / sum(arms))
         else:
             yield columns[name] * (arm / sum(arms))
@@ -183,5 +183,5 @@ def drive_text(totals: Mapping[str, float]) -> str:
 
 
 def _shown(value: float, places: int = 0) -> str:
-    """A number with so many decimals; a small one with two figures."""
+    """A number with a given number of decimals; a small number with two figures."""
     return decimals(value, places) if abs(value) >= 10.0 ** (1 - places) else figures(value, 2)

@@ -247,7 +247,7 @@ def advance(k: Constants, state: State, scratch: Scratch, inputs: Inputs, dt: fl
 def torque_variance(
     k: Constants, terms: Array, total: Part, learned: Learned, road: Road, drive_torque: float, of_place_std: float
 ) -> float:
-    """Variance of the resistance [Nm^2]: var M of docs/model.md, with those of effects and of a torque by place (ours).
+    """Variance of the resistance [Nm^2]: var M of docs/model.md, plus the variances of effects and of a torque by place (ours).
 
     Each cause is summed over the assemblies before squaring: heating of all belts stays one cause. Learned variances replace
     those of the file. The gears' gain is on all torques behind them; that of learned torques has it already.

@@ -147,7 +147,7 @@ def slack_of(k: Constants, quantum: float) -> float:
 
 @kernel
 def move_clock(times: Times, shift: int) -> None:
-    """Move all that is remembered of the speed's clock by a jump of it [ns]."""
+    """Shift the remembered stamps of the speed by a jump of its clock [ns]."""
     times.last_stamp += shift
     times.doubt_since += shift
     times.doubt_stamp += shift

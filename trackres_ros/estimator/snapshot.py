@@ -217,7 +217,7 @@ def _is_other_head(head: bytes) -> bool:
 
 
 def place_aside(path: Path, of_key: str) -> Path:
-    """Where a state file that was not used is kept, by the key of its vehicle: beside it, and one for each key."""
+    """Path of the copy of an unused state file: next to it, one for each key of a vehicle."""
     return path.with_name(f"{path.stem}.unused-{''.join(filter(str.isalnum, of_key))[:8]}{path.suffix}")
 
 

@@ -303,7 +303,7 @@ class Expressions:
         raise self.refuse(node, ast.unparse(node)[:80], "a place that the array or tuple has")
 
     def _place(self, node: ast.AST, place: Value, length: Length) -> Value:
-        """A place in an axis as Python counts it; kernels have only those within it."""
+        """A place in an axis, negative ones counted from its end as in Python. Kernels have no place outside the axis."""
         if not self.translator.is_checked:
             return place
         if not isinstance(length, int):
@@ -500,7 +500,7 @@ class Operators(Expressions):
         )
 
     def condition(self, node: ast.expr) -> Value:
-        """An expression of which only its truth is asked."""
+        """An expression that is only tested for its truth."""
         if isinstance(node, ast.BoolOp):
             return self._logical(node, self._until_decided(node, self.condition))
         return self.truth(node, self.value(node))

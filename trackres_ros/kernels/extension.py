@@ -128,7 +128,7 @@ class Extension:
         return "\n".join(parts)
 
     def _of_record(self, kind: Record) -> Iterator[str]:
-        """Functions that fill its struct from a tuple, take it from a tuple or what was bound, and bind it."""
+        """Functions that fill the struct from a tuple, read it from a tuple or a bound record, and bind it."""
         name, struct = self._name(kind), self.translator.struct(kind)
         conditions = [f'tr_is_record(given, {len(kind.fields)}, "{name}")']
         for place, (field, part) in enumerate(kind.fields):

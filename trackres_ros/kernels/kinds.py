@@ -141,7 +141,7 @@ def words(name: str) -> str:
 
 
 def widen_kind(kind: Kind) -> Kind:
-    """The kind of a variable for such a value; the constant itself, if no variable can hold it."""
+    """The kind of a variable that holds a value of this kind; the constant itself, if no variable can hold it."""
     if isinstance(kind, Record):
         return Record(kind.name, tuple((name, widen_kind(part)) for name, part in kind.fields))
     if not isinstance(kind, Const):

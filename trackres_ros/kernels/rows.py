@@ -60,7 +60,7 @@ class Reals:
 
 
 class _Places(type):
-    """The class of a row class; that of each row has its places as properties."""
+    """The metaclass of rows: it gives each row class its places as properties."""
 
 
 class Row(metaclass=_Places):

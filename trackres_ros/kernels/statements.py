@@ -228,7 +228,7 @@ class Calls(Operators):
         return None
 
     def _whole_number(self, code: str) -> Value:
-        """A whole number; what is none leaves an effect out, as in Python."""
+        """A whole number. Without one, nan or infinity, the effect is left out, as in Python."""
         return Value(INT, f"tr_whole_number({code}, {FAILED})" if self.translator.is_checked else f"tr_whole({code})")
 
     def _extreme_call(self, name: str, values: list[Value]) -> Value:

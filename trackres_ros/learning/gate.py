@@ -90,7 +90,7 @@ class Second:
 
     @property
     def main_reason(self) -> int:
-        """Why most of the others do not."""
+        """The most frequent reason for a discarded sample."""
         return int(np.argmax(self.refused))
 
 

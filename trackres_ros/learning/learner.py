@@ -267,7 +267,7 @@ class Learner:
     # Once a second
 
     def _close(self, session: Session, seconds: int) -> None:
-        """Finish a second; the next one with a step begins so many after it."""
+        """Finish a second. `seconds` later the next second with a step begins."""
         s, second = self.learned, self.gate.second
         all_of_it = second.taken + float(second.refused.sum())
         if second.taken or second.refused[OUTLYING] or second.refused[AGAINST]:

@@ -107,9 +107,9 @@ def conditional_mean(mean: Array, covariance: Array, is_learned: Mask) -> Array:
 
 # Parameters
 
-# The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
-# [Nm] and gain of the torque sensor, a drifting torque against travel within minutes, and one that came at once [Nm]; the
-# slope of the ground that the step does not know [1], how far it has risen [m], and what an IMU is tilted by [1], see `ground`.
+# States of the filter: the departures of `estimator.columns`, then nuisance states that keep their causes out of these:
+# offset [Nm] and gain of the torque sensor; a torque against travel that drifts within minutes, and one that stepped [Nm]; the
+# slope of the ground that the step does not know [1], its rise so far [m], and the tilt of an IMU [1], see `ground`.
 OFFSET, GAIN, SLOW, STEP, SLOPE, HEIGHT, TILT = range(layout.LEARNABLE, layout.LEARNABLE + 7)
 STATES = layout.LEARNABLE + 7
 DELAY = STATES  # of the measured torque behind the speed [s]; no state of the filter, see `delay`

@@ -103,7 +103,7 @@ class Past:
         self.last += 1 + LAGS[-1]
 
     def add(self, level: float, share: float) -> None:
-        """Add a block; estimate the slow disturbance, of which a share is kept from block to block."""
+        """Add a block and estimate the slow disturbance. `share` of it remains from block to block."""
         self.numbers[self.last % PAST], self.levels[self.last % PAST] = self.last, level
         self.last += 1
         order = np.argsort(self.numbers, kind="stable")
@@ -146,7 +146,7 @@ class Contest:
     better: bool = False
 
     def add(self, gain: float) -> None:
-        """Add a block: size of the file's residual less that of the learned one [Nm]."""
+        """Add a block: size of the residual by the file minus size of the residual by the learned values [Nm]."""
         self.blocks += 1
         share = max(1.0 / self.blocks, 1.0 / CONTEST_MEMORY)
         departure = gain - self.gain

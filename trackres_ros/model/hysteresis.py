@@ -39,7 +39,7 @@ class Cycle(NamedTuple):
 
 
 def turning_points(series: Sequence[float]) -> list[int]:
-    """Indices of the reversals of a series, its ends included; of a flat stretch the first sample counts."""
+    """Indices of the reversals of a series, its ends included. A flat stretch is represented by its first sample."""
     points = [0] if len(series) else []
     for i in range(1, len(series)):
         step = series[i] - series[points[-1]]

@@ -23,7 +23,7 @@ STEEPEST_END = 3.0  # of a monotone cubic's slope at its end, over that of the l
 
 
 def thinned_numbers(count: int, density: int) -> Array:
-    """Whole numbers 1 to `count`, of large ones so many that there are `density` for a factor e."""
+    """Whole numbers from 1 to `count`; large ones are thinned to `density` numbers per factor e."""
     numbers = [1]
     while numbers[-1] < count:
         numbers.append(min(count, numbers[-1] + max(1, numbers[-1] // density)))

@@ -39,7 +39,7 @@ class RouteMap:
         return len(self.latitude)
 
     def times(self, factor: float) -> RouteMap:
-        """The same with values so many times as large."""
+        """The same map with its values multiplied."""
         return replace(self, value=factor * self.value, std=abs(factor) * self.std)
 
     @cached_property

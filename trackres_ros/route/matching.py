@@ -98,7 +98,7 @@ class Matched:
         return Matched(self.place[points], self.share[points], self.sign[points], number, this_way)
 
     def middles(self, size: int) -> Matched:
-        """The middle point of each group of so many; at no place unless all of them are at one."""
+        """The middle point of each group of `size` points. It is at no place unless all points of the group are at one."""
         centre = self.select(np.arange(size // 2, len(self.number), size))
         is_whole = self.is_known.reshape(-1, size).all(axis=1)
         number, this_way = (np.where(is_whole, n, -1) for n in (centre.number, centre.number_this_way))

@@ -32,7 +32,7 @@ def flat(latitude: Any, longitude: Any, of_latitude: Any, of_longitude: Any) -> 
 
 
 def on_same_turn(longitude: Array, reference: float) -> Array:
-    """Longitudes [rad], whole turns on where that is nearer to another one; the others are the same bits."""
+    """Longitudes [rad], moved by whole turns to be next to a reference; those already next to it keep their bits."""
     return longitude - TURN * np.round((longitude - reference) / TURN)
 
 

@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.selection.locate import Bin, residual_sources
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
-from trackres_ros.vehicle.writing.sensor_lines import replace_lines, sensor_lines
+from trackres_ros.vehicle.writing.sensor_lines import file_phrase, sensor_lines
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
@@ -178,7 +178,7 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
             "where it applies."
         )
     if lines:
-        steps.append(f"A sensor causes {sensors}. No file corrects that: {replace_lines(lines)}:")
+        steps.append(f"A sensor causes {sensors}. No file corrects that: {file_phrase(lines)}:")
     return steps
 
 

@@ -100,7 +100,7 @@ def _set_values(document: Document, vehicle: Vehicle, values: Mapping[str, float
 
 
 def _set_disturbance(document: Document, disturbance: LearnedDisturbance) -> None:
-    """Disturbance to watch for, in place of that of an earlier file."""
+    """Write the disturbance to watch for; it replaces the disturbance of an earlier file."""
     form, limits = disturbance.disturbance.form, DISTURBANCES[disturbance.disturbance.form]
     entries: dict[str, Any] = {"form": form}
     for name, limit in limits.items():
@@ -120,7 +120,7 @@ def _range(pair: Sequence[float]) -> Range:
 
 
 def _heat_capacity(vehicle: Vehicle, scale: float) -> float:
-    """Specific heat capacity of the rubber [J/kg/K] with which the first belt, including cords, holds so many times the heat."""
+    """Specific heat capacity of the rubber [J/kg/K] that gives the first belt, with its cords, `scale` times its capacity."""
     share = rubber_share(vehicle, vehicle.assemblies[0].track)
     return vehicle.rubber.heat_capacity * (scale - 1.0 + share) / share
 
