@@ -444,7 +444,7 @@ def _along(session: DriveSession, route: RouteMap) -> Array:
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
     match = match_tracks(route.places, [track])[0].select(track.nearest_index(way.driven))
     route_values = route.value[match.place, (match.sign < 0.0).astype(int)]
-    is_known = np.isfinite(route_values) & (match.share > 0.0) & match.known[:, np.newaxis]
+    is_known = np.isfinite(route_values) & (match.share > 0.0) & match.is_known[:, np.newaxis]
     share = np.where(is_known, match.share, 0.0)
     total = share.sum(axis=1)
     values = (share * np.where(is_known, route_values, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)
