@@ -21,17 +21,17 @@ import numpy as np
 from trackres_ros import checks
 from trackres_ros.errors import InputError, encodable, one_line
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.energy import taken_text
+from trackres_ros.estimator.energy import drive_text
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.settings import settings_for
 from trackres_ros.estimator.snapshot import save, state_file
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
-from trackres_ros.learning.columns import column_names, shown
+from trackres_ros.learning.columns import column_names, learning_values
 from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.learner import MODES, OFF, Learner
-from trackres_ros.learning.store import LearnedFile, go_on_from, stored, write_learned
+from trackres_ros.learning.store import LearnedFile, continue_from, learner_content, write_learned
 from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.node.parameters import make_parameters, read_parameters
@@ -177,7 +177,7 @@ def replay(
         session = learned_before = off_s = None
         if resume_file is not None:
             session, off_s, learned_before, unlearned_s = resumed(source, estimator, resume_file)
-            go_on_from(resume_file, session, learner, learned_before, unlearned_s)
+            continue_from(resume_file, session, learner, learned_before, unlearned_s)
         write = blocks.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
         write = write if comparison is None else comparison.writer(write)
         torques = TorqueTotals(parameters.mismatch()) if "torque" in source.roles else None
@@ -186,7 +186,7 @@ def replay(
         outputs = [finding for finding in (file, state) if finding is not None]
         if state is not None:
             saved_at = int(run_result.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
-            save(run_result.session, state, saved_at, learned_before if learner is None else stored(learner))
+            save(run_result.session, state, saved_at, learned_before if learner is None else learner_content(learner))
         if learned_file is not None and learner is not None:
             learned = write_learned(learner, estimator.vehicle, learned_file)
             run_result = replace(run_result, learned_file=learned)
@@ -428,7 +428,7 @@ def summary_text(report: dict[str, Any]) -> str:
     lines += [f"  status: {item['text']} ({number_of(item['steps'], 'step')})" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
     stood = not report["drive"]["under_way_s"] and set(report["counters"].get("speed", ())) - {"accepted"}
-    totals = taken_text(report["drive"]) + (" in the accepted samples" if stood else "")
+    totals = drive_text(report["drive"]) + (" in the accepted samples" if stood else "")
     lines.append(totals if report["duration_s"] else "The drive has no totals: no two rows without a long gap between them")
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
@@ -454,12 +454,12 @@ def summary_text(report: dict[str, Any]) -> str:
 
 def _learned(learner: Learner) -> dict[str, Any]:
     """Learned parameters at the end."""
-    values = shown(learner)
+    values = learning_values(learner)
     texts = lines_of(learner, values)
     return {
         "mode": learner.mode,
         "text": learner.text,
-        "acts": learner.acts,
+        "acts": learner.is_active,
         "coverage": values[0],
         "parameters": [{"name": name, "text": text, **dict(fields)} for name, text, fields in texts],
     }

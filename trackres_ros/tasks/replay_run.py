@@ -27,7 +27,7 @@ from trackres_ros.estimator.drives import by_column
 from trackres_ros.estimator.energy import DriveTotals, StepTimes
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.records import Steps
-from trackres_ros.estimator.snapshot import read_learning, rested, resume
+from trackres_ros.estimator.snapshot import read_learning, rest_session, resume
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
@@ -158,7 +158,7 @@ def resumed(source: Source, estimator: Estimator, path: Path) -> Resumed:
         of_stood = [role == "stood" for role in source.roles]
         off_s = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
         off_s = 0.0 if math.isnan(off_s) else off_s
-        session = rested(session, off_s)
+        session = rest_session(session, off_s)
     end_s, begin_s = int(last.last_arrival) * NANOSECOND, int(first.arrival_ns[0]) * NANOSECOND
     return Resumed(session, off_s, *since_saved(path, learned, end_s, begin_s, off_s))
 
@@ -203,7 +203,7 @@ def replay(
 
     def take(steps: Steps) -> None:
         if len(steps):
-            step_s = times.of(steps)
+            step_s = times.step_times(steps)
             totals.add(step_s, by_column(estimator, steps.rows))
             if torques is not None:
                 torques.add(step_s, steps.rows)
@@ -263,7 +263,7 @@ class LearningSteps:
             row, of_speed = estimate.row.tolist(), at.Times(session.memory.times[at.SPEED])
             stamp = int(of_speed.last_stamp)
             learner.take(stamp, row, session)
-            rows.append([*row, *self._columns.of(row, session)])
+            rows.append([*row, *self._columns.row_values(row, session)])
             stamps.append(stamp)
             arrivals.append(int(of_speed.last_arrival))
         width = len(session.estimator.columns) + len(column_names(learner.learnables))
@@ -291,7 +291,7 @@ class DisturbanceColumns:
             counts = compares(speed, accel)
             jumped = bool(int(reasons) & CLOCK_JUMPED)
             belief = watch.take(stamp, residual if counts else math.nan, speed, stamp - arrival, jumped)
-            columns[:, i] = belief.there, belief.torque_nm
+            columns[:, i] = belief.probability, belief.torque_nm
         return list(columns)
 
 
