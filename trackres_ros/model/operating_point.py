@@ -121,17 +121,16 @@ class VehicleState:
 
 def vehicle_state(
     vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float,
-    loss_factors: Mapping[str, float] | None = None, models: Mapping[str, TrackModel] | None = None,
+    models: Mapping[str, TrackModel] | None = None,
 ) -> VehicleState:  # fmt: skip
     """A vehicle with its effects at a speed [m/s], with the belt temperature of each assembly; see `explain`.
 
-    `loss_factors`: on the loss of kinds of track, by name; `models`: of these kinds, if several states of the vehicle share them.
+    `models`: of the kinds of track, by name, if several states of the vehicle share them.
     """
     nominal = vehicle.nominal_loads()
     loads = weight * nominal / nominal.sum()
     kinds = [(a.track, float(load), degc) for a, load, degc in zip(vehicle.assemblies, loads, belts_degc, strict=True)]
     of_tracks = models or track_models(vehicle)
-    factors = dict.fromkeys(vehicle.tracks, 1.0) | dict(loss_factors or {})
     usable, left_out = _effects(vehicle)
     belts = np.array(belts_degc)
     mean = float(belts[0] + (belts - belts[0]).mean())
@@ -139,9 +138,7 @@ def vehicle_state(
     terms = _on_belts(usable, at)
     for _ in range(DRIVE_PASSES):
         alike = {
-            (track, load, degc): _assembly_state(
-                vehicle.chassis, at, degc, terms._replace(loss_factor=factors[track] * terms.loss_factor), of_tracks[track], load
-            )
+            (track, load, degc): _assembly_state(vehicle.chassis, at, degc, terms, of_tracks[track], load)
             for track, load, degc in set(kinds)
         }
         assemblies = tuple(alike[kind] for kind in kinds)
