@@ -270,7 +270,7 @@ def page() -> dict[str, float]:
     """What a library that draws in the browser adds to a page, as it is and packed [kB]."""
     from bokeh.resources import Resources
 
-    from trackres_ros.diagnosis.report.interactive import packed
+    from trackres_ros.diagnosis.report.interactive import pack
 
     libraries = {"Bokeh, without widgets": "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)}
     if importlib.util.find_spec("plotly"):
@@ -280,7 +280,7 @@ def page() -> dict[str, float]:
     sizes = {}
     for name, text in libraries.items():
         sizes[f"{name} [kB]"] = len(text.encode()) / 1e3
-        sizes[f"{name}, packed [kB]"] = len(packed(text)) / 1e3
+        sizes[f"{name}, packed [kB]"] = len(pack(text)) / 1e3
     return sizes
 
 

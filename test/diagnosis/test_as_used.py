@@ -296,7 +296,7 @@ def test_each_drive_of_a_written_file_is_its_first_one(driven, loaded, effects):
     assert sum(float(s.distance[-1] - s.distance[0]) for s in sessions) == pytest.approx(use.distance, rel=0.01)
     rest = replace(new, values={**new.values, "excess": 0.25 * np.exp(-use.distance / 8000.0)})
     assert 0.01 < rest.values["excess"] < 0.2
-    for expected, session in zip(use.expected(None, [new], alone=True), sessions, strict=True):
+    for expected, session in zip(use.expected(None, [new], is_alone=True), sessions, strict=True):
         assert expected == pytest.approx(loaded.base.predict([session], nominal, [rest])[0].torque)
     for expected, one in zip(use.recorded(None, [new]), loaded.base.predict(sessions, nominal, [new]), strict=True):
         assert expected == pytest.approx(one.torque)

@@ -43,7 +43,7 @@ from trackres_ros.diagnosis.report.page import (
     glance,
     headline,
     interval,
-    lights,
+    list_highlights,
     provenance,
     sha256,
     tiles,
@@ -293,7 +293,7 @@ def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
 
 def test_what_can_be_lit_is_there(diagnosed):
     letters = bins_of_steps(diagnosed)
-    for key, _ in lights(diagnosed):
+    for key, _ in list_highlights(diagnosed):
         name, number = ("effect:turning_scrub", "0") if key.startswith("effect:") else key.rsplit(":", 1)
         assert any(number in of[name] for of in letters), key
 
@@ -325,7 +325,7 @@ def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
         np.testing.assert_allclose(last.x - base.x, 0.4, atol=1e-9)
         for of in (base, last):
             assert list(of.x.round()) == list(range(len(edges) - 1))
-            for b, half in zip(of.bins, of.half, strict=True):
+            for b, half in zip(of.bins, of.half_width, strict=True):
                 inside = [
                     g.valid & within(b.variable, b.low, b.high, s, p)
                     for s, p, g in zip(d.sessions, d.refitted.predicted, d.refitted.problem.segments, strict=False)

@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.report.charts import Bars
 from trackres_ros.diagnosis.report.interactive import plots_of
 from trackres_ros.diagnosis.report.pictures import MOST_RECORDINGS, draw_all, first_charts, regimes, term_chart, times
 from trackres_ros.diagnosis.report.series import (
-    begins,
+    begin_minutes,
     held_out_times,
     marked_times,
     minutes,
@@ -126,7 +126,7 @@ def test_the_first_picture_has_the_residual_and_its_terms(drawn, diagnosed, noth
     }
     for stage in ("refitted", "with_effects")[: 1 + named]:
         assert f"{figures(d.held_out.mae[stage])} Nm" in axes[stage == "with_effects"].get_title(loc="left")
-    ends = begins(d)
+    ends = begin_minutes(d)
     assert ends[-1] == pytest.approx(sum(len(s) * s.step for s in d.sessions) / 60.0, rel=1e-3)
     seconds = sum(int(s.used[np.isin(s.block, d.split.held_out)].sum()) * s.step for s in d.sessions)
     assert seconds <= 60.0 * sum(end - begin for begin, end in held_out_times(d)) < 60.0 * ends[-1]
@@ -149,7 +149,7 @@ def test_the_terms_and_what_is_left_add_up_to_the_residual(drawn, diagnosed, tmp
         above, below = timeline(d).panels
         *terms, residual = above.lines
         (left,) = below.lines
-        assert [t.dashed for t in terms] == [False, True][: len(terms)]
+        assert [t.is_dashed for t in terms] == [False, True][: len(terms)]
         assert len({line.colour for panel in (above, below) for line in panel.lines}) == len(terms) + 2
         for i in range(len(d.sessions)):
             of_terms, (_, rest), (_, whole) = (t.pieces[i][1] for t in terms), left.pieces[i], residual.pieces[i]

@@ -98,10 +98,10 @@ def private(path):
 
 def test_a_folder_of_our_own_serves_and_is_closed_to_others(tmp_path, said):
     folder = private(tmp_path / "own") / "trackres"
-    assert cache.usable(folder) == folder
+    assert cache.usable_folder(folder) == folder
     assert folder.stat().st_mode & 0o777 == 0o700
     folder.chmod(0o755)
-    assert cache.usable(folder) == folder
+    assert cache.usable_folder(folder) == folder
     assert folder.stat().st_mode & 0o777 == 0o700
     assert not said()
 
@@ -129,15 +129,15 @@ def test_a_sticky_folder_above_is_fine_and_as_the_cache_is_not(tmp_path, said):
     shared = tmp_path / "shared"
     shared.mkdir()
     shared.chmod(0o1777)
-    assert cache.usable(shared / "mine") is not None
-    assert cache.usable(shared) is None
+    assert cache.usable_folder(shared / "mine") is not None
+    assert cache.usable_folder(shared) is None
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder away")
 def test_a_folder_of_another_user_is_refused(tmp_path, said):
     folder = private(tmp_path / "theirs")
     os.chown(folder, 12345, 12345)
-    assert cache.usable(folder / "trackres") is None
+    assert cache.usable_folder(folder / "trackres") is None
     assert "belongs to another user" in said()[0]
 
 
@@ -145,7 +145,7 @@ def test_a_symbolic_link_counts_as_where_it_leads(tmp_path, said):
     open_to_all = private(tmp_path / "open")
     (tmp_path / "link").symlink_to(open_to_all)
     open_to_all.chmod(0o777)
-    assert cache.usable(tmp_path / "link" / "trackres") is None
+    assert cache.usable_folder(tmp_path / "link" / "trackres") is None
 
 
 def test_without_a_home_there_is_no_cache_and_it_is_said(monkeypatch, said):

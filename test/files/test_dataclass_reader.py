@@ -105,7 +105,7 @@ def test_keys_may_be_left_to_the_caller():
     assert reader.part(Wheel, {"radius": 1.0}, "wheel", name="w") == Wheel("w", 1.0)
     assert reader.part(Wheel, {"radius": 1.0, "tyre": "x"}, "wheel", other_keys=("tyre",), name="w") == Wheel("w", 1.0)
     with pytest.raises(InputError, match=r"wheel\.spokes"):
-        reader.part(Wheel, {"name": "w", "radius": 1.0, "spokes": 4}, "wheel", only=("name", "radius"))
+        reader.part(Wheel, {"name": "w", "radius": 1.0, "spokes": 4}, "wheel", selection=("name", "radius"))
 
 
 def test_values_of_a_dataclass_are_checked_as_if_read():

@@ -30,7 +30,7 @@ from trackres_ros.files.file_sets import (
     RepairWarning,
     file_set,
     is_free,
-    present,
+    present_content,
     settle,
     trial_folder,
 )
@@ -276,7 +276,7 @@ def test_inside_a_set_its_files_are_seen_as_they_will_be(tmp_path):
         own_files.write(tmp_path / "a.txt", b"new")
         own_files.write(tmp_path / "d.txt", b"more")
         own_files.remove(tmp_path / "gone.txt")
-        assert [present(tmp_path / name) for name in ("a.txt", "d.txt", "gone.txt", "sub/b.txt")] == [
+        assert [present_content(tmp_path / name) for name in ("a.txt", "d.txt", "gone.txt", "sub/b.txt")] == [
             b"new", b"more", None, b"old b",
         ]  # fmt: skip
         assert [is_free(tmp_path / name) for name in ("a.txt", "d.txt", "gone.txt", "e.txt")] == [False, False, True, True]

@@ -16,7 +16,7 @@ from trackres_ros.learning.columns import columns_of
 from trackres_ros.learning.gate import SHAPE
 from trackres_ros.learning.parameters import VEHICLES_OWN, learnables
 from trackres_ros.output.plots import estimate_figure
-from trackres_ros.output.style import picture, thinned
+from trackres_ros.output.style import picture, thin_out
 from trackres_ros.vehicle import load_any
 
 pytest.importorskip("matplotlib")
@@ -204,7 +204,7 @@ def test_a_thinned_line_keeps_peaks_ends_and_gaps():
     y = np.sin(x / 5000.0)
     y[40_000], y[70_001] = 9.0, -9.0
     y[50_000:60_000] = np.nan
-    kept_x, kept_y = thinned(x, y, most=1000)
+    kept_x, kept_y = thin_out(x, y, point_count=1000)
     assert len(kept_x) <= 1000
     assert (np.diff(kept_x) > 0).all()
     assert np.nanmax(kept_y) == 9.0
@@ -218,6 +218,6 @@ def test_a_thinned_line_keeps_peaks_ends_and_gaps():
 
 def test_a_short_line_is_left_as_it_is():
     x, y = np.arange(5.0), np.array([1.0, np.nan, 3.0, 2.0, 2.0])
-    kept_x, kept_y = thinned(x, y)
+    kept_x, kept_y = thin_out(x, y)
     assert np.array_equal(kept_x, x)
     assert np.array_equal(kept_y, y, equal_nan=True)

@@ -69,8 +69,8 @@ def messages(store: Any, msgtype: str) -> st.SearchStrategy[Any]:
 
     parts = {}
     for field in fields:
-        size = (field.count, field.count) if field.many == "array" else (0, 3)
-        parts[field.name] = one(field.type) if field.many == "one" else many(field.type, size)
+        size = (field.count, field.count) if field.multiplicity == "array" else (0, 3)
+        parts[field.name] = one(field.type) if field.multiplicity == "one" else many(field.type, size)
     return st.builds(store.types[msgtype], **parts)
 
 
@@ -117,8 +117,8 @@ def check(decoded: Any, sent: list[Any], fields: list[str]) -> None:
     want = np.array([[expected(message, field) for field in fields] for message in sent])
     np.testing.assert_array_equal(decoded.value, want)
     np.testing.assert_array_equal(decoded.stamp_ns, [stamp_of(message) for message in sent])
-    assert not decoded.malformed.any()
-    assert not (decoded.absent & ~np.isnan(want)).any()
+    assert not decoded.is_malformed.any()
+    assert not (decoded.is_absent & ~np.isnan(want)).any()
 
 
 def twist(number: float, frame: str = "base_link") -> bytes:
@@ -149,8 +149,8 @@ def test_more_layouts_than_are_kept() -> None:
     for _ in range(2):
         decoded = reader.decode(raws)
         np.testing.assert_array_equal(decoded.value[:, 0], np.arange(60.0))
-        assert decoded.absent[:, 1].all()
-        assert not decoded.absent[:, 0].any()
+        assert decoded.is_absent[:, 1].all()
+        assert not decoded.is_absent[:, 0].any()
 
 
 @settings(max_examples=200, deadline=None)
@@ -161,7 +161,7 @@ def test_damaged_messages_are_seen_as_the_full_decoder_sees_them(cut: int, extra
     broken[at] = byte
     raws = [whole, whole[:cut], whole + extra, bytes(broken), whole]
     decoded = twist_reader().decode(raws)
-    for raw, malformed, value in zip(raws, decoded.malformed, decoded.value[:, 0], strict=True):
+    for raw, malformed, value in zip(raws, decoded.is_malformed, decoded.value[:, 0], strict=True):
         error, read = "", math.nan
         try:
             read = STORE.deserialize_cdr(raw, TWIST).twist.linear.x  # type: ignore[attr-defined]
@@ -176,7 +176,7 @@ def test_damaged_messages_are_seen_as_the_full_decoder_sees_them(cut: int, extra
 def test_no_messages_and_empty_ones() -> None:
     assert twist_reader().decode([]).value.shape == (0, 1)
     decoded = twist_reader().decode([b"", twist(1.0), b""])
-    assert decoded.malformed.tolist() == [True, False, True]
+    assert decoded.is_malformed.tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize(

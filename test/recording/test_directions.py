@@ -215,13 +215,13 @@ def test_a_direction_in_another_message_expires_and_is_said(tmp_path):
 
 
 def test_a_companion_of_one_message_is_not_timed_apart():
-    apart, together = Companion(1.0, together=False), Companion(1.0, together=True)
+    apart, together = Companion(1.0, shares_message=False), Companion(1.0, shares_message=True)
     for one in (apart, together):
-        one.came(10**9, -1.0)
-    assert (apart.now(15 * 10**8), together.now(10**9)) == (-1.0, -1.0)
-    assert math.isnan(together.now(10**9 + 1))
-    assert math.isnan(apart.now(2 * 10**9 + 1))
-    assert math.isnan(apart.now(10**9 - 1))
+        one.take_sample(10**9, -1.0)
+    assert (apart.value_at(15 * 10**8), together.value_at(10**9)) == (-1.0, -1.0)
+    assert math.isnan(together.value_at(10**9 + 1))
+    assert math.isnan(apart.value_at(2 * 10**9 + 1))
+    assert math.isnan(apart.value_at(10**9 - 1))
 
 
 def test_the_two_standards_are_opposite_and_known_by_name():
@@ -231,7 +231,7 @@ def test_the_two_standards_are_opposite_and_known_by_name():
     assert not standard_of("WindDirection")
     assert not standard_of("ReverseOsmosisPump")
     for name, numbers in {"iso_11783": [1, 0, 2, 3], "j1939": [0, 1, 2, 3], "gear": [3, -1, math.nan, math.nan]}.items():
-        np.testing.assert_array_equal(STANDARDS[name].meant(np.array(numbers, float)), [1.0, -1.0, math.nan, math.nan])
+        np.testing.assert_array_equal(STANDARDS[name].directions(np.array(numbers, float)), [1.0, -1.0, math.nan, math.nan])
     assert named_ways([(0.0, "Off"), (1.0, "Reverse")]) is None
 
 

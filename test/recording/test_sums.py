@@ -22,7 +22,7 @@ from trackres_ros.node.transport import input_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.combining import Sum
 from trackres_ros.recording.roles import UNITS, Conversion
-from trackres_ros.recording.topics_files import corrected, line_of, line_to_write
+from trackres_ros.recording.topics_files import correct_bindings, line_of, line_to_write
 
 pytest.importorskip("rosbags")
 
@@ -103,7 +103,7 @@ def test_no_part_is_added_twice_in_messages_of_one_time():
     one = Sum("torque", Topics.parse({"torque": {"sum": [{**LEFT, "field": "effort[l]"}, LEFT]}})["torque"])
     found = [one.add(part, START, START, value) for part, value in ((0, 1.0), (0, 2.0), (1, 10.0))]
     assert found == [[], [], [(START, 12.0)]]
-    assert one.alone == 1
+    assert one.lone_samples == 1
 
 
 STEPS = st.lists(st.tuples(st.booleans(), st.integers(-20, 700), st.floats(-1e3, 1e3)), min_size=1, max_size=25)
@@ -162,7 +162,7 @@ def of_line(**line):
     ids=str,
 )
 def test_a_corrected_line_converts_the_values_read_with_the_old(before, by):
-    (after,) = corrected("torque", by, {"torque": before}).values()
+    (after,) = correct_bindings("torque", by, {"torque": before}).values()
     read = Topics.parse(yaml.safe_load(line_of("torque", after)))["torque"]
     assert read.converts
     assert replace(read, scale=1.0, offset=0.0, unit="", converts=False) == replace(
@@ -175,7 +175,7 @@ def test_a_corrected_line_converts_the_values_read_with_the_old(before, by):
 
 def test_an_offset_is_divided_among_the_parts_of_a_role():
     given = {"torque/left": TopicBinding(column="l"), "torque/right": TopicBinding(column="r", offset=3.0)}
-    assert [one.offset for one in corrected("torque", Conversion(offset=-8.0), given).values()] == [-4.0, -1.0]
+    assert [one.offset for one in correct_bindings("torque", Conversion(offset=-8.0), given).values()] == [-4.0, -1.0]
     other = {"torque": TopicBinding(column="c")}
     said = [line_to_write("torque", Conversion(-1.0), *each) for each in ((other,), (given,), (other, given, other))]
     assert said[2].split(" should be ")[1] == ", for other recordings ".join(of.split(" should be ")[1] for of in said[:2])

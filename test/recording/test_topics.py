@@ -208,7 +208,7 @@ def test_a_part_of_a_torque_or_load_is_not_guessed(named: str, parts: tuple[str,
         found = guess_channels([Channel(name, unit) for name in there], ())
         assert (found.bindings, [one.column for one in found.parts[role]]) == ({}, there)
     whole = guess_channels([Channel(name, unit) for name in (*names, role)], ())
-    assert (whole.bindings[role].column, whole.others[role], whole.parts) == (role, [], {})
+    assert (whole.bindings[role].column, whole.alternatives[role], whole.parts) == (role, [], {})
 
 
 TORQUES = ("torque_nm", "torque_knm", "drive/torque", "chassis/torque_nm")

@@ -34,7 +34,7 @@ from trackres_ros.effects.effect import (
     values_type,
 )
 from trackres_ros.errors import InputError
-from trackres_ros.files.cache import fetched, keep, usable
+from trackres_ros.files.cache import fetched, keep, usable_folder
 from trackres_ros.files.resources import cache_dir
 from trackres_ros.kernels.compiler import FLAGS, compiled, compiler
 from trackres_ros.kernels.kinds import REAL, ArrayOf
@@ -134,7 +134,7 @@ def _library(text: str) -> ctypes.CDLL | None:
     parts = "\n".join((platform.machine(), *FLAGS, text))
     name = f"{hashlib.sha256(parts.encode()).hexdigest()[:32]}.code"
     base = cache_dir()
-    folder = usable(None if base is None else base / "effects")
+    folder = usable_folder(None if base is None else base / "effects")
     code = fetched(folder, name, LARGEST)
     if code is None:
         code = compiled(text)

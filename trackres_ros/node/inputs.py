@@ -434,13 +434,13 @@ class InputReader:
             if not is_usable(stamp):
                 bad_stamps.add(channel)
                 continue
-            value = float(binding.meant(np.asarray(value))) if binding.has_modes else value
-            if not self.companions.valid(reading, arrival_ns, value):
+            value = float(binding.directions(np.asarray(value))) if binding.has_modes else value
+            if not self.companions.is_valid_sample(reading, arrival_ns, value):
                 continue
             complete = (
                 [(stamp, value)] if total is None or reading.part is None else total.add(reading.part, stamp, came_ns, value)
             )
-            signed = [(at_ns, self.companions.signed(reading.role, arrival_ns, number)) for at_ns, number in complete]
+            signed = [(at_ns, self.companions.sign_speed(reading.role, arrival_ns, number)) for at_ns, number in complete]
             samples += [(channel, at_ns, number) for at_ns, number in signed if number is not None and channel != NO_CHANNEL]
         for channel in absent_channels - {NO_CHANNEL}:
             self.absent[channel] += 1
@@ -454,11 +454,11 @@ class InputReader:
         companions = [self.companions.dropped.get(role, nothing) for role in self._channels]
         return {
             "bad_stamp": self.bad_stamp,
-            "without_other_part": [self.sums[role].alone if role in self.sums else 0 for role in self._channels],
+            "without_other_part": [self.sums[role].lone_samples if role in self.sums else 0 for role in self._channels],
             "absent": self.absent,
             "unused": self.unused,
             "dropped": self.dropped,
-            "invalid": [counts.invalid for counts in companions],
+            "invalid": [counts.invalid_values for counts in companions],
             "without_direction": [counts.no_direction for counts in companions],
         }
 

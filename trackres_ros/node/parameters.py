@@ -407,7 +407,7 @@ def changed_parameters(current: Parameters, values: Mapping[str, object], topics
 
 def _check_live(topics: Topics) -> None:
     """Refuse topics that a live node cannot use: a column of a table, a name that ROS does not allow, or no speed among them."""
-    for place, value, _ in topics.unused(of_topics=True):
+    for place, value, _ in topics.unused_lines(of_topics=True):
         raise InputError(place, value, "a topic with type and field", "use a topics file for each kind of source")
     for role in topics:
         for source in topics[role].sources:

@@ -55,13 +55,13 @@ class FileKind:
         Raises InputError for several files, or one that cannot be read; MissingExtraError if a library is not installed.
         """
         if len(paths) > 1:
-            given = ", ".join(str(path) for path in paths)
-            raise InputError("recordings", given, "several bags, or one other file", "give them one at a time")
-        for module, extra in self.needs:
+            path_list = ", ".join(str(path) for path in paths)
+            raise InputError("recordings", path_list, "several bags, or one other file", "give them one at a time")
+        for module, extra_name in self.needs:
             try:
                 import_module(module)  # here, as the limits of reading are for content
             except ImportError:
-                raise MissingExtraError(f"reading {self.name}", module, extra) from None
+                raise MissingExtraError(f"reading {self.name}", module, extra_name) from None
         if self.checked:
             check_file(paths[0])
         return ChannelSource(paths[0], topics, self.read, self.name)
@@ -83,7 +83,7 @@ AMBIGUOUS = (".log", ".part")
 @cache
 def shipped_kinds() -> tuple[FileKind | BagKind, ...]:
     """The kinds of this package: those that each module in `readers` registers by its name `KINDS`."""
-    modules = [import_module(f"{readers.__name__}.{found.name}") for found in pkgutil.iter_modules(readers.__path__)]
+    modules = [import_module(f"{readers.__name__}.{entry.name}") for entry in pkgutil.iter_modules(readers.__path__)]
     return tuple(kind for module in modules for kind in getattr(module, "KINDS", ()))
 
 
@@ -94,14 +94,14 @@ def further_kinds() -> tuple[FileKind, ...]:
     Raises InputError for one that cannot be imported, or is no kind.
     """
     kinds: list[FileKind] = []
-    for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
+    for point in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         with in_one_line(
             Path(f"entry point {GROUP}: {point.name}"), "a tuple of FileKind that can be imported", "repair or remove its package"
         ):
-            found = point.load()
-        if not isinstance(found, tuple) or not all(isinstance(kind, FileKind) for kind in found):
-            raise InputError(f"entry point {GROUP}: {point.name}", found, "a tuple of FileKind")
-        kinds += found
+            kinds_loaded = point.load()
+        if not isinstance(kinds_loaded, tuple) or not all(isinstance(kind, FileKind) for kind in kinds_loaded):
+            raise InputError(f"entry point {GROUP}: {point.name}", kinds_loaded, "a tuple of FileKind")
+        kinds += kinds_loaded
     return tuple(kinds)
 
 
@@ -131,8 +131,8 @@ def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BoundSou
 
 
 def _allowed() -> str:
-    *most, last = suffixes()
-    return f"a rosbag2 directory, {', '.join(most)} or {last}"
+    *first_suffixes, last = suffixes()
+    return f"a rosbag2 directory, {', '.join(first_suffixes)} or {last}"
 
 
 def _kind_of(path: Path) -> FileKind | BagKind:
@@ -141,14 +141,16 @@ def _kind_of(path: Path) -> FileKind | BagKind:
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return next(kind for kind in shipped_kinds() if isinstance(kind, BagKind))
-        inside = sorted(file.name for file in path.iterdir() if file.name.lower().endswith(suffixes()))
-        remedy = "give the path of the recording in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
-        given = f"no metadata.yaml, but {some_of(inside, MOST_NAMED)}" if inside else "a directory without metadata.yaml"
+        file_names = sorted(file.name for file in path.iterdir() if file.name.lower().endswith(suffixes()))
+        remedy = (
+            "give the path of the recording in it" if file_names else "a rosbag2 directory has one; ros2 bag reindex writes it"
+        )
+        given = f"no metadata.yaml, but {some_of(file_names, MOST_NAMED)}" if file_names else "a directory without metadata.yaml"
         raise InputError(str(path), given, _allowed(), remedy)
-    found = _by_name(path.name, shipped_kinds()) or _by_name(path.name, further_kinds())
-    if found is None:
+    match = _by_name(path.name, shipped_kinds()) or _by_name(path.name, further_kinds())
+    if match is None:
         raise InputError(str(path), path.suffix or "no suffix", _allowed())
-    return found
+    return match
 
 
 def _by_name(name: str, kinds: Iterable[FileKind | BagKind]) -> FileKind | BagKind | None:

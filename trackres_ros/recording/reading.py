@@ -91,15 +91,17 @@ def check_file(path: Path) -> None:
     with reading(path, "a readable file"), path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     name = path.name.lower()
-    expected = next((what for _, what, suffixes, _ in CONTENTS if name.endswith(suffixes)), "text")
+    expected_format = next((description for _, description, suffixes, _ in CONTENTS if name.endswith(suffixes)), "text")
     if not head:
-        raise InputError(str(path), "an empty file", f"{expected}, according to its suffix")
-    found = next(((what, suffixes, remedy) for magic, what, suffixes, remedy in CONTENTS if head.startswith(magic)), None)
-    if found and not name.endswith(found[1]):
-        raise InputError(str(path), found[0], f"{expected}, according to its suffix", found[2])
-    if not found and (expected != "text" or (b"\0" in head and not head.startswith(UTF_16))):
+        raise InputError(str(path), "an empty file", f"{expected_format}, according to its suffix")
+    content_match = next(
+        ((description, suffixes, remedy) for magic, description, suffixes, remedy in CONTENTS if head.startswith(magic)), None
+    )
+    if content_match and not name.endswith(content_match[1]):
+        raise InputError(str(path), content_match[0], f"{expected_format}, according to its suffix", content_match[2])
+    if not content_match and (expected_format != "text" or (b"\0" in head and not head.startswith(UTF_16))):
         given = "binary data" if b"\0" in head else f"a file that begins with {head[:16]!r}"
-        raise InputError(str(path), given, f"{expected}, according to its suffix")
+        raise InputError(str(path), given, f"{expected_format}, according to its suffix")
 
 
 @contextmanager
@@ -130,10 +132,10 @@ def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
 
 def read_in_steps(path: Path, allowed: str, parts: Iterator[Part], remedy: str = "") -> Iterator[Part]:
     """The parts of a file, read within the limits; what the caller does with them has none."""
-    limits, ended = Limits(path), False
-    while not ended:
+    limits, is_complete = Limits(path), False
+    while not is_complete:
         read: list[Part] = []
-        refused = None
+        refusal = None
         try:
             with in_one_line(path, allowed, remedy), limits.step():
                 until_s = time.perf_counter() + STEP_S
@@ -142,12 +144,12 @@ def read_in_steps(path: Path, allowed: str, parts: Iterator[Part], remedy: str =
                     if time.perf_counter() > until_s:
                         break
                 else:
-                    ended = True
+                    is_complete = True
         except InputError as error:
-            refused = error
+            refusal = error
         yield from read
-        if refused:
-            raise refused
+        if refusal:
+            raise refusal
 
 
 class Limits:
@@ -172,16 +174,18 @@ class Limits:
         if not self._in_use.acquire(blocking=False):
             yield
             return
-        begun_s, before = time.process_time(), {}
+        begun_s, previous_limits = time.process_time(), {}
         try:
-            for kind, present in ((resource.RLIMIT_DATA, _present_bytes()), (resource.RLIMIT_FSIZE, 0)):
-                before[kind] = soft, hard = resource.getrlimit(kind)
-                most = present + self._bytes
-                resource.setrlimit(kind, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+            for kind, used_amount in ((resource.RLIMIT_DATA, _present_bytes()), (resource.RLIMIT_FSIZE, 0)):
+                previous_limits[kind] = soft_limit, hard = resource.getrlimit(kind)
+                new_limit = used_amount + self._bytes
+                resource.setrlimit(
+                    kind, (new_limit if soft_limit == resource.RLIM_INFINITY else min(new_limit, soft_limit), hard)
+                )
             with _ends_after(self._left_s):
                 yield
         finally:
-            for kind, limits in before.items():
+            for kind, limits in previous_limits.items():
                 resource.setrlimit(kind, limits)
             self._in_use.release()
             self._left_s -= time.process_time() - begun_s
@@ -226,8 +230,8 @@ def _size_of(path: Path) -> int:
 
 def _is_own(error: BaseException, frame: traceback.FrameSummary) -> bool:
     """Whether our code stumbled: the innermost frame is ours, and the exception is one of Python's for faults of a program."""
-    ours = Path(frame.filename).is_relative_to(Path(__file__).parents[1])
-    return ours and type(error).__module__ == "builtins" and not isinstance(error, DATA_FAULTS)
+    is_ours = Path(frame.filename).is_relative_to(Path(__file__).parents[1])
+    return is_ours and type(error).__module__ == "builtins" and not isinstance(error, DATA_FAULTS)
 
 
 def _message_of(error: BaseException) -> str:

@@ -93,10 +93,10 @@ class VehicleReader(DataReader):
         self.parameters: dict[str, Quantity] = {}
         self._overrides = dict(overrides or {})
 
-    def noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
+    def read_noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
         """Read a quantity, or another value with a note."""
         if not isinstance(note, Limits):
-            return super().noted(kind, note, value, key)
+            return super().read_noted(kind, note, value, key)
         entry, quantity = self.read_cache.quantities.get(key, (None, None))
         if quantity is None or entry is not value or key in self._overrides:
             quantity = self._quantity(value, key, note)

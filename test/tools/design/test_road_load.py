@@ -67,7 +67,7 @@ def test_the_command_writes_a_vehicle_with_given_coefficients(good, tmp_path):
     file = tmp_path / "rolled.yaml"
     words = "road-load", "bmw_i3", "--coefficients", "140,0.6,0.03", "--per-kmh"
     saved = json.loads(good(*words, "--save-vehicle", file, "--json"))
-    assert saved["reference"] == "given"
+    assert saved["reference"] == "coefficients"
     assert abs(saved["largest_error_n"]) > 20.0 > 0.01 > abs(saved["saved"]["largest_error_n"])
     assert saved["at_an_end_of_its_range"] == []
     car = road_load(asked(load_any(file)))

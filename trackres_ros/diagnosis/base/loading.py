@@ -112,9 +112,9 @@ def gate_settings(vehicle: Vehicle | RoadVehicle) -> GateSettings:
 def _check_as_in_its_file(vehicle: Vehicle) -> None:
     """Refuse a vehicle changed in memory, because results are written into a copy of its file."""
     in_file = load(vehicle.source)
-    changed = [path for path, q in vehicle.parameters.items() if q.value != in_file.parameters[path].value]
+    changed_paths = [path for path, q in vehicle.parameters.items() if q.value != in_file.parameters[path].value]
     effects = [{a.effect.name: dict(a.values) for a in v.effects} for v in (vehicle, in_file)]
-    changed += ["effects"] if effects[0] != effects[1] else []
-    if changed:
-        statement = f"other values than {vehicle.source} has: {changed[0]}"
+    changed_paths += ["effects"] if effects[0] != effects[1] else []
+    if changed_paths:
+        statement = f"other values than {vehicle.source} has: {changed_paths[0]}"
         raise InputError("vehicle", statement, "a vehicle as its file has it", "write them into a file of their own")

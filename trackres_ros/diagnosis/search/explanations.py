@@ -52,7 +52,7 @@ class LinearSets:
     """
 
     def __init__(
-        self, fit: Fit, own: Array, terms: Mapping[str, Proposal], lap: NDArray[np.int64], recording: NDArray[np.int64]
+        self, fit: Fit, own_columns: Array, terms: Mapping[str, Proposal], lap: NDArray[np.int64], recording: NDArray[np.int64]
     ) -> None:
         scale, std, nominal, low, high = (
             np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal", "low", "high")
@@ -63,12 +63,12 @@ class LinearSets:
         for name, term in terms.items():
             self._indices[name] = np.arange(count, count + term.columns.shape[1])
             count += term.columns.shape[1]
-        used = np.isfinite(weights := fit.weights)
-        root = np.sqrt(weights[used])
+        is_used = np.isfinite(weights := fit.weights)
+        root = np.sqrt(weights[is_used])
         x, y = np.empty((len(root), count)), valid_rows(fit.white) * root
         # Term by term: together they would be the largest arrays of a diagnosis.
         term_columns = ((self._indices[name], term.columns, amplitude_spans(term.effect)) for name, term in terms.items())
-        for indices, derivatives, sizes in [(np.arange(self._own), own, scale), *term_columns]:
+        for indices, derivatives, sizes in [(np.arange(self._own), own_columns, scale), *term_columns]:
             white = fit.problem.white(fit.problem.split(derivatives * sizes), fit.noises)
             x[:, indices] = valid_rows(white) * root[:, np.newaxis]
         prior = np.full(count, PRIOR)
@@ -78,7 +78,7 @@ class LinearSets:
         self._pull[: self._own] = scale / std * np.nan_to_num((nominal - fit.point) / std)
         bounds = [((low - fit.point) / scale, (high - fit.point) / scale), *(amplitude_bounds(e) for e in self._effects.values())]
         self._low, self._high = (np.concatenate(sides) for sides in zip(*bounds, strict=True))
-        pairs, group = np.unique(np.stack([lap[used], recording[used]]), axis=1, return_inverse=True)
+        pairs, group = np.unique(np.stack([lap[is_used], recording[is_used]]), axis=1, return_inverse=True)
         order = np.argsort(group.ravel(), kind="stable")
         parts = np.split(order, np.cumsum(np.bincount(group.ravel()))[:-1])
         self._information = np.stack([x[rows].T @ x[rows] for rows in parts])
@@ -93,9 +93,14 @@ class LinearSets:
 
     def gain(self, names: Collection[str]) -> float:
         """Gain in log-likelihood on the rows left out, less one for each amplitude beyond the first of a term."""
-        extra = sum(len(self._indices[name]) - 1 for name in names)
+        extra_count = sum(len(self._indices[name]) - 1 for name in names)
         pairs = zip(self._nothing, self._errors(names), self._folds, strict=True)
-        return float(np.mean([0.5 * self._left_out(f) * np.log(before / after) for before, after, f in pairs])) - extra
+        return (
+            float(
+                np.mean([0.5 * self._left_out(f) * np.log(error_before / error_after) for error_before, error_after, f in pairs])
+            )
+            - extra_count
+        )
 
     def _left_out(self, folds: NDArray[np.bool_]) -> int:
         return int((folds @ self._rows).sum())
@@ -104,40 +109,46 @@ class LinearSets:
         """Sum of squares of the rows left out, by laps and by recordings."""
         indices = np.concatenate([np.arange(self._own), *(self._indices[name] for name in names)]).astype(np.int64)
         square = np.ix_(indices, indices)
-        information, right = self._information[:, indices[:, np.newaxis], indices], self._right[:, indices]
+        information, right_sides = self._information[:, indices[:, np.newaxis], indices], self._right[:, indices]
         prior, pull = self._prior[square], self._pull[indices]
-        whole, all_right = information.sum(axis=0) + prior, right.sum(axis=0) + pull
-        values, free = bounded(whole, all_right, self._low[indices], self._high[indices])
-        held = np.where(free, 0.0, values)
+        information_sum, all_right = information.sum(axis=0) + prior, right_sides.sum(axis=0) + pull
+        values, is_free = bounded(information_sum, all_right, self._low[indices], self._high[indices])
+        bound_values = np.where(is_free, 0.0, values)
         errors = []
         for folds in self._folds:
-            own, own_right = np.tensordot(folds, information, 1), folds @ right
-            rest = whole - own
-            fitted = np.tile(held, (len(folds), 1))
-            target = all_right - own_right - rest @ held
-            fitted[:, free] = np.linalg.solve(rest[:, free][:, :, free], target[:, free, np.newaxis])[..., 0]
-            fitted = np.clip(fitted, self._low[indices], self._high[indices])
-            product = (fitted[:, np.newaxis] @ own)[:, 0]
+            own_information, own_right = np.tensordot(folds, information, 1), folds @ right_sides
+            rest = information_sum - own_information
+            fold_values = np.tile(bound_values, (len(folds), 1))
+            target = all_right - own_right - rest @ bound_values
+            fold_values[:, is_free] = np.linalg.solve(rest[:, is_free][:, :, is_free], target[:, is_free, np.newaxis])[..., 0]
+            fold_values = np.clip(fold_values, self._low[indices], self._high[indices])
+            product = (fold_values[:, np.newaxis] @ own_information)[:, 0]
             errors.append(
-                float((folds @ self._square + (product * fitted).sum(axis=1) - 2.0 * (fitted * own_right).sum(axis=1)).sum())
+                float(
+                    (
+                        folds @ self._square + (product * fold_values).sum(axis=1) - 2.0 * (fold_values * own_right).sum(axis=1)
+                    ).sum()
+                )
             )
         return errors
 
     def _fits(self, name: str, names: Names) -> bool:
-        return name not in names and not any(same_variable(self._effects[name], self._effects[other]) for other in names)
+        return name not in names and not any(
+            same_variable(self._effects[name], self._effects[other_name]) for other_name in names
+        )
 
     def best(self, pool: Collection[str], count: int, most_terms: int, cost: float) -> list[Names]:
         """The `count` sets of each size of some terms with the highest gain less a `cost` for each term, best first."""
         beam: list[Names] = [()]
         gains: dict[Names, float] = {}
-        chosen: list[Names] = []
+        chosen_sets: list[Names] = []
         for size in range(1, most_terms + 1):
             pairs = ((names, name) for names in beam for name in pool if self._fits(name, names))
             sets = dict.fromkeys(tuple(sorted((*names, name))) for names, name in pairs)  # in an order of its own
             gains |= {names: self.gain(names) - cost * size for names in sets}
             beam = sorted(sets, key=lambda names: -gains[names])[:EXPANDED_SETS]
-            chosen += beam[:count]
-        return sorted(chosen, key=lambda names: -gains[names])
+            chosen_sets += beam[:count]
+        return sorted(chosen_sets, key=lambda names: -gains[names])
 
 
 Key = frozenset[str]
@@ -211,13 +222,13 @@ class Search:
 
     def leave_out(self, names: Collection[str]) -> bool:
         """Go on without some names; whether any of them was not left out before."""
-        new = set(names) - self._left_out
-        if new:
-            self._left_out |= new
+        new_names = set(names) - self._left_out
+        if new_names:
+            self._left_out |= new_names
             proposals = self.rounds[self.nothing.key]
             self._add_best(self.nothing, proposals)
             self._combine(proposals)
-        return bool(new)
+        return bool(new_names)
 
     def has_left_out(self, explanation: Explanation) -> bool:
         """Whether the search goes on without one of its terms."""
@@ -232,20 +243,20 @@ class Search:
         """Fit the sets of proposals that predict laps and recordings left out best to first order."""
         base = self.nothing.fit
         # An error of the sensors is free in the base already.
-        excluded = self._left_out | {a.effect.name for a in base.instrument}
-        terms = {name: p for name, p in proposals.every.items() if name not in excluded}
+        excluded_names = self._left_out | {a.effect.name for a in base.instrument}
+        terms = {name: p for name, p in proposals.every.items() if name not in excluded_names}
         sets = LinearSets(base, proposals.own, terms, *self.validation.rows(base.problem))
-        own = _by_parameter(base, proposals.own)
+        own_columns = _by_parameter(base, proposals.own)
         catalogue = [name for name in terms if is_name(proposals.every[name].effect)]
-        best = [names for pool in (terms, catalogue) for names in sets.best(pool, SETS, MOST_TERMS, self.cost)]
-        for names in dict.fromkeys(best):
-            chosen = [proposals.every[name] for name in names]
-            known, start = dict(own), dict[tuple[str, str], float]()
-            for p in chosen:
-                known |= p.derivatives
+        best_sets = [names for pool in (terms, catalogue) for names in sets.best(pool, SETS, MOST_TERMS, self.cost)]
+        for names in dict.fromkeys(best_sets):
+            chosen_proposals = [proposals.every[name] for name in names]
+            known_columns, start = dict(own_columns), dict[tuple[str, str], float]()
+            for p in chosen_proposals:
+                known_columns |= p.derivatives
                 start |= {(p.effect.name, q): value for q, value in p.start.items()}
-            result, columns = first_look(base, [p.effect for p in chosen], known, start, SHORT_ROOT)
-            new_terms = {p.effect.name: term_of_fit(base, result, p.effect, 0.0, p.kept, p.d_prime) for p in chosen}
+            result, columns = first_look(base, [p.effect for p in chosen_proposals], known_columns, start, SHORT_ROOT)
+            new_terms = {p.effect.name: term_of_fit(base, result, p.effect, 0.0, p.kept, p.d_prime) for p in chosen_proposals}
             self._keep(self._explanation(result, self.validation.score(result, columns), new_terms))
 
     def _swap(self, explanation: Explanation) -> None:
@@ -256,19 +267,21 @@ class Search:
 
     def polished(self, explanation: Explanation) -> Explanation:
         """The same explanation, with its fit settled and scored again."""
-        known = self.known[explanation.key]
-        if known.settled:
-            return known
-        result = self._refit(known.fit, [a.effect for a in known.fit.effects], {})
-        terms = {name: replace(term, share=share(result, name)) for name, term in known.terms.items()}
-        explained = self._explanation(result, self.validation.score(result), terms)
-        self.known[known.key] = replace(explained, settled=True)
-        return self.known[known.key]
+        known_explanation = self.known[explanation.key]
+        if known_explanation.settled:
+            return known_explanation
+        result = self._refit(known_explanation.fit, [a.effect for a in known_explanation.fit.effects], {})
+        terms = {name: replace(term, share=share(result, name)) for name, term in known_explanation.terms.items()}
+        explanation_refined = self._explanation(result, self.validation.score(result), terms)
+        self.known[known_explanation.key] = replace(explanation_refined, settled=True)
+        return self.known[known_explanation.key]
 
     def _explanation(self, result: Fit, score: Score, terms: Mapping[str, Term]) -> Explanation:
-        explained = Explanation(result, score, terms=terms)
-        worth = self.validation.gain(self.nothing.score, score) - self.cost * len(explained.key - explained.searched)
-        return replace(explained, worth=worth)
+        new_explanation = Explanation(result, score, terms=terms)
+        net_gain = self.validation.gain(self.nothing.score, score) - self.cost * len(
+            new_explanation.key - new_explanation.searched
+        )
+        return replace(new_explanation, worth=net_gain)
 
     def expand(self, explanation: Explanation) -> Proposals:
         """Add each proposal for the remaining residual, one at a time."""
@@ -282,12 +295,12 @@ class Search:
 
     def _add_best(self, explanation: Explanation, proposals: Proposals) -> None:
         current, by_place = explanation.fit, explanation.by_place is not None
-        best = [p for p in proposals.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
-        own, effects = _by_parameter(current, proposals.own), [a.effect for a in current.effects]
-        for p in counted(best, "fits of candidate effects", len(best)):
+        best_proposals = [p for p in proposals.best(self._left_out) if not (by_place and p.effect.name in SLOPES)]
+        own_columns, effects = _by_parameter(current, proposals.own), [a.effect for a in current.effects]
+        for p in counted(best_proposals, "fits of candidate effects", len(best_proposals)):
             start = {(p.effect.name, q): value for q, value in p.start.items()}
-            fitted, columns = first_look(current, [*effects, p.effect], own | p.derivatives, start, SHORT_ROOT)
-            self._add(explanation, term_of_fit(current, fitted, p.effect, 0.0, p.kept, p.d_prime), columns)
+            fit_of_proposal, columns = first_look(current, [*effects, p.effect], own_columns | p.derivatives, start, SHORT_ROOT)
+            self._add(explanation, term_of_fit(current, fit_of_proposal, p.effect, 0.0, p.kept, p.d_prime), columns)
 
     @property
     def cost(self) -> float:
@@ -300,10 +313,10 @@ class Search:
             return
         current = explanation.fit
         effects = [a.effect for a in current.effects]
-        tested = fit(current.problem, effects, current.estimates)  # with the noise that best whitens: a drift is no spell
-        for term in find_terms(tested, self._roads, self._kinds, explanation.by_place, waves=not explanation.key):
-            fitted = self._refit(current, [*effects, term.effect], term.fit.estimates)
-            self._add(explanation, replace(term, fit=fitted))
+        test_fit = fit(current.problem, effects, current.estimates)  # with the noise that best whitens: a drift is no spell
+        for term in find_terms(test_fit, self._roads, self._kinds, explanation.by_place, waves=not explanation.key):
+            fit_of_clock = self._refit(current, [*effects, term.effect], term.fit.estimates)
+            self._add(explanation, replace(term, fit=fit_of_clock))
 
     def _refit(self, current: Fit, effects: list[Effect], start: Mapping[tuple[str, str], float]) -> Fit:
         """A fit with predictive values, its base inside the ranges of the vehicle file as that of the base alone."""
@@ -316,9 +329,10 @@ class Search:
 
     def _keep(self, explanation: Explanation) -> None:
         """Keep the better of two explanations by the same names. A slope by place has the name of a constant one."""
-        previous = self.known.get(explanation.key)
-        if previous is None or (
-            explanation.worth > previous.worth and not (previous.settled and previous.searched == explanation.searched)
+        previous_explanation = self.known.get(explanation.key)
+        if previous_explanation is None or (
+            explanation.worth > previous_explanation.worth
+            and not (previous_explanation.settled and previous_explanation.searched == explanation.searched)
         ):
             self.known[explanation.key] = explanation
             self.rounds.pop(explanation.key, None)
@@ -328,9 +342,9 @@ class Search:
         key = explanation.key - {name}
         if key not in self.known:
             effects = [a.effect for a in explanation.fit.effects if a.effect.name != name]
-            known = _by_parameter(explanation.fit, base_columns(explanation.fit))
-            result, columns = first_look(explanation.fit, effects, known, {}, SHORT_ROOT)
-            terms = {other: term for other, term in explanation.terms.items() if other != name}
+            known_columns = _by_parameter(explanation.fit, base_columns(explanation.fit))
+            result, columns = first_look(explanation.fit, effects, known_columns, {}, SHORT_ROOT)
+            terms = {other_name: term for other_name, term in explanation.terms.items() if other_name != name}
             self.known[key] = self._explanation(result, self.validation.score(result, columns), terms)
         return self.known[key]
 

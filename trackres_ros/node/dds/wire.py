@@ -466,7 +466,7 @@ class CdrInput:
     def _learn(self, raw: bytes) -> None:
         layout = layout_of(raw, self._fields.types, self._type, self._fields.paths)
         self._length = layout.length
-        self._fixed = tuple((slice(start, start + len(content)), content) for start, content in layout.fixed)
+        self._fixed = tuple((slice(start, start + len(content)), content) for start, content in layout.constants)
         self._places = [
             (spot[0], STRUCTS[spot[1]]) if spot else layout.lacks.get(slot, "") for slot, spot in enumerate(layout.spots)
         ]

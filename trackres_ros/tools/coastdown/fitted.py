@@ -34,7 +34,7 @@ from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import relative_std, relative_weight_std
 from trackres_ros.progress import counted
-from trackres_ros.recording.recording import Recording, stamped
+from trackres_ros.recording.recording import Recording, with_stamps
 from trackres_ros.text import figures
 from trackres_ros.tools.coastdown.coasting import CoastingBase
 from trackres_ros.tools.coastdown.stretches import Rollouts, rollouts
@@ -122,7 +122,7 @@ def coastdown(recordings: Sequence[Recording], base_file: LoadedBase, seed: int 
     if not names:
         problem_text = "a vehicle file with a zero-width range on every value that a coast-down could determine"
         raise InputError("vehicle", problem_text, "ranges for its values", "widen the ranges of uncertain values")
-    recordings = [stamped(recording) for recording in recordings]
+    recordings = [with_stamps(recording) for recording in recordings]
     step = step_for(recordings, SAMPLES_A_STEP)
     runs = rollouts(recordings, base_file, step)
     for session in runs.sessions:

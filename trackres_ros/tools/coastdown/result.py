@@ -169,7 +169,7 @@ class CoastdownResult:
         MissingExtraError
             Matplotlib is not installed.
         """
-        from trackres_ros.output.style import BLACK, BLUE, VERMILION, picture, shortened
+        from trackres_ros.output.style import BLACK, BLUE, VERMILION, picture, shorten
 
         file = picture_file(path)
         looks: tuple[tuple[str, str, str], ...] = (
@@ -184,7 +184,7 @@ class CoastdownResult:
                 for (label, colour, line), torque in zip(looks[1:], (rollout.over_file, rollout.over_found), strict=True):
                     kmh = KMH_PER_MPS * rollout.speed
                     bottom.plot(kmh, torque, line, color=colour, lw=1.0, label=label if number == 0 else None)
-            title = shortened(self.coastdown.base_file.title, 90)
+            title = shorten(self.coastdown.base_file.title, 90)
             top.set(xlabel="time since the coast-down began [s]", ylabel="speed [km/h]", title=title)
             bottom.axhline(0.0, color=BLACK, lw=0.8)
             bottom.set(xlabel="speed [km/h]", ylabel="residual torque [Nm]")

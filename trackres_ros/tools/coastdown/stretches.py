@@ -22,7 +22,7 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, GateSett
 from trackres_ros.diagnosis.prepare.speed_smoothing import coasting_errors, confirmed, slope_of_altitude, with_slope
 from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
 from trackres_ros.errors import InputError
-from trackres_ros.recording.recording import Recording, stamped
+from trackres_ros.recording.recording import Recording, with_stamps
 from trackres_ros.recording.roles import Conversion
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.slopes import runs_of
@@ -146,7 +146,7 @@ def in_driving_order(recordings: Sequence[Recording]) -> list[Recording]:
 
 def _end_ns(recording: Recording) -> int:
     """The last stamp of any role [ns]."""
-    ends = (int(s.stamp_ns.max()) for s in stamped(recording).series.values() if len(s.stamp_ns))
+    ends = (int(s.stamp_ns.max()) for s in with_stamps(recording).series.values() if len(s.stamp_ns))
     return max(ends, default=recording.start_ns)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILION, picture_with_legend, shortened
+from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILION, picture_with_legend, shorten
 from trackres_ros.text import decimals
 from trackres_ros.tools.compound.coverage import Need, is_covered
 from trackres_ros.tools.compound.fitting import KEPT, CompoundFit
@@ -55,7 +55,7 @@ def _coverage(axes: Axes, fit: CompoundFit, need: Need) -> None:
     axes.set_yscale("log")
     axes.set_ylim(10.0**low, 10.0**high)
     axes.set_xlim(temps[0], temps[-1])
-    axes.set_title(f"coverage of {shortened(sweep.path.name, 30)}; white is extrapolated")
+    axes.set_title(f"coverage of {shorten(sweep.path.name, 30)}; white is extrapolated")
     axes.set_xlabel("temperature [°C]")
     axes.set_ylabel("frequency [Hz]")
 

@@ -285,14 +285,14 @@ def road_load_command(
     watch(file)
     machine = load_any(find_vehicle(vehicle))
     not_an_input(file, files_of(machine), "save_vehicle")
-    request, given = request_of(machine, **arguments), coefficients_of(coefficients, per_kmh)
-    result = road_load(request, given)
+    request, target = request_of(machine, **arguments), coefficients_of(coefficients, per_kmh)
+    result = road_load(request, target)
     report, text, outputs = result.as_dict(), result.text(), list[str]()
-    if file is not None and given is not None:
-        values = values_for(request, given)
+    if file is not None and target is not None:
+        values = values_for(request, target)
         with file_set():
-            outputs = [str(path) for path in write_vehicle(machine, file, values, given)]
-        written = road_load(replace(request, vehicle=load_any(file)), given)
+            outputs = [str(path) for path in write_vehicle(machine, file, values, target)]
+        written = road_load(replace(request, vehicle=load_any(file)), target)
         report |= {"values": values, "at_an_end_of_its_range": ends_reached(machine, values), "saved": written.as_dict()}
         ends = [f"at an end of its range: {path}" for path in ends_reached(machine, values)]
         text = "\n".join([text, "", "With the values of the new file", written.text(), *ends])

@@ -170,7 +170,7 @@ def draw_designs(comparison: Mapping[str, Any], path: Path) -> Path:
 
 def draw_energy(comparison: Mapping[str, Any], path: Path) -> Path:
     """Energy of both designs on the first drive over the air temperature, and its difference, with 95 % intervals."""
-    from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, picture, shortened
+    from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, picture, shorten
 
     first = comparison["drives"][0]
     rows = [row for row in comparison["drives"] if all(row[key] == first[key] for key in ("outcome", "cycle", "weight_kn"))]
@@ -181,7 +181,7 @@ def draw_energy(comparison: Mapping[str, Any], path: Path) -> Path:
         energy, difference = figure.subplots(2, sharex=True, height_ratios=(3, 2))
         shift = 0.008 * float(np.ptp(air) or 1.0)  # of the bars, so that both can be seen
         for key, name, colour, side in (("one_95", names[0], BLUE, -1), ("other_95", names[1], ORANGE, 1)):
-            _intervals(energy, air + side * shift, rows, key, colour, shortened(name, 25))
+            _intervals(energy, air + side * shift, rows, key, colour, shorten(name, 25))
         _intervals(difference, air, rows, "difference_95_with_changed", BLACK, "by all ranges")
         difference.vlines(air, *_ends(rows, "difference_95").T, color=BLACK, lw=4.0, alpha=0.5, label="changed values exact")
         difference.axhline(0.0, color=GREY, lw=1.0)
@@ -190,9 +190,9 @@ def draw_energy(comparison: Mapping[str, Any], path: Path) -> Path:
             difference.text(*place, text, transform=difference.get_xaxis_transform(), ha="center")
         for axes in (energy, difference):
             axes.legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-        energy.set(ylabel="energy [kWh/km]", title=f"Drive {shortened(first['cycle'], 40)}{load}, 95 % intervals")
+        energy.set(ylabel="energy [kWh/km]", title=f"Drive {shorten(first['cycle'], 40)}{load}, 95 % intervals")
         difference.set(xlabel="air temperature [degC]", ylabel="difference [kWh/km]")
-        difference.set_title(f"Below: probability that\n{shortened(names[1], 40)} takes less")
+        difference.set_title(f"Below: probability that\n{shorten(names[1], 40)} takes less")
         difference.margins(y=0.25)
     return path
 

@@ -64,7 +64,7 @@ class RoadLoad:
     force: Array
     coefficients: tuple[float, float, float]
     reference: Array
-    is_given: bool  # whether the reference is of given coefficients
+    is_target: bool  # whether the reference is of given coefficients
 
     @property
     def largest_error(self) -> tuple[float, float]:
@@ -80,8 +80,8 @@ class RoadLoad:
             (figures(KMH_PER_MPS * v, 3), *(decimals(x, 1) for x in (f, other, other - f)), f"{100.0 * (other / f - 1.0):+.1f}")
             for v, f, other in zip(self.request.speeds, self.force, self.reference, strict=True)
         ]
-        name = "given\nN" if self.is_given else "A + B v + C v^2\nN"
-        what = "Largest difference from the given coefficients" if self.is_given else "Largest error of the coefficients"
+        name = "given\nN" if self.is_target else "A + B v + C v^2\nN"
+        what = "Largest difference from the given coefficients" if self.is_target else "Largest error of the coefficients"
         return "\n".join(
             [
                 f"Road load of {self.request.place}",
@@ -97,7 +97,7 @@ class RoadLoad:
         return {
             "vehicle": self.request.vehicle.name, "a_n": self.coefficients[0], "b_n_per_mps": self.coefficients[1],
             "c_n_per_mps2": self.coefficients[2], "speeds_mps": self.request.speeds.tolist(), "force_n": self.force.tolist(),
-            "reference_n": self.reference.tolist(), "reference": "given" if self.is_given else "fit",
+            "reference_n": self.reference.tolist(), "reference": "coefficients" if self.is_target else "fit",
             "largest_error_n": error, "largest_error_at_mps": speed,
         }  # fmt: skip
 
@@ -163,15 +163,15 @@ def forces(request: RoadLoadRequest, vehicle: AnyVehicle) -> Array:
     return force
 
 
-def road_load(request: RoadLoadRequest, given: Sequence[float] | None = None) -> RoadLoad:
+def road_load(request: RoadLoadRequest, target: Sequence[float] | None = None) -> RoadLoad:
     """Least squares fit of A + B v + C v^2 to the force of a vehicle, and its errors, or those of given coefficients.
 
-    `given`: [N, N/(m/s), N/(m/s)^2].
+    `target`: [N, N/(m/s), N/(m/s)^2].
     """
     force = forces(request, request.vehicle)
     a, b, c = np.polynomial.polynomial.polyfit(request.speeds, force, 2).tolist()
-    reference = _force_by((a, b, c) if given is None else given, request.speeds)
-    return RoadLoad(request, force, (a, b, c), reference, given is not None)
+    reference = _force_by((a, b, c) if target is None else target, request.speeds)
+    return RoadLoad(request, force, (a, b, c), reference, target is not None)
 
 
 def _force_by(coefficients: Sequence[float], speeds: Array) -> Array:
@@ -179,12 +179,12 @@ def _force_by(coefficients: Sequence[float], speeds: Array) -> Array:
     return a + speeds * (b + speeds * c)
 
 
-def values_for(request: RoadLoadRequest, given: Sequence[float]) -> dict[str, float]:
+def values_for(request: RoadLoadRequest, target: Sequence[float]) -> dict[str, float]:
     """Values of the vehicle file, in their ranges, with which its force is closest to given coefficients, by path.
 
     Of tracks loss modulus, bearings and drag; of wheels rolling coefficient, its rise, and drag area.
     """
-    vehicle, target = request.vehicle, _force_by(given, request.speeds)
+    vehicle, target_force = request.vehicle, _force_by(target, request.speeds)
     paths = ON_WHEELS if isinstance(vehicle, RoadVehicle) else ON_TRACKS
     free = {path: vehicle.parameters[path] for path in paths if vehicle.parameters[path].high > vehicle.parameters[path].low}
     if not free:
@@ -195,7 +195,7 @@ def values_for(request: RoadLoadRequest, given: Sequence[float]) -> dict[str, fl
 
     def errors(shares: Array) -> Array:
         values = np.clip(low + shares * (high - low), low, high)
-        return forces(request, make(dict(zip(free, values.tolist(), strict=True)))) - target
+        return forces(request, make(dict(zip(free, values.tolist(), strict=True)))) - target_force
 
     shares = np.clip((start - low) / (high - low), END, 1.0 - END)
     best = least_squares(errors, shares, bounds=(0.0, 1.0), x_scale=0.25, xtol=1e-12, ftol=1e-12).x
@@ -215,10 +215,10 @@ def ends_reached(vehicle: AnyVehicle, values: Mapping[str, float]) -> list[str]:
     return [path for path, (low, high) in ranges.items() if min(values[path] - low, high - values[path]) < END * (high - low)]
 
 
-def write_vehicle(vehicle: AnyVehicle, path: Path, values: Mapping[str, float], given: Sequence[float]) -> list[Path]:
+def write_vehicle(vehicle: AnyVehicle, path: Path, values: Mapping[str, float], target: Sequence[float]) -> list[Path]:
     """Write the vehicle file with these values by path; all written files."""
     changes = FileChanges({name.rpartition(".")[2]: value for name, value in values.items()}, (), {}, by=COMMAND)
-    text = f"For a road load of {figures(given[0], 5)} N, {figures(given[1], 5)} N/(m/s), {figures(given[2], 5)} N/(m/s)^2.\n"
+    text = f"For a road load of {figures(target[0], 5)} N, {figures(target[1], 5)} N/(m/s), {figures(target[2], 5)} N/(m/s)^2.\n"
     text += f"Written by {COMMAND}."
     if isinstance(vehicle, RoadVehicle):
         return write_road_vehicle(vehicle, path, changes, text)

@@ -206,7 +206,7 @@ def point(request: SweepRequest, numbered: tuple[int, dict[str, float]]) -> Outc
 
 def draw(result: SweepResult, path: Path) -> Path:
     """Outcomes over the first value, a line for each of the others'; of two with many values a map of the warm resistance."""
-    from trackres_ros.output.style import TITLE_LETTERS, legend_beside, picture, shortened
+    from trackres_ros.output.style import TITLE_LETTERS, legend_beside, picture, shorten
 
     first, *rest = result.request.variations
     paths = result.request.paths
@@ -215,7 +215,7 @@ def draw(result: SweepResult, path: Path) -> Path:
     rising = [np.array(variation.values[0])[order] for variation, order in zip(result.request.variations, orders, strict=True)]
     label = _label(first, paths)
     state = f": {result.request.state}"
-    title = shortened(result.request.file, TITLE_LETTERS - len(state)) + state
+    title = shorten(result.request.file, TITLE_LETTERS - len(state)) + state
     if len(rest) == 1 and min(shape) > MOST_LINES:
         with picture(path, 7.5, 5.0) as figure:
             axes = figure.subplots()

@@ -18,7 +18,7 @@ from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.dataclass_reader import Limits
 from trackres_ros.files.documents import MOST_BYTES, read_text, read_yaml
-from trackres_ros.files.file_sets import file_set, is_free, present
+from trackres_ros.files.file_sets import file_set, is_free, present_content
 from trackres_ros.files.own_files import remove, write
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
@@ -229,7 +229,7 @@ def _free_places(path: Path) -> tuple[Path, Path]:
 
 
 def _text(path: Path) -> str:
-    return (present(path) or b"").decode(errors="replace")
+    return (present_content(path) or b"").decode(errors="replace")
 
 
 def _numbered(path: Path, count: int) -> Path:
@@ -287,7 +287,7 @@ def copied(source: Path, folder: Path, relative: Path) -> str:
     Another file of that name stays: the copy then has a number in its name.
     """
     try:
-        content = present(source)  # that of a compound is in the same set
+        content = present_content(source)  # that of a compound is in the same set
         return (
             write_numbered(folder / relative, source.read_bytes() if content is None else content).relative_to(folder).as_posix()
         )
@@ -305,6 +305,6 @@ def write_numbered(path: Path, content: bytes) -> Path:
             with file_set():
                 write(place, content)
             break
-        if present(place) == content:
+        if present_content(place) == content:
             break
     return place
