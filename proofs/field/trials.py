@@ -336,7 +336,7 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> tuple[float, float] | N
 
 def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, distance: Array) -> Array:
     """Slope of the altitude averaged over all passes of each place, over 300 m; nan where unknown."""
-    x, y = Frame.about(latitude, longitude).metres(latitude, longitude)
+    x, y = Frame.of_positions(latitude, longitude).metres(latitude, longitude)
     known = np.isfinite(x) & np.isfinite(altitude)
     at = np.column_stack([x, y])[known]
     near = cKDTree(at).query_ball_point(at, SAME_PLACE_M)

@@ -11,7 +11,7 @@ from streets import LAP_M, autoregression, drive, slope_at
 
 from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, StreetGraph, gains, learn
 from trackres_ros.diagnosis.inference.noise import estimate_noise
-from trackres_ros.route.matching import Matched, matched, neighbours, places_of
+from trackres_ros.route.matching import Matched, match_tracks, neighbour_pairs, places_of
 from trackres_ros.route.track import track_of
 
 WEIGHT_RADIUS_NM = 60_000.0
@@ -22,9 +22,9 @@ def made(seed, rounds, size=1.0, loads=(1.0,)):
     one, rng = drive(seed, rounds), np.random.default_rng(seed + 100)
     track = track_of(one.distance, one.x, one.y)
     places = places_of([track])
-    whole = matched(places, [track])
-    streets = StreetGraph.of(neighbours(whole), places.table, whole)
-    at = whole[0].at(track.nearest(one.distance))
+    whole = match_tracks(places, [track])
+    streets = StreetGraph.of(neighbour_pairs(whole), places.table, whole)
+    at = whole[0].select(track.nearest_index(one.distance))
     load = np.array(loads)[np.arange(len(one.speed)) * len(loads) // len(one.speed)]
     force = WEIGHT_RADIUS_NM * load
     rise = slope_at(one.way) * one.direction * size
@@ -49,7 +49,7 @@ def test_learned_slopes_hold_on_passes_that_were_not_used(seed):
     left = residual - slope.expected(found)[0]
     assert np.abs(left[others]).mean() < 0.5 * np.abs(residual[others]).mean()
     assert gains(slope, found.value[:, np.newaxis], [residual], [others], noise)[0] > 100.0
-    seen = np.unique(at.place[fitted & at.known])
+    seen = np.unique(at.place[fitted & at.is_known])
     true = np.array([np.median((slope_at(one.way) * one.direction * at.sign[:, 0])[at.place[:, 0] == p]) for p in seen])
     off = (found.value[seen] - true) / found.std(seen)
     known = np.isfinite(off)
@@ -95,8 +95,8 @@ def test_places_that_were_not_driven_are_as_unsure_as_before():
     one, at, residual, mask, slope, _ = made(5, (1, -1, 1, -1))
     fitted = mask & (one.way < 400.0)
     found = learn(slope, [residual], [fitted], noise_of(residual, mask), 0.03)
-    far = np.unique(at.place[(one.way > 1200.0) & at.known])
-    near = np.unique(at.place[(one.way > 100.0) & (one.way < 300.0) & at.known])
+    far = np.unique(at.place[(one.way > 1200.0) & at.is_known])
+    near = np.unique(at.place[(one.way > 100.0) & (one.way < 300.0) & at.is_known])
     assert np.median(found.std(far)) > 0.5 * found.size
     assert np.median(found.std(near)) < 0.4 * found.size
     assert np.abs(found.value[far]).max() < found.size
@@ -119,7 +119,7 @@ def along_with_rolling(off, fitted=0.0, closes=True):
         slope = replace(slope, streets=replace(slope.streets, closed=slope.streets.closed[:0]))
     shown = residual + WEIGHT_RADIUS_NM * true + (off - fitted) * rolling[:, 0]
     found = learn(slope, [shown], [mask], noise_of(residual, mask), 0.03, BaseColumns([rolling], np.array([fitted])))
-    seen = np.unique(at.place[mask & at.known])
+    seen = np.unique(at.place[mask & at.is_known])
     true = np.array([np.median((true * at.sign[:, 0])[at.place[:, 0] == p]) for p in seen])
     known = np.isfinite(true)
     return found.value, (found.value[seen] - true)[known], found.std(seen)[known]
@@ -148,4 +148,4 @@ def test_a_street_driven_both_ways_closes_no_loop_of_its_own():
     place = np.concatenate([np.arange(60), np.arange(60)[::-1]])
     sign = np.repeat([1.0, -1.0], 60)
     one = Matched(np.stack([place, place], axis=1), np.tile([1.0, 0.0], (120, 1)), np.stack([sign, sign], axis=1), place, place)
-    assert StreetGraph.of(neighbours([one]), np.zeros((60, 4)), [one]).closed.shape == (0, 60)
+    assert StreetGraph.of(neighbour_pairs([one]), np.zeros((60, 4)), [one]).closed.shape == (0, 60)

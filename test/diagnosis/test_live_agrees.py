@@ -230,6 +230,6 @@ def test_what_was_saved_goes_on_as_if_it_had_not_stopped(effects, tmp_path, driv
     resumed = snapshot.resume(estimator, tmp_path / "state")
     now = START_NS + 600 * 10**8
     np.testing.assert_array_equal(session.handle(at.SPEED, now, now, 5.0).row, resumed.handle(at.SPEED, now, now, 5.0).row)
-    cold, _ = snapshot.after_time_off(estimator, tmp_path / "state", now=1e6)
+    cold, _ = snapshot.after_time_off(estimator, tmp_path / "state", wall_s=1e6)
     after, before = cold.handle(at.SPEED, now, now, 5.0), resumed.handle(at.SPEED, now + 10**8, now + 10**8, 5.0)
     assert after["effects_nm"] > before["effects_nm"] + 10.0  # the oil has cooled too

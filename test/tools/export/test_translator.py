@@ -134,7 +134,7 @@ def compiled(tmp_path_factory):
     head = "#include <math.h>\n#include <stdint.h>\n#include <stdbool.h>\n"
     entries = ""
     for one in ones:
-        given = ", ".join([*(name for name, _ in one.given), *["&failed"] * one.fails])
+        given = ", ".join([*(name for name, _ in one.given), *["&failed"] * one.has_failure])
         entries += f"bool run_{one.function.__name__}(int64_t a, int64_t b, double *out)\n"
         entries += f"{{ bool failed = false; {one.name}({given}); return failed; }}\n"
     own = used_helpers(translator, functions)

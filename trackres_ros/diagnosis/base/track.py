@@ -57,7 +57,7 @@ class TrackBase(FileBase):
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
-        self._constants = make_constants(vehicle, Settings(), uncertain=False)
+        self._constants = make_constants(vehicle, Settings(), with_uncertainty=False)
         self._networks = {
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }

@@ -111,7 +111,7 @@ class Coastdown:
         spans = {("", p.name): p.interval for p in self.parameters if p.determined}
         determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
         return FileChanges(
-            self.values, (), spans, f"found in {self.runs.count} coast-downs: {determined}", by="trackres coastdown"
+            self.values, (), spans, f"found in {self.runs.count} coast-downs: {determined}", command="trackres coastdown"
         )
 
 

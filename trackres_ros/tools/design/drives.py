@@ -14,7 +14,7 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, make_constants
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, lap_drive, run_drive, through_points
-from trackres_ros.estimator.energy import taken
+from trackres_ros.estimator.energy import sum_drive
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.loss_table import quick_table
@@ -116,7 +116,7 @@ def run_cycle(
     series = cycle.recorded(vehicle, [role for role, value in choices.items() if value is not None])
     load, air = (value if value is not None else series.get(role) for role, value in choices.items())
     columns = by_column(estimator, run_drive(estimator, cycle.drive, load, air))
-    return taken(vehicle, cycle.drive.time_s, columns), columns
+    return sum_drive(vehicle, cycle.drive.time_s, columns), columns
 
 
 def left_out(columns: Mapping[str, Array]) -> list[str]:
@@ -129,5 +129,5 @@ def estimator_of(vehicle: Vehicle, like: Estimator) -> Estimator:
     """An estimator of a vehicle that differs in its values alone, for a few drives: without standard deviations."""
     estimator = copy(like)
     estimator.vehicle, estimator.facts = vehicle, vehicle_constants(vehicle)
-    estimator.constants = make_constants(vehicle, like.settings, uncertain=False, table=quick_table)
+    estimator.constants = make_constants(vehicle, like.settings, with_uncertainty=False, make_table=quick_table)
     return estimator

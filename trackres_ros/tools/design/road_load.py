@@ -217,7 +217,7 @@ def ends_reached(vehicle: AnyVehicle, values: Mapping[str, float]) -> list[str]:
 
 def write_vehicle(vehicle: AnyVehicle, path: Path, values: Mapping[str, float], target: Sequence[float]) -> list[Path]:
     """Write the vehicle file with these values by path; all written files."""
-    changes = FileChanges({name.rpartition(".")[2]: value for name, value in values.items()}, (), {}, by=COMMAND)
+    changes = FileChanges({name.rpartition(".")[2]: value for name, value in values.items()}, (), {}, command=COMMAND)
     text = f"For a road load of {figures(target[0], 5)} N, {figures(target[1], 5)} N/(m/s), {figures(target[2], 5)} N/(m/s)^2.\n"
     text += f"Written by {COMMAND}."
     if isinstance(vehicle, RoadVehicle):
