@@ -309,9 +309,7 @@ def make_constants(
     runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, make_table)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     table = effect_table(vehicle.own, vehicle.surroundings)
-    frame, gears = frame_of(vehicle.route), gears_of(vehicle)
-    if settings.torque_at == "motor" and gears is None:
-        raise no_gears(str(vehicle.source), bool(vehicle.assemblies))
+    frame = frame_of(vehicle.route)
     feed_shares: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
         with_uncertainty=with_uncertainty,
@@ -321,9 +319,6 @@ def make_constants(
         route_latitude=frame.latitude,
         route_longitude=frame.longitude,
         belt_shows_surface=settings.belt_sensor == "surface",
-        torque_at_motor=settings.torque_at == "motor",
-        motor_ratio=math.nan if gears is None else gears.ratio,
-        motor_efficiency=math.nan if gears is None else gears.efficiency,
         bearing_friction=chassis.bearing_friction,
         drag_area=chassis.drag_coefficient * chassis.frontal_area,
         drag_area_std=math.hypot(*drag_area_stds(vehicle).values()),
@@ -349,6 +344,7 @@ def make_constants(
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
+        **_gears(vehicle, settings),
         **_places(vehicle),
         **_times_ns(settings),
         **feed_shares,
@@ -364,6 +360,15 @@ def make_constants(
         table.values,
         *followed_in(vehicle.route, frame),
     )
+
+
+def _gears(vehicle: AnyVehicle, settings: Settings) -> dict[str, Any]:
+    """The gears between motor and sprockets, and whether the measured torque is at the motor."""
+    gears, at_motor = gears_of(vehicle), settings.torque_at == "motor"
+    if at_motor and gears is None:
+        raise no_gears(str(vehicle.source), bool(vehicle.assemblies))
+    ratio, efficiency = (math.nan, math.nan) if gears is None else (gears.ratio, gears.efficiency)
+    return {"torque_at_motor": at_motor, "motor_ratio": ratio, "motor_efficiency": efficiency}
 
 
 def _places(vehicle: AnyVehicle) -> dict[str, Any]:
