@@ -29,6 +29,7 @@ PLUG_INS = {
     "compound": "compound.commands:compound_group",
     "export": "export.commands:export_group",
     "fleet": "fleet.commands:fleet_group",
+    "road-load": "design.commands:road_load_command",
     "sensitivity": "design.commands:sensitivity_command",
     "sweep": "design.commands:sweep_command",
     "trend": "fleet.commands:trend_command",

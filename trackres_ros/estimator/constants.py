@@ -27,7 +27,7 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.cache import cached_arrays
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
 from trackres_ros.model.hysteresis import METHODS, Spectral
-from trackres_ros.model.loss_table import fingerprint, loss_table
+from trackres_ros.model.loss_table import LossTable, fingerprint, loss_table
 from trackres_ros.model.resistance import TORQUE_TERMS
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, parting_resistance, thermal_network
@@ -272,6 +272,10 @@ class Constants(NamedTuple):
     route_places: Annotated[Array, (None, PLACE_COLUMNS)]
 
 
+TableMaker = Callable[[Vehicle, str, Path | None], LossTable]
+"""Makes the loss table of a kind of track, by its name, with a folder of the cache."""
+
+
 class Running(NamedTuple):
     """Constants that depend on the running gear, tracks or wheels: assemblies, tables and numbers."""
 
@@ -290,14 +294,19 @@ def check_own_effects(vehicle: AnyVehicle) -> None:
 
 
 def make_constants(
-    vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, with_uncertainty: bool = True
+    vehicle: AnyVehicle,
+    settings: Settings,
+    cache: Path | None = None,
+    with_uncertainty: bool = True,
+    make_table: TableMaker = loss_table,
 ) -> Constants:
     """Gather the constants; builds the loss tables or takes them from the cache.
 
     Not `with_uncertainty`: belts without standard deviations and heat, and without the half second that these take at first.
+    `make_table`: makes the loss table of a kind of track.
     """
     check_own_effects(vehicle)
-    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty)
+    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, make_table)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     table = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
@@ -379,10 +388,10 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=2)  # a change of settings must not hold a node's outputs where no file can be cached
-def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool) -> Running:
+def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool, make_table: TableMaker) -> Running:
     """Assemblies with belts."""
     names = list(vehicle.tracks)
-    tables = [loss_table(vehicle, name, cache) for name in names]
+    tables = [make_table(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
     ranges = [coverage(vehicle, name) for name in names]
