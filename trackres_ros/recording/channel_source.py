@@ -52,7 +52,7 @@ class ChannelSource:
         topics = self.topics = topics_file and topics_file.select(of_topics=False)
         with reading(path, self._allowed_text):
             files = read(path, self.name, topics)
-        self._file, choice, other_files = _first_that_fits(files, topics)
+            self._file, choice, other_files = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda channel: channel.role == "speed")
         self.roles = tuple(dict.fromkeys(channel.role for channel in channels))
         of_role = {
@@ -188,7 +188,8 @@ class ChannelSource:
         if not row_count:
             if self._file.has_times:
                 reasons = "; ".join(finding.text for finding in self._file.findings)
-                raise InputError(self._file.name, "no sample of any channel in use", "at least one sample", reasons)
+                in_use = ", ".join(f"{channel.name} ({channel.role})" for channel in self._file.wanted)
+                raise InputError(self._file.name, f"no sample of any channel in use: {in_use}", "at least one sample", reasons)
             raise InputError(self._file.name, "no row", "at least one row below the column names")
         self.findings = (*self._file.findings, *self._of_rows())
 

@@ -3,6 +3,7 @@
 
 """The one table of roles: meaning, unit and known column names of each kind of input; conversions of units; ways of travel."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -236,6 +237,27 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 )  # fmt: skip
 
 
+PLAUSIBLE: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "speed": (-120.0, 120.0),  # the fastest vehicle file, and a fifth
+        "load": (1e2, 1e8),
+        "torque": (-1e6, 1e6),
+        "ambient": (-60.0, 60.0),
+        "belt": (-60.0, 180.0),
+        "accel": (-15.0, 15.0),
+        "grade": (-0.6, 0.6),
+        "yaw_rate": (-5.0, 5.0),
+        "heading": (-1e3, 1e3),
+        "distance": (-1e9, 1e9),
+        "passengers": (0.0, 1e3),
+        "latitude": (-0.5 * math.pi, 0.5 * math.pi),
+        "longitude": (-2.0 * math.pi, 2.0 * math.pi),
+        "enable": (0.0, 1.0),
+        "altitude": (-1e3, 1e4),
+        "specific_force": (-30.0, 30.0),
+    }
+)
+"""Limits outside of which a measurement is refused, and a guess, unless the vehicle file gives others: [low, high]."""
 POSITION = ("latitude", "longitude")
 GROUND = ("altitude", "specific_force")
 """Roles that show the rise of the ground, for learning from a measured torque; the estimate itself needs none of them."""
