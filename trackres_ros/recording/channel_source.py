@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
-from trackres_ros.recording.choosing import Choice, choose, listed_names, torque_columns, torque_note
-from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
+from trackres_ros.recording.choosing import Choice, choose, in_a_line, listed_names, torque_columns, torque_note
+from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, parts_without_samples, readings_of
 from trackres_ros.recording.reading import read_in_steps, reading
-from trackres_ros.recording.roles import may_say_reverse
+from trackres_ros.recording.roles import likely_values, may_say_reverse
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
 
 
@@ -90,7 +90,11 @@ class ChannelSource:
             *self._sums().notes,
             *self._companions().notes,
         ]
-        self._may_say_reverse = [] if "direction" in self.roles else may_say_reverse(name for _, name in ignored_channels)
+        self._may_say_reverse = {
+            name: self._direction_line(place)
+            for place, name in ignored_channels
+            if "direction" not in self.roles and may_say_reverse([name])
+        }
         if ignored_channels:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored_channels])}")
         notes += torque_note(self.torque_candidates, self.roles)
@@ -135,6 +139,13 @@ class ChannelSource:
         in_rows = "" if self._of_sums_apart[role].parts else ", where a row has them all"
         return f"{role}: sum of the columns {', '.join(column.name for column in columns)}{in_rows}"
 
+    def _direction_line(self, place: int) -> str:
+        """A line of a topics file for a channel that may say the direction."""
+        channel = self._file.channels[place]
+        values = likely_values(channel.name, channel.value_names)
+        numbers = "" if self._file.is_number(place) else ", and numbers instead of texts in that column"
+        return f"direction: {{channel: {in_a_line([channel.name])[1:-1]}, values: {values}}}{numbers}"
+
     def _companions(self) -> Companions:
         return Companions(self._readings, self._of_sums_apart, self._is_direction_required)
 
@@ -159,8 +170,8 @@ class ChannelSource:
         for block in read_in_steps(self._path, self._allowed_text, blocks):
             signed_block = signs.seen(companions.with_signs(block, self.roles))
             yield self._position.in_radians(signed_block, self.roles)
-        lines = (f"direction: {{channel: {name}, values: {{forward: [0], reverse: [1]}}}}" for name in self._may_say_reverse)
-        self.findings = (*self.findings, *sums.findings, *companions.findings, *signs.findings(self._may_say_reverse, lines))
+        unsigned = signs.findings(list(self._may_say_reverse), self._may_say_reverse.values())
+        self.findings = (*self.findings, *sums.findings, *companions.findings, *unsigned)
 
     def _blocks(self, max_rows: int) -> Iterator[SampleBlock]:
         """Readings row by row, before parts with other times are added."""
@@ -169,6 +180,7 @@ class ChannelSource:
         modes = {place: binding for place, binding in enumerate(whole_bindings) if binding and binding.has_modes}
         at_once = max(1, max_rows // len(self._readings))
         self._lone_rows = [0] * len(self._readings)
+        self._seen_parts: list[set[int]] = [set() for _ in self._readings]
         row_count = 0
         streams = [self._stamp_rows(stream) for stream in self._file.streams()]
         for stamp_ns, cells, has_value in streams[0] if len(streams) == 1 else _in_order(streams):
@@ -220,7 +232,9 @@ class ChannelSource:
         place = 0
         for index, places in enumerate(self._columns):
             is_whole, total = np.ones(len(cells), np.bool_), np.zeros(len(cells))
-            for column in places:
+            for part, column in enumerate(places):
+                if has_value[:, place].any():
+                    self._seen_parts[index].add(part)
                 total = total + column.binding.scale * cells[:, place] + column.binding.offset
                 is_whole &= has_value[:, place]
                 place += 1
@@ -232,9 +246,10 @@ class ChannelSource:
         return values, is_present
 
     def _of_rows(self) -> Iterator[Finding]:
-        for series, count in zip(self._readings, self._lone_rows, strict=True):
+        for series, count, seen_parts in zip(self._readings, self._lone_rows, self._seen_parts, strict=True):
             if count:
-                text = f"{count} rows have only some parts of the sum: they give no sample"
+                lack = parts_without_samples(self.bindings[series.role].parts, seen_parts)
+                text = f"{count} rows have only some parts of the sum and give no sample{lack}"
                 yield Finding(series.role, "part", count, float("nan"), text)
 
 

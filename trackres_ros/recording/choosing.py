@@ -54,6 +54,7 @@ PART = re.compile(r"\b(left|right|front|rear|axles?|[lr]|[lr]hs?|[fr][lr]|links|
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
 NOT_GUESSED = "not guessed from"
+NONE_REFUSED: Mapping[tuple[str, str], str] = MappingProxyType({})
 OF_ONE_LETTER = "mnt"
 """Units of one letter that a name may end with; others may be anything, such as a front axle."""
 
@@ -95,19 +96,21 @@ RULES = (
 """In the order of preference."""
 
 
-def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
+def guess(available: Mapping[str, str], refused: Mapping[tuple[str, str], str] = NONE_REFUSED) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
     Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force.
 
-    `available`: message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and
-    type. Returns `topics`: the guesses, and `notes`: one sentence per role, with alternatives.
+    `available`: message type by topic; `refused`: roles and topics that are no guess, by their values, and why. Raises InputError
+    if no topic is recognised as the speed; the text lists every topic and type. Returns `topics`: the guesses, and `notes`: one
+    sentence per role, with alternatives.
     """
     options_by_role: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:
         for topic in sorted(available, key=lambda topic: (len(topic), topic)):
             topic_words = words(topic)
-            if available[topic] not in rule.types or not re.search(rule.words, topic_words):
+            is_refused = available[topic] not in rule.types or (rule.role, topic) in refused
+            if is_refused or not re.search(rule.words, topic_words):
                 continue
             unit = _unit_of(rule, topic_words)
             if unit is not None and not re.search(rule.not_words, topic_words) and not NOT_MEASURED.search(topic_words):
@@ -117,9 +120,17 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
                 )
                 options_by_role.setdefault(rule.role, []).append((binding, unit))
     if "speed" not in options_by_role:
-        topic_list = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
+        topic_list = "; ".join(
+            [
+                *(f"{topic}: {reason}" for (role, topic), reason in refused.items() if role == "speed"),
+                *(f"{topic} ({kind})" for topic, kind in sorted(available.items())),
+            ]
+        )
         raise InputError(
-            "speed", topic_list, "a topic with a type that holds the vehicle's speed", f"give it in a topics file: {EXAMPLE}"
+            "speed",
+            topic_list or "no topic at all",
+            "a topic with a type that holds the vehicle's speed",
+            f"give it in a topics file: {EXAMPLE}",
         )
     of_vehicle = _namespace_of_vehicle(options_by_role)
     bindings, notes = dict[str, TopicBinding](), []
@@ -137,6 +148,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
             f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
             + (f"; also possible: {other_topics}" if other_topics else "")
         )
+    notes += [f"{role}: {NOT_GUESSED} {topic}: {reason}" for (role, topic), reason in refused.items()]
     return Topics(MappingProxyType(bindings), "guessed"), notes
 
 
@@ -479,7 +491,8 @@ def _no_speed(file: ChannelFile, names: _Names, refused: Mapping[tuple[str, str]
     allowed = f"a column speed_mps or speed_kmh{remedy_words}"
     if of_speed:
         allowed = "a speed with values that are available, possible and not all the same"
-    given = "; ".join([*of_speed, f"columns {names.list_names or 'none'}", *_left_out(file)])
+    reasons = [finding.text for finding in file.findings] if of_speed else []
+    given = "; ".join([*of_speed, *reasons, f"columns {names.list_names or 'none'}", *_left_out(file)])
     return InputError(file.name, given, allowed, f"or give it in a topics file: {_speed_line(file, names, refused)}")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from trackres_ros.recording.channel_file import ChannelFile, ChosenChannel
 from trackres_ros.recording.roles import PLAUSIBLE, POSITION, ROLES
-from trackres_ros.recording.samples import FloatArray
+from trackres_ros.recording.samples import BoundSource, FloatArray
 from trackres_ros.text import figures
 
 
@@ -81,3 +81,14 @@ def faults_of(
         if all(values.is_proven for values in best):
             break
     return {(channel.role, channel.name): values.fault for channel, values in zip(channels, seen, strict=True) if values.fault}
+
+
+def faults_of_topics(source: BoundSource) -> dict[tuple[str, str], str]:
+    """The same for the guessed topics of a bag, by role and topic. It reads until each is proven."""
+    seen = {role: SeenValues(role) for role in source.roles}
+    for block in source.blocks():
+        for place, values in enumerate(seen.values()):
+            values.take(block.value[block.role == place])
+        if all(values.is_proven for values in seen.values()):
+            break
+    return {(role, source.bindings[role].topic): values.fault for role, values in seen.items() if values.fault}
