@@ -90,11 +90,7 @@ class ChannelSource:
             *self._sums().notes,
             *self._companions().notes,
         ]
-        self._may_say_reverse = {
-            name: self._direction_line(place)
-            for place, name in ignored_channels
-            if "direction" not in self.roles and may_say_reverse([name])
-        }
+        self._may_say_reverse = {} if "direction" in self.roles else self._direction_lines(ignored_channels)
         if ignored_channels:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored_channels])}")
         notes += torque_note(self.torque_candidates, self.roles)
@@ -139,12 +135,15 @@ class ChannelSource:
         in_rows = "" if self._of_sums_apart[role].parts else ", where a row has them all"
         return f"{role}: sum of the columns {', '.join(column.name for column in columns)}{in_rows}"
 
-    def _direction_line(self, place: int) -> str:
-        """A line of a topics file for a channel that may say the direction."""
-        channel = self._file.channels[place]
-        values = likely_values(channel.name, channel.value_names)
-        numbers = "" if self._file.is_number(place) else ", and numbers instead of texts in that column"
-        return f"direction: {{channel: {in_a_line([channel.name])[1:-1]}, values: {values}}}{numbers}"
+    def _direction_lines(self, channels: Sequence[tuple[int, str]]) -> dict[str, str]:
+        """Lines of a topics file for those of some channels, by place and name, that may say the direction."""
+        lines = {}
+        for place, name in channels:
+            if may_say_reverse([name]):
+                values = likely_values(name, self._file.channels[place].value_names)
+                numbers = "" if self._file.is_number(place) else ", and numbers instead of texts in that column"
+                lines[name] = f"direction: {{channel: {in_a_line([name])[1:-1]}, values: {values}}}{numbers}"
+        return lines
 
     def _companions(self) -> Companions:
         return Companions(self._readings, self._of_sums_apart, self._is_direction_required)
