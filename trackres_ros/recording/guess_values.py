@@ -10,7 +10,7 @@ from math import inf
 
 import numpy as np
 
-from trackres_ros.recording.channel_file import ChannelFile, ChosenChannel
+from trackres_ros.recording.channel_file import CHUNK_ROWS, ChannelFile, ChosenChannel
 from trackres_ros.recording.roles import PLAUSIBLE, POSITION, ROLES
 from trackres_ros.recording.samples import BoundSource, FloatArray
 from trackres_ros.text import figures
@@ -86,7 +86,7 @@ def faults_of(
 def faults_of_topics(source: BoundSource) -> dict[tuple[str, str], str]:
     """The same for the guessed topics of a bag, by role and topic. It reads until each is proven."""
     seen = {role: SeenValues(role) for role in source.roles}
-    for block in source.blocks():
+    for block in source.blocks(CHUNK_ROWS):
         for place, values in enumerate(seen.values()):
             values.take(block.value[block.role == place])
         if all(values.is_proven for values in seen.values()):
