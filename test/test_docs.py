@@ -11,9 +11,9 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.estimator.columns import REASON_TEXT, Count
-from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.node.notices import LIVE_KINDS
 from trackres_ros.node.status import COMPARISON_KEYS, DISTURBANCE_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
+from trackres_ros.recording.roles import PLAUSIBLE
 
 GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md", "docs/trust.md"]
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]

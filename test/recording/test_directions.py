@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
@@ -249,3 +250,31 @@ def test_a_direction_without_a_meaning_is_refused_with_a_remedy(tmp_path, line, 
     path = table(tmp_path, speed_mps=np.abs(TRUE), Lever7=BACK)
     with pytest.raises(InputError, match=said):
         tr.read(path, topics={"speed": {"column": "speed_mps"}, "direction": line})
+
+
+FLAGS = {
+    "reverse_gear": (0, 1), "Is Reversing [-]": (0, 1), "driving_backwards": (0, 1), "Reverse": ("false", "true"),
+    "forward": (1, 0), "direction": (1, -1), "gear": (3, -1), "MachineDirection": (1, 0),
+}  # fmt: skip
+"""By the name of a column: its cells forward and backwards."""
+
+
+@pytest.mark.parametrize("name", FLAGS)
+def test_the_printed_line_for_a_missing_sign_gives_it(tmp_path, name):
+    rows = zip(TIMES, np.abs(TRUE), BACK, strict=True)
+    path = tmp_path / "drive.csv"
+    path.write_text(f"time_s,speed_mps,{name}\n" + "".join(f"{t:g},{v:g},{FLAGS[name][back]}\n" for t, v, back in rows))
+    (text,) = [one.text for one in tr.read(path).findings if one.kind == "unsigned"]
+    line = yaml.safe_load(text.partition("with the values that it has: ")[2])
+    assert_true(tr.read(path, topics=line))
+
+
+@pytest.mark.parametrize("words", [("false", "true"), ("FALSE", "TRUE"), ("0", "1")])
+def test_a_validity_in_a_table_may_be_true_or_false(tmp_path, words):
+    valid = np.arange(len(TRUE)) % 4 != 1
+    path = tmp_path / "drive.csv"
+    rows = zip(TIMES, TRUE, valid, strict=True)
+    path.write_text("time_s,speed_mps,ok\n" + "".join(f"{t:g},{v:g},{words[int(ok)]}\n" for t, v, ok in rows))
+    found = read(path, speed={"column": "speed_mps", "valid": {"column": "ok"}})
+    np.testing.assert_allclose(found.series["speed"].value, TRUE[valid])
+    assert ("invalid", int(np.sum(~valid))) in {(one.kind, one.count) for one in found.findings}

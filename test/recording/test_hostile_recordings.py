@@ -174,7 +174,7 @@ def test_what_any_library_raises_is_one_line_with_its_cause(error, says):
 def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_bytes(CSV)
-    monkeypatch.setattr("trackres_ros.recording.channel_source.choose", lambda *_: 1 // 0)
+    monkeypatch.setattr("trackres_ros.recording.channel_source.torque_columns", lambda *_: 1 // 0)
     with pytest.raises(ZeroDivisionError):  # outside of reading a fault is unchanged
         open_source([path])
     monkeypatch.setattr("trackres_ros.recording.text_table.header_of", lambda *_: "none")

@@ -141,7 +141,8 @@ def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackr
         tr.diagnose(found, "agri3t")
     with pytest.raises(tr.InputError, match=r"topics file: torque: \{topic: NAME, type: TYPE, field: FIELD\}$"):
         tr.diagnose(replace(found, torque_candidates=()), "agri3t")
-    done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
+    (tmp_path / "topics.yaml").write_text(yaml.safe_dump({"speed": SPEED}))
+    done = trackres("diagnose", path, "--topics", tmp_path / "topics.yaml", "--vehicle", "xgd24d", "-o", tmp_path / "report")
     assert done.returncode == 2
     assert "it may be in /left, /right: give it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
 

@@ -314,7 +314,7 @@ def test_of_a_truck_bus_only_the_right_signals_are_guessed(missing: str | None, 
     assert {role: one.column for role, one in found.items()} == {
         role: grouped.get(name, name) for role, name in wanted.items() if name
     }
-    assert {role: names for role, names in others.items() if names} == (
+    assert {role: [one.column for one in options] for role, options in others.items() if options} == (
         {} if missing == "speed" else {"speed": ["FrontAxleSpeed"]}
     )
 
@@ -330,7 +330,7 @@ TEMPERATURE = "sensor_msgs/msg/Temperature"
 def test_a_measured_torque_and_an_ambient_air_are_preferred(role: str, unit: str, kind: str, better: str, other: str) -> None:
     by_unit, others, _ = guess_channels([Channel(name, unit) for name in (other, better)], ())
     by_type, _ = guess({"/speed": SPEED["type"], f"/{other}": kind, f"/{better}": kind})
-    assert (by_unit[role].column, others[role], by_type[role].topic) == (better, [other], f"/{better}")
+    assert (by_unit[role].column, [one.column for one in others[role]], by_type[role].topic) == (better, [other], f"/{better}")
 
 
 @pytest.mark.parametrize("name", [

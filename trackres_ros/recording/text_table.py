@@ -51,7 +51,9 @@ SURELY = {mark: re.compile(rf"^{_sure_pattern(mark, other)}$", re.MULTILINE) for
 EITHER = {mark: re.compile(rf"^{_either_pattern(mark)}$", re.MULTILINE) for mark, _ in MARKS}
 GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPONENT}", re.ASCII) for mark, other in MARKS}
 """A number with a mark between thousands, by its decimal mark."""
-NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?)", re.IGNORECASE)
+NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?|true|false)", re.IGNORECASE)
+TRUTH = {"true": 1.0, "false": 0.0}
+"""Cells of a switch, in lower case."""
 NO_VALUE = frozenset(("", "-", "--", "---", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "Null", "null", "None", "none"))
 """Cells without a value: no sample."""
 
@@ -144,6 +146,8 @@ def number_of(text: str, mark: Mark, where: str = "") -> float | None:
     except ValueError:
         if number_text in NO_VALUE:
             return None
+        if number_text.lower() in TRUTH:
+            return TRUTH[number_text.lower()]
         raise InputError(where, text, "a number, or an empty cell") from None
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, ramp_and_hold, run_drive, series_of, through_points
 from trackres_ros.estimator.energy import drive_text, sum_drive
 from trackres_ros.estimator.estimator import Estimator
@@ -28,7 +28,7 @@ from trackres_ros.output.table import write_table
 from trackres_ros.recording.channel_source import ChannelSource
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import POSITION, ROLES
+from trackres_ros.recording.roles import PLAUSIBLE, POSITION, ROLES
 from trackres_ros.tasks import options
 from trackres_ros.tasks.arguments import (
     AMBIENT,
