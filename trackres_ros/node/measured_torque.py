@@ -372,15 +372,15 @@ class Comparison:
         verdict, belief = self.verdict, self.belief
         return [
             *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
-            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.is_present else []),
+            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
         ]
 
 
 def _spell_change(last: Belief | None, belief: Belief | None) -> str:
     """Text that a spell begins or is over; empty if neither."""
-    if last is None or belief is None or last.is_present is belief.is_present:
+    if last is None or belief is None or last.present is belief.present:
         return ""
-    return f"{'the disturbance begins' if belief.is_present else 'the disturbance is over'}: {belief.text}"
+    return f"{'the disturbance begins' if belief.present else 'the disturbance is over'}: {belief.text}"
 
 
 class LiveLearning:

@@ -99,7 +99,7 @@ def as_dict(overview: Overview, final: bool) -> dict[str, Any]:
         },
         "learning": overview.learning or None,
         "disturbance": disturbance and {
-            "form": disturbance.form, "there": _finite(disturbance.probability), "present": disturbance.is_present,
+            "form": disturbance.form, "there": _finite(disturbance.there), "present": disturbance.present,
             "torque_nm": _finite(disturbance.torque_nm), "text": disturbance.text,
         },
         "state": {"file": overview.state_file, "saved_s_ago": _finite(overview.saved_s_ago), "error": overview.state_error},

@@ -292,7 +292,7 @@ class DisturbanceColumns:
             counts = compares(speed, accel)
             jumped = bool(int(reasons) & CLOCK_JUMPED)
             belief = watch.take(stamp, residual if counts else math.nan, speed, stamp - arrival, jumped)
-            columns[:, i] = belief.probability, belief.torque_nm
+            columns[:, i] = belief.there, belief.torque_nm
         return list(columns)
 
 
