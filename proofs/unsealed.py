@@ -52,20 +52,22 @@ class ClosedLoop:
 def close_loop(folder: Path) -> ClosedLoop:
     """Drive three times with effects hidden; replay the last, with the vehicle file before and after the others' diagnosis."""
     make_case(folder, MINUTES, Case("loop", "single", LOOP_HIDDEN, {}, False, False, False, True, LOOP_SEED))
-    before, after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
-    *paths, last = sorted(before.parent.glob("drive_*.csv"))
-    loaded = load_base(before)
-    found = diagnose(read_recordings(paths, None), loaded)
-    loaded.base.write(after, found.kept, found.verdict.sentence)
+    result_before, result_after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
+    *paths, last = sorted(result_before.parent.glob("drive_*.csv"))
+    loaded = load_base(result_before)
+    result = diagnose(read_recordings(paths, None), loaded)
+    loaded.base.write(result_after, result.kept, result.verdict.sentence)
     drive = np.genfromtxt(last, delimiter=",", names=True)
-    rows = [_replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", before), ("after", after))]
+    rows = [
+        _replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", result_before), ("after", result_after))
+    ]
     time = drive["time_s"] - drive["time_s"][0]
     without, with_found = (np.interp(time, row["time_s"] - row["time_s"][0], row["feedforward_torque_nm"]) for row in rows)
     inertia = np.interp(time, rows[0]["time_s"] - rows[0]["time_s"][0], rows[0]["inertia_nm"])
-    moving = drive["speed_mps"] > 0.5
-    torque = np.where(moving, drive["torque_nm"] - inertia, np.nan)
+    is_moving = drive["speed_mps"] > 0.5
+    torque = np.where(is_moving, drive["torque_nm"] - inertia, np.nan)
     turning = np.abs(drive["yaw_rate_radps"]) > TURNS_M * np.maximum(drive["speed_mps"], 0.5)
-    return ClosedLoop(found.verdict.sentence, time, torque, without, with_found, turning)
+    return ClosedLoop(result.verdict.sentence, time, torque, without, with_found, turning)
 
 
 def _replayed(recording: Path, vehicle: Path, out: Path) -> NDArray[np.void]:
@@ -102,7 +104,10 @@ def loop_page(loop: ClosedLoop, name: str) -> str:
     parts = {"the whole drive": everywhere, "the first five minutes": cold, "bends": loop.turning, "straights": ~loop.turning}
     lines = [f"The diagnosis of two drives: {loop.sentence}", "", f"![A third drive, which it never saw.]({name})", ""]
     lines += ["| Of a third drive | Mean error before [Nm] | After [Nm] |", "|---|---|---|"]
-    lines += [f"| {what} | {loop.error(loop.before, at):.0f} | {loop.error(loop.after, at):.0f} |" for what, at in parts.items()]
+    lines += [
+        f"| {what} | {loop.error(loop.before, place):.0f} | {loop.error(loop.after, place):.0f} |"
+        for what, place in parts.items()
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -155,19 +160,19 @@ def paper_page(cases: Mapping[str, Diagnosis]) -> str:
         "| Driven | Found | True ones in a class | Mean error on held-out laps: file, re-fitted, with effects [Nm] |",
         "|---|---|---|---|",
     ]
-    for what, found in cases.items():
-        classes = [t.members for t in found.found]
-        named = "; ".join(" or ".join(m) for m in classes) or found.verdict.status
+    for what, result in cases.items():
+        classes = [t.members for t in result.found]
+        named = "; ".join(" or ".join(m) for m in classes) or result.verdict.status
         hit = [name for name in PAPER_HIDDEN if any(name in m for m in classes)]
-        mae = found.held_out.mae
+        mae = result.held_out.mae
         errors = ", ".join(f"{mae[stage]:.0f}" for stage in ("nominal", "refitted", "with_effects"))
         lines.append(f"| {what} | {named} | {', '.join(hit) or '-'} | {errors} |")
-    for what, found in cases.items():
-        lines += ["", f"## {what[0].upper()}{what[1:]}", "", found.verdict.sentence, ""]
-        fitted = ", ".join(f"{name} {value:.3g}" for name, value in found.final.base_values.items())
-        lines += [f"Base, re-fitted along: {fitted}.", ""]
-        hidden = [n for n in found.last.separability.not_visible if n.name in PAPER_HIDDEN]
+    for what, result in cases.items():
+        lines += ["", f"## {what[0].upper()}{what[1:]}", "", result.verdict.sentence, ""]
+        fit_result = ", ".join(f"{name} {value:.3g}" for name, value in result.final.base_values.items())
+        lines += [f"Base, re-fitted along: {fit_result}.", ""]
+        hidden = [n for n in result.last.separability.not_visible if n.name in PAPER_HIDDEN]
         lines += [f"- {n.name} cannot be seen: {n.why}" for n in hidden]
-        for x in found.advice[:1]:
+        for x in result.advice[:1]:
             lines.append(f"- To drive next, {x.minutes:.0f} min: {x.manoeuvre}. It tells {', '.join(x.separates)} apart.")
     return "\n".join(lines) + "\n"

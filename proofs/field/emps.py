@@ -58,9 +58,9 @@ def try_slide(recording: Path, folder: Path) -> SlideTrial:
 def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:
     """Relative error: norm of measured less expected force over that of the measured one, in compared or hold-out steps."""
     errors, forces = [], []
-    for session, predicted in zip(d.sessions, found.predicted, strict=True):
+    for session, prediction in zip(d.sessions, found.predicted, strict=True):
         steps: Mask = d.split.held_out_mask(session) if held_out else session.used
-        errors.append((session.torque - predicted.torque)[steps])
+        errors.append((session.torque - prediction.torque)[steps])
         forces.append(session.torque[steps])
     return float(np.linalg.norm(np.concatenate(errors)) / np.linalg.norm(np.concatenate(forces)))
 
@@ -74,11 +74,11 @@ def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
     """Draw the picture into a folder and return the page's tables, whose links begin with `of_pictures`."""
     first, second = tried.lacking, tried.with_friction
     draw(timeline(first), folder / "believed.svg")
-    dry, both = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
+    dry, pair = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
     rows = [
         ("mass, viscous friction, offset: the file re-fitted", "viscous", first, first.refitted),
         ("and Coulomb friction", "coulomb", first, dry),
-        ("and friction by direction", "direction", first, both),
+        ("and friction by direction", "direction", first, pair),
         ("all that the diagnosis found", "", first, first.final),
         ("Coulomb friction in the file: re-fitted", "coulomb", second, second.refitted),
         ("Coulomb friction in the file: all that was found", "direction", second, second.final),
@@ -90,14 +90,14 @@ def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
             f"| {what} | {published} | {100.0 * force_error(d, fit):.1f} % | {100.0 * force_error(d, fit, True):.1f} % |"
         )
     lines += ["", "| value | published | here, with a 95 % interval |", "|---|---|---|"]
-    lines += [f"| {what} | {published} | {here} |" for what, published, here in (*_of_dry(dry), *_of_both(both))]
+    lines += [f"| {what} | {published} | {here} |" for what, published, here in (*_of_dry(dry), *_of_both(pair))]
     session = first.sessions[0]
-    said = [
+    texts = [
         f"Steps of {session.step:g} s; {int(session.used.sum())} of {len(session)} are compared, {first.split.text}.",
         *(f"The file {what}: {_found(d)}" for what, d in (("without dry friction", first), ("with it", second))),
         f"![What the file without dry friction lacks, over time]({of_pictures}believed.svg)",
     ]
-    return "\n\n".join(["\n".join(lines), *said]) + "\n"
+    return "\n\n".join(["\n".join(lines), *texts]) + "\n"
 
 
 def _found(d: Diagnosis) -> str:
@@ -107,7 +107,7 @@ def _found(d: Diagnosis) -> str:
 
 def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
     """The values with Coulomb friction alike both ways."""
-    at = {
+    places = {
         "mass": (("", "mass"), "kg"),
         "viscous": (("", "viscous_friction"), "N s/m"),
         "coulomb": ((COULOMB, "friction"), "N"),
@@ -115,8 +115,12 @@ def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
     }
     bounds, values = intervals(dry), dry.estimates
     return [
-        (f"{key}, alike both ways", PUBLISHED[key], f"{values[of]:.3g} [{bounds[of].low:.3g}, {bounds[of].high:.3g}] {unit}")
-        for key, (of, unit) in at.items()
+        (
+            f"{key}, alike both ways",
+            PUBLISHED[key],
+            f"{values[value]:.3g} [{bounds[value].low:.3g}, {bounds[value].high:.3g}] {unit}",
+        )
+        for key, (value, unit) in places.items()
     ]
 
 
@@ -126,15 +130,15 @@ def _of_both(both: Fit) -> list[tuple[str, str, str]]:
     viscous, forward = ("", "viscous_friction"), (DIRECTION, "forward")
     keys = [f.key for f in both.free]
     i, j = keys.index(viscous), keys.index(forward)
-    found = []
+    results = []
     for what, sign in (("forward", 1.0), ("reverse", -1.0)):
         value = values[viscous] + sign * values[forward]
         half = bounds[forward].high - bounds[forward].low, bounds[viscous].high - bounds[viscous].low
         by_curvature = both.covariance[i, i] + both.covariance[j, j] + 2.0 * sign * both.covariance[i, j]
         wide = max(0.5 * float(np.hypot(*half)), NORMAL_95 * float(np.sqrt(by_curvature)))
         here = f"{value:.3g} [{value - wide:.3g}, {value + wide:.3g}] N s/m"
-        found.append((f"viscous {what}", PUBLISHED_BY_DIRECTION[what], here))
+        results.append((f"viscous {what}", PUBLISHED_BY_DIRECTION[what], here))
     friction, offset = (COULOMB, "friction"), ("", "torque_offset")
     sides = " and ".join(f"{values[friction] + sign * values[offset]:.3g}" for sign in (1.0, -1.0))
     here = f"{sides} N; half of their sum {values[friction]:.3g} [{bounds[friction].low:.3g}, {bounds[friction].high:.3g}] N"
-    return [*found, ("coulomb forward and reverse", PUBLISHED_BY_DIRECTION["coulomb"], here)]
+    return [*results, ("coulomb forward and reverse", PUBLISHED_BY_DIRECTION["coulomb"], here)]

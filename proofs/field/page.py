@@ -117,8 +117,8 @@ def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
     for session, at_cold, at_warm in zip(sessions, cold, warm, strict=True):
         extra = at_cold.torque - at_warm.torque
         shape = np.where(session.time < WARM_AFTER_S, extra, 0.0)[: int(WARM_AFTER_S / session.step)]
-        left = np.where(session.used, np.clip(session.torque - at_warm.torque, -most, most + np.abs(extra)), np.nan)
-        states.append(_share(shape, left[: len(shape)]))
+        remainder = np.where(session.used, np.clip(session.torque - at_warm.torque, -most, most + np.abs(extra)), np.nan)
+        states.append(_share(shape, remainder[: len(shape)]))
         apart = [_share(shape, row[i : i + len(shape)]) for row in later for i in range(0, len(row) - len(shape), EVERY_STEPS)]
         known = np.array(apart)[np.isfinite(apart)]
         stds.append(float(np.sqrt(np.mean(known**2))) if len(known) >= FEWEST_APART else np.inf)
@@ -141,13 +141,13 @@ def pool(starts: Starts, rng: np.random.Generator) -> PooledStarts:
     best = np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)
     height, spread = float(heights[best]), float(SPREADS[best[1]])
     near = constants[likelihood.max(axis=1) > likelihood[best] - NEAR_BEST]
-    expected = height * -np.expm1(-starts.stood_s / constants[best[0]])
+    expectation = height * -np.expm1(-starts.stood_s / constants[best[0]])
     trust = spread**2 / (spread**2 + starts.alone_std**2)
-    state = expected + np.where(sure, trust * (starts.alone - expected), 0.0)
+    state = expectation + np.where(sure, trust * (starts.alone - expectation), 0.0)
     as_good = [_likelihood(alone, std, rng.permutation(stood), constants)[0].max() >= likelihood[best] for _ in range(DRAWS)]
-    drawn = expected[sure] + np.hypot(std, spread) * rng.normal(size=(DRAWS, len(alone)))
+    drawing = expectation[sure] + np.hypot(std, spread) * rng.normal(size=(DRAWS, len(alone)))
     rank_together = float(spearmanr(stood, state[sure]).statistic)
-    reached = float(np.mean([spearmanr(stood, row).statistic >= WANTED_RANK for row in drawn]))
+    reached = float(np.mean([spearmanr(stood, row).statistic >= WANTED_RANK for row in drawing]))
     return PooledStarts(
         float(constants[best[0]]), float(near[0]), float(near[-1]), height, spread, state, np.sqrt(trust) * starts.alone_std,
         rank_together, float(np.mean(as_good)), reached,
@@ -159,8 +159,8 @@ def _likelihood(alone: Array, std: Array, stood: Array, constants: Array) -> tup
     shape = -np.expm1(-stood / constants[:, np.newaxis, np.newaxis])
     weight = 1.0 / (std**2 + SPREADS[:, np.newaxis] ** 2)
     height = np.maximum((weight * shape * alone).sum(axis=-1) / np.maximum((weight * shape**2).sum(axis=-1), 1e-12), 0.0)
-    left = alone - height[..., np.newaxis] * shape
-    return 0.5 * (np.log(weight) - weight * left**2).sum(axis=-1), height
+    remainder = alone - height[..., np.newaxis] * shape
+    return 0.5 * (np.log(weight) - weight * remainder**2).sum(axis=-1), height
 
 
 EARLY_S, BIN_S = 900.0, 60.0
@@ -276,15 +276,15 @@ def _twice(route: FieldTrial, repeated: RepeatedRoute) -> list[str]:
 
 def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
     """Mean residual of sessions over the time since their start."""
-    time, left = [], []
+    time, remainder = [], []
     for i in sessions:
         session = fit.problem.sessions[i]
-        at = session.used & (session.time < EARLY_S)
-        time.append(session.time[at])
-        left.append(fit.residuals[i][at])
+        place_here = session.used & (session.time < EARLY_S)
+        time.append(session.time[place_here])
+        remainder.append(fit.residuals[i][place_here])
     place = (np.concatenate(time) / BIN_S).astype(int)
     count = np.bincount(place, minlength=int(EARLY_S / BIN_S))
-    means = np.bincount(place, np.concatenate(left), minlength=int(EARLY_S / BIN_S)) / np.maximum(count, 1)
+    means = np.bincount(place, np.concatenate(remainder), minlength=int(EARLY_S / BIN_S)) / np.maximum(count, 1)
     return np.asarray((np.arange(len(means)) + 0.5) * BIN_S / 60.0), np.where(count > 0, means, np.nan)
 
 
@@ -292,14 +292,14 @@ def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start], togethe
     cold = [i for i, s in enumerate(begun) if s.cold]
     warm = [i for i, s in enumerate(begun) if not s.cold]
     with picture(path, 9.0, 3.4) as figure:
-        left, right = figure.subplots(1, 2)
-        for of, colour, what in ((cold, BLUE, "a night or a day"), (warm, ORANGE, "a short stop")):
-            left.plot(*_over_time(winter.found.refitted, of), color=colour, label=f"after {what}: re-fitted base")
-            left.plot(*_over_time(winter.found.final, of), color=colour, linestyle=":", label="with what was named")
-        left.axhline(0.0, color=GREY, linewidth=0.8)
-        left.set_xlabel("time since start [min]")
-        left.set_ylabel("measured less expected torque [Nm]")
-        left.legend()
+        remainder, right = figure.subplots(1, 2)
+        for value, colour, what in ((cold, BLUE, "a night or a day"), (warm, ORANGE, "a short stop")):
+            remainder.plot(*_over_time(winter.found.refitted, value), color=colour, label=f"after {what}: re-fitted base")
+            remainder.plot(*_over_time(winter.found.final, value), color=colour, linestyle=":", label="with what was named")
+        remainder.axhline(0.0, color=GREY, linewidth=0.8)
+        remainder.set_xlabel("time since start [min]")
+        remainder.set_ylabel("measured less expected torque [Nm]")
+        remainder.legend()
         for s in begun:
             colour = BLUE if s.cold else ORANGE
             right.errorbar(
@@ -330,9 +330,11 @@ def _draw_turning(path: Path, grass: FieldTrial) -> None:
     rows: list[tuple[Array, Array, Array, Array]] = []
     f = grass.found
     for session, base, final in zip(f.sessions, f.refitted.predicted, f.final.predicted, strict=True):
-        at, way = session.used, np.sign(session.speed)
+        place_here, way = session.used, np.sign(session.speed)
         resists = [way * torque for torque in (session.torque, base.torque, final.torque)]
-        rows.append((np.abs(session.yaw_rate)[at], resists[0][at], resists[1][at], resists[2][at]))
+        rows.append(
+            (np.abs(session.yaw_rate)[place_here], resists[0][place_here], resists[1][place_here], resists[2][place_here])
+        )
     yaw, *torques = (np.concatenate(column) for column in zip(*rows, strict=True))
     _, place = evenly_filled(yaw, YAW_BINS)
     count = np.bincount(place)

@@ -66,21 +66,21 @@ def scores_and_page(
 ) -> tuple[dict[str, Any], str]:
     """Content of scores.json and of proof.md; writes cases.csv, confusion.png and a page of one mistake of each kind."""
     kinds = mistakes(scored)
-    for kind, of in kinds.items():
-        write_case(folder, cases or folder / "cases", of[0], folder / f"{file_name(kind)}.html")
+    for kind, value in kinds.items():
+        write_case(folder, cases or folder / "cases", value[0], folder / f"{file_name(kind)}.html")
     _write_cases(folder / "cases.csv", scored)
     alone = [s for s in scored if s.case.level in (*ALONE, "none", *NOT_IN_CATALOGUE)]
     if alone:
         _draw_confusion(folder / CONFUSION, alone)
-    found = {method: shares(scored, method) for method in (OURS, *BASELINES) if all(method in s.answers for s in scored)}
+    results = {method: shares(scored, method) for method in (OURS, *BASELINES) if all(method in s.answers for s in scored)}
 
     def counted(rows: Mapping[str, tuple[int, int]]) -> dict[str, Any]:
-        return {name: {"hits": hits, "of": of, "interval": wilson(hits, of)} for name, (hits, of) in rows.items()}
+        return {name: {"hits": hits, "of": value, "interval": wilson(hits, value)} for name, (hits, value) in rows.items()}
 
     kept = {
         "seed": seed,
         "seal": seal,
-        "scores": {method: counted(rows) for method, rows in found.items()},
+        "scores": {method: counted(rows) for method, rows in results.items()},
         "own": counted(own_shares(scored)),
         "sizes": sizes(scored),
         "cases": [
@@ -97,7 +97,7 @@ def scores_and_page(
         (
             f"{len(scored)} cases{_of(len(scored), drawn)} ({', '.join(f'{n} {level}' for level, n in counts.items())}). "
             f"Seed: {seed}. SHA-256 of seed and labels, printed before the first recording was written: `{seal}`.",
-            table(found, own_shares(scored), sizes(scored)),
+            table(results, own_shares(scored), sizes(scored)),
             learned_table(scored),
             *([outside_table(scored)] if any(counts[level] for level in NOT_IN_CATALOGUE) else []),
             *([f"![What was named over what was true, of cases with one effect.]({CONFUSION})"] if alone else []),
@@ -127,11 +127,11 @@ def file_name(kind: str) -> str:
 
 def write_case(folder: Path, cases: Path, s: Scored, path: Path) -> None:
     """The page that the diagnosis makes of a case."""
-    found, paths = diagnosed(cases / s.case.name)
+    result, paths = diagnosed(cases / s.case.name)
     into = folder / "pictures" / s.case.name
     title = f"Case {s.case.name}; hidden: {s.case.title}"
-    content = report(found, [Path(p.name) for p in paths])
-    write_page(path, content, glance(found, content["topics_lines"]), draw_all(found, into), title)
+    content = report(result, [Path(p.name) for p in paths])
+    write_page(path, content, glance(result, content["topics_lines"]), draw_all(result, into), title)
 
 
 def table(
@@ -141,13 +141,13 @@ def table(
     methods = [method for method in BASELINES if method in found]
     heads = ["Score", "Measured", "95 %", "Target", "Met", *(BASELINES[method] for method in methods)]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    for name, (hits, of) in {**found[OURS], **own}.items():
-        low, high = wilson(hits, of)
-        shown = f"{hits / of:.0%} ({hits} of {of})" if of else "no case"
+    for name, (hits, content) in {**found[OURS], **own}.items():
+        low, high = wilson(hits, content)
+        shown = f"{hits / content:.0%} ({hits} of {content})" if content else "no case"
         by_others = [_share(*found[method][name]) if name in found[method] else "" for method in methods]
-        target, met = _target(name, hits / of if of else float("nan"), lambda x: f"{x:.0%}")
+        target, met = _target(name, hits / content if content else float("nan"), lambda x: f"{x:.0%}")
         lines.append(
-            f"| {name} | {shown} | {f'{low:.0%} to {high:.0%}' if of else ''} | {target} | {met} | {' | '.join(by_others)} |"
+            f"| {name} | {shown} | {f'{low:.0%} to {high:.0%}' if content else ''} | {target} | {met} | {' | '.join(by_others)} |"
         )
     for name, values in other.items():
         if not values:
@@ -193,16 +193,16 @@ def learned_table(scored: Sequence[Scored]) -> str:
         name: [(s.learned[BASE], s.learned[name]) for s in scored] for name in scored[0].learned if name != BASE
     }
     lines = [f"| Error on held-out laps | Cases | {' | '.join(errors)} |", "|---" * (len(errors) + 2) + "|"]
-    for what, of in groups.items():
+    for what, value in groups.items():
         medians = [
-            np.median([s.share_removed(*e) for s, e in zip(scored, pairs, strict=True) if s in of]) if of else float("nan")
+            np.median([s.share_removed(*e) for s, e in zip(scored, pairs, strict=True) if s in value]) if value else float("nan")
             for pairs in errors.values()
         ]
-        lines.append(f"| {what} | {len(of)} | {' | '.join(f'{x:.2f}' if np.isfinite(x) else '' for x in medians)} |")
+        lines.append(f"| {what} | {len(value)} | {' | '.join(f'{x:.2f}' if np.isfinite(x) else '' for x in medians)} |")
     for level in ("none", *NOT_IN_CATALOGUE):
-        at = [i for i, s in enumerate(scored) if s.case.level == level]
-        worse = [sum(pairs[i][1] > NO_WORSE * pairs[i][0] for i in at) for pairs in errors.values()]
-        lines.append(f"| {level}: worse than the base | {len(at)} | {' | '.join(map(str, worse))} |")
+        places = [i for i, s in enumerate(scored) if s.case.level == level]
+        worse = [sum(pairs[i][1] > NO_WORSE * pairs[i][0] for i in places) for pairs in errors.values()]
+        lines.append(f"| {level}: worse than the base | {len(places)} | {' | '.join(map(str, worse))} |")
     return "\n".join(lines)
 
 
@@ -211,19 +211,19 @@ def outside_table(scored: Sequence[Scored]) -> str:
     lines = ["| Hidden | Drives | Seen by the oracle | Right | Error removed | Verdict |", "|---" * 6 + "|"]
     for s in sorted(scored, key=lambda s: (s.case.level, s.case.title)):
         if s.case.level in NOT_IN_CATALOGUE:
-            where = "town" if s.case.level == "street" else s.case.source
+            location = "town" if s.case.level == "street" else s.case.source
             seen, right = ("yes" if hit else "no" for hit in (s.known.identifiable, not s.wrong))
             removed = f"{s.removed:.0%}" if s.reducible else ""
-            lines.append(f"| {s.case.title} | {where} | {seen} | {right} | {removed} | {_verdict_of(s.answer)} |")
+            lines.append(f"| {s.case.title} | {location} | {seen} | {right} | {removed} | {_verdict_of(s.answer)} |")
     return "\n".join(lines)
 
 
 def mistake_table(kinds: Mapping[str, Sequence[Scored]]) -> str:
     """A list of mistakes by kind, with the page of the first of each and what the others were."""
     lines = ["Mistakes by kind. Each case: what was hidden, then what was named instead.", ""]
-    for kind, of in kinds.items():
-        lines.append(f"- {kind} ([the first]({file_name(kind)}.html)), {len(of)} {'case' if len(of) == 1 else 'cases'}:")
-        lines += [f"    - {s.case.title}: {_verdict_of(s.answer)}" for s in of]
+    for kind, value in kinds.items():
+        lines.append(f"- {kind} ([the first]({file_name(kind)}.html)), {len(value)} {'case' if len(value) == 1 else 'cases'}:")
+        lines += [f"    - {s.case.title}: {_verdict_of(s.answer)}" for s in value]
     return "\n".join(lines)
 
 
