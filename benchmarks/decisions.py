@@ -333,7 +333,7 @@ def _symbol(kind: Any) -> Any:
     if isinstance(kind, kinds.Scalar):
         return casadi.SX.sym("x") if kind == kinds.REAL else 0
     shape = [length if isinstance(length, int) else 64 for length in kind.shape]
-    if kind.of != kinds.REAL:
+    if kind.element != kinds.REAL:
         return np.zeros(shape, dtype=np.int64)
     array = np.empty(int(np.prod(shape)), dtype=object)
     array[:] = [casadi.SX.sym(f"x{i}") for i in range(array.size)]

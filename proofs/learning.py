@@ -29,7 +29,7 @@ from trackres_ros.estimator.snapshot import read_learning, save
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
-from trackres_ros.learning.store import stored, take
+from trackres_ros.learning.store import learner_content, take_content
 from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
 from trackres_ros.recording.opening import open_source
 from trackres_ros.tasks.replay_run import replay
@@ -149,7 +149,7 @@ class Listening(Learner):
 
     def _close(self, session: Any, passed: int) -> None:
         super()._close(session, passed)
-        for text in (self.frozen, self.disturbance and UNEXPLAINED_TORQUE, self.left_out.partition(" in ")[0]):
+        for text in (self.freeze_reason, self.disturbance and UNEXPLAINED_TORQUE, self.left_out.partition(" in ")[0]):
             if text:
                 key = KEY.sub("", text.split(":")[0]).strip()
                 self.said[key] = self.said.get(key, 0) + 1
@@ -196,11 +196,11 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
     for path in drives:
         learner = Listening(estimator, "on")
         if path is not drives[0]:  # belts begin soaked at the measured air's temperature, as with every other file
-            take(learner, read_learning(estimator, state))
-            learner.age(APART_S)
+            take_content(learner, read_learning(estimator, state))
+            learner.age_values(APART_S)
         kept: list[Steps] = []
         outcome = replay(open_source([path], None), estimator, kept.append, learner=learner)
-        save(outcome.session, state, 0.0, stored(learner))
+        save(outcome.session, state, 0.0, learner_content(learner))
         number = path.stem.rpartition("_")[2]
         rows[f"{name}_{number}"] = _shown(kept)
         texts[number] = {
@@ -210,7 +210,7 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
             "seconds": learner.learned.seconds,
             "applied": learner.learned.applied.tolist(),
             "std": np.sqrt(np.diag(learner.learned.covariance)).tolist(),
-            "counts": [state for state in VEHICLES_OWN if learner.counted[state]],
+            "counts": [state for state in VEHICLES_OWN if learner.has_evidence[state]],
         }
     return texts
 
@@ -329,7 +329,7 @@ def age(seed: int, hours: float) -> list[dict[str, float]]:
             learner.take(stamp, estimate.row.tolist(), session)
             if i % 20 == 0 and speed > 1.0:
                 errors.append((estimate.resistance_torque_nm - torque.resistance_torque_nm) / torque.resistance_torque_nm)
-        size = float(len(json.dumps(stored(learner))))
+        size = float(len(json.dumps(learner_content(learner))))
         own = [float(learner.learned.applied[state]) for state in VEHICLES_OWN]
         result.append({"hour": hour + 1.0, "error": float(np.mean(np.abs(errors))), "bias": float(np.mean(errors)), "bytes": size,
                       "largest_departure": max(map(abs, own))})  # fmt: skip

@@ -10,7 +10,7 @@ Each stage is a process: `python -m proofs.pipeline pipeline.answer sealed.diagn
 - sealed/labels.json and seal.txt: the labels and their SHA-256; sealed/ also has the truth that only the score needs.
 - cases/NAME: recordings, and the vehicle file.
 - results/NAME.json: the answer, with arrays in NAME.npz.
-- scores.json and a page.
+- scores.json, and tables (CSV) or a page.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Proof(ABC):
     noun = "cases"
     key = "cases"  # of the labels in labels.json
     label_settings: tuple[str, ...] = ("seed",)  # that labels.json has too
-    page = "proof.md"
+    page = ""  # file of the page; empty if the results are tables
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
         self.folder, self.settings = folder, settings
@@ -117,7 +117,7 @@ class Proof(ABC):
 
     @abstractmethod
     def report(self, scores: list[Any], labels: Mapping[str, Any], seal: str) -> tuple[Mapping[str, Any], str]:
-        """Content of scores.json and of the page; writes pictures and further pages."""
+        """Content of scores.json, and the page, or a text for the terminal; writes pictures and tables."""
 
     def result(self, name: str, results: str = "results") -> Any:
         """JSON of the answer to a case."""
@@ -230,14 +230,15 @@ def unseal(folder: Path) -> tuple[Proof, dict[str, Any], str]:
 
 
 def score(folder: Path, first: int | None = None) -> None:
-    """Open the seal, score all answers, or the first, and write scores and page."""
+    """Open the seal, score all answers, or the first, and write scores, and tables or a page."""
     proof, labels, seal = unseal(folder)
     scores = proof.scores(proof.choice(proof.cases(labels), first))
     with file_set():
-        content, page = proof.report(scores, labels, seal)
+        content, text = proof.report(scores, labels, seal)
         write(folder / "scores.json", json.dumps(content, indent=1).encode())
-        write(folder / proof.page, page.encode())
-    print(page)
+        if proof.page:
+            write(folder / proof.page, text.encode())
+    print(text)
 
 
 def digest(labels: object) -> str:

@@ -15,11 +15,8 @@ from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.node.notices import LIVE_KINDS
 from trackres_ros.node.status import COMPARISON_KEYS, DISTURBANCE_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
 
-GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md"]
+GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md", "docs/trust.md"]
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
-
-PROOF_SEEDS = ("<!-- both -->", "<!-- /both -->"), ("### The runs on this page", "## Own truth")
-"""Where docs/proof.md has the seeds of its scores, and of the commands that made them."""
 
 MOST_WORDS = 25
 """Of a sentence of a page, and of a cell of a table."""
@@ -75,9 +72,9 @@ def test_every_key_of_the_diagnostics_is_explained(repository):
 
 
 def test_the_commands_of_the_proof_have_the_seeds_of_its_scores(repository):
-    page = (repository / "docs" / "proof.md").read_text()
-    scores, runs = (page.partition(f"{begin}\n")[2].partition(f"\n{end}")[0] for begin, end in PROOF_SEEDS)
-    assert set(re.findall(r"\b20\d{6}\b", runs)) == set(re.findall(r"seed (\d+)", scores))
+    commands = (repository / "docs" / "trust.md").read_text()
+    runs = (repository / "docs" / "trust" / "runs.csv").read_text()
+    assert set(re.findall(r"\b20\d{6}\b", commands)) == set(re.findall(r",(20\d{6}),", runs)) != set()
 
 
 def test_every_counter_and_reason_has_its_policy(repository):

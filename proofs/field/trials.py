@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from proofs.tables import Rows
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.empirical.payload import Payload
 from trackres_ros.errors import InputError
-from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.output.table import write_table
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.slopes import slopes
@@ -189,15 +189,15 @@ def try_all(data: Path, folder: Path) -> list[FieldTrial]:
         FieldTrial(
             "car, 11 winter trips", AIR + ", standing time", WARM, UPHILL, of_car(winter, ["ambient"], False, mixed)
         ),
-        FieldTrial("the same", AIR, WARM, UPHILL, of_car(winter, ["ambient"], True, mixed)),
+        FieldTrial("car, 11 winter trips", AIR, WARM, UPHILL, of_car(winter, ["ambient"], True, mixed)),
         FieldTrial("car, 10 summer trips", "nothing", NOTHING, UPHILL, of_car(warm, [])),
         FieldTrial("car, hilly trips A06, A07, A11, A12", "elevation", UPHILL, NOTHING, of_car(HILLY, ["grade"])),
-        FieldTrial("the same", "nothing", NOTHING, UPHILL, of_car(HILLY, [])),
+        FieldTrial("car, hilly trips A06, A07, A11, A12", "nothing", NOTHING, UPHILL, of_car(HILLY, [])),
         FieldTrial("car, one route twice, B16 and B17", "elevation", NOTHING, UPHILL, of_car(TWICE, ["grade"])),
         FieldTrial("robot on wet grass", "all that shows turning", NOTHING, TURNING, of_robot("husky_wetgrass", SHOWS_TURNING)),
-        FieldTrial("the same", "yaw rate, heading, position", TURNING, NOTHING, of_robot("husky_wetgrass", BUT_WHEELS)),
-        FieldTrial("the same", "yaw rate", TURNING, NOTHING, of_robot("husky_wetgrass", SHOWS_TURNING[:1])),
-        FieldTrial("the same", "nothing that the base has", TURNING, NOTHING, of_robot("husky_wetgrass")),
+        FieldTrial("robot on wet grass", "yaw rate, heading, position", TURNING, NOTHING, of_robot("husky_wetgrass", BUT_WHEELS)),
+        FieldTrial("robot on wet grass", "yaw rate", TURNING, NOTHING, of_robot("husky_wetgrass", SHOWS_TURNING[:1])),
+        FieldTrial("robot on wet grass", "nothing that the base has", TURNING, NOTHING, of_robot("husky_wetgrass")),
         FieldTrial("robot, wheels off the ground", "nothing", NOTHING, TURNING, of_robot("husky_avide2")),
     ]  # fmt: skip
 
@@ -239,15 +239,10 @@ def acts_early(tried: FieldTrial, index: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RepeatedRoute:
-    """Residuals of two drives of one route and the slope by the elevation, each [Nm] and [1] over distance [m], and the
-    correlation of the residuals with each other and with the slope.
-    """
+    """Correlation of the residuals of two drives of one route, over distance."""
 
-    distance: Array
-    residuals: Array  # (2, n)
-    slope: Array
-    repeats: float
-    follows_slope: float
+    repeats: float  # with each other
+    follows_slope: float  # their mean with the slope by the elevation
 
 
 def twice(tried: FieldTrial) -> RepeatedRoute:
@@ -263,11 +258,9 @@ def twice(tried: FieldTrial) -> RepeatedRoute:
         slopes.append(_smooth(np.interp(grid, far, grade)))
     n = min(map(len, residuals))
     pair_here, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
-    distance = np.arange(500.0, 500.0 + n * EVERY_M, EVERY_M)[:n]
-    repeats, follows = (
-        float(np.corrcoef(*pair)[0, 1]) for pair in ((pair_here[0], pair_here[1]), (pair_here.mean(axis=0), mean))
+    return RepeatedRoute(
+        *(float(np.corrcoef(*pair)[0, 1]) for pair in ((pair_here[0], pair_here[1]), (pair_here.mean(axis=0), mean)))
     )
-    return RepeatedRoute(distance, pair_here, mean, repeats, follows)
 
 
 def _smooth(series: Array) -> Array:
@@ -279,15 +272,12 @@ SAME_PLACE_M = 15.0
 SLOPE_OVER_M = 300.0
 LONG_STRETCH_S = 300.0  # of driving
 CLOSE = 0.08  # of the passengers' weight
-SECONDS_PER_MIN = 60.0
 
 
 @dataclass(frozen=True)
 class PayloadFound:
     """Comparison of the found payload with the passengers: values of each stretch, masses relative to their mean [kg]."""
 
-    begin_s: Array
-    end_s: Array
     mass: Array
     std: Array
     true: Array
@@ -348,7 +338,7 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> tuple[float, float] | N
 
 def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, distance: Array) -> Array:
     """Slope of the altitude averaged over all passes of each place, over 300 m; nan where unknown."""
-    x, y = Frame.about(latitude, longitude).metres(latitude, longitude)
+    x, y = Frame.of_positions(latitude, longitude).metres(latitude, longitude)
     known = np.isfinite(x) & np.isfinite(altitude)
     place = np.column_stack([x, y])[known]
     near = cKDTree(place).query_ball_point(place, SAME_PLACE_M)
@@ -373,15 +363,15 @@ def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
         if there.any():
             driven.append(float(there.sum()) * session.step)
             people = float(session.payload[there].mean()) / GRAVITY
-            rows.append((stretch.begin_s, stretch.end_s, stretch.mass, stretch.std, people))
-    begin, end, mass, std, true = np.array(rows).T
+            rows.append((stretch.mass, stretch.std, people))
+    mass, std, true = np.array(rows).T
     weight = np.array(driven)
     mass, people = mass - np.average(mass, weights=weight), true - np.average(true, weights=weight)
     covariance = np.cov(np.stack([mass, people]), aweights=weight)
     correlation = float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
     deviation, carried = (mass_of_joined(x, weight) for x in (mass - people, true))
     close = int((np.abs(deviation) < CLOSE * carried).sum())
-    return PayloadFound(begin, end, mass, std, people, correlation, close, len(deviation), float(weight.max()))
+    return PayloadFound(mass, std, people, correlation, close, len(deviation), float(weight.max()))
 
 
 def mass_of_joined(mass: Array, driven: Array) -> Array:
@@ -396,48 +386,30 @@ def mass_of_joined(mass: Array, driven: Array) -> Array:
     return np.array(joined)
 
 
-def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> list[str]:
-    """Lines of the page; pictures go to a folder, and links to them begin with `of_pictures`. None without a mission."""
-    if not tried:
-        return []
-    given_values = next(t for t in tried if t.hidden == "nothing")
-    lines = ["## The trolley bus, unsealed", ""]
-    slopes = [(t.hidden, slope) for t in tried if (slope := slope_found(t, given_values)) is not None]
-    if slopes:
-        lines += ["The slope found, against that of the altitude averaged over all passes of a place and taken over 300 m:", ""]
-        lines += ["| Concealed | Correlation | Coefficient |", "|---|---|---|"]
-        lines += [f"| {hidden} | {correlation:.2f} | {coefficient:.2f} |" for hidden, (correlation, coefficient) in slopes]
-        lines.append("")
-    else:
-        lines += ["No slope was found.", ""]
-    hidden = next(t for t in tried if t.hidden == "passengers")
-    payload = payload_found(hidden, given_values)
-    if payload is None:
-        return [*lines, "With the passengers concealed no payload was found.", ""]
-    differ, error, stated = (
-        figures(float(x)) for x in (payload.true.std(), np.sqrt(np.mean((payload.mass - payload.true) ** 2)), payload.std.mean())
-    )
-    lines.append(
-        f"With the passengers concealed, the masses of {len(payload.mass)} stretches have a correlation of "
-        f"{payload.correlation:.2f} with those of the passengers (70 kg each). These differ by {differ} kg. The masses are "
-        f"{error} kg off; their stated standard deviation is {stated} kg. No stretch has more than {payload.longest_s:.0f} s of "
-        f"driving. Joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of "
-        "the passengers' weight."
-    )
-    _draw_payload(folder / "payload.png", payload)
-    return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]
+def against_given(tried: Sequence[FieldTrial]) -> tuple[Rows, PayloadFound | None]:
+    """Of `try_bus`: the found slopes against that of the altitude, and the found payload; nothing without a mission."""
+    given_values = next((t for t in tried if t.hidden == "nothing"), None)
+    if given_values is None:
+        return [], None
+    slopes = [slope_row(t.hidden, *slope) for t in tried if (slope := slope_found(t, given_values)) is not None]
+    return slopes, payload_found(next(t for t in tried if t.hidden == "passengers"), given_values)
 
 
-def _draw_payload(path: Path, payload: PayloadFound) -> None:
-    with picture(path, 9.0, 3.4) as figure:
-        axes = figure.subplots()
-        middle = 0.5 * (payload.begin_s + payload.end_s) / SECONDS_PER_MIN
-        axes.errorbar(
-            middle, payload.mass, 1.96 * payload.std, fmt="o", markersize=3, color=VERMILION, linewidth=1.0,
-            label="found, and its 95 % interval",
-        )  # fmt: skip
-        axes.step(payload.begin_s / SECONDS_PER_MIN, payload.true, where="post", color=BLUE, label="passengers, 70 kg each")
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_xlabel("time [min]")
-        axes.set_ylabel("mass less its mean [kg]")
-        axes.legend()
+def slope_row(hidden: str, correlation: float, coefficient: float) -> dict[str, str]:
+    """See `slope_found`."""
+    return {"concealed": hidden, "correlation": f"{correlation:.2f}", "coefficient": f"{coefficient:.2f}"}
+
+
+def payload_numbers(found: PayloadFound) -> list[tuple[str, str]]:
+    """The masses against the passengers, as text."""
+    error = float(np.sqrt(np.mean((found.mass - found.true) ** 2)))
+    return [
+        ("bus: stretches between stops", str(len(found.mass))),
+        ("bus: correlation of the masses with the passengers", f"{found.correlation:.2f}"),
+        ("bus: standard deviation of the passengers, 70 kg each [kg]", figures(float(found.true.std()))),
+        ("bus: error of the masses [kg]", figures(error)),
+        ("bus: stated standard deviation of the masses [kg]", figures(float(found.std.mean()))),
+        ("bus: driving in the longest stretch [s]", f"{found.longest_s:.0f}"),
+        (f"bus: stretches joined to {LONG_STRETCH_S:.0f} s of driving", str(found.long)),
+        (f"bus: of these within {CLOSE:.0%} of the passengers' weight", str(found.close)),
+    ]

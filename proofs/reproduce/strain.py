@@ -13,7 +13,22 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from proofs.reproduce.bench import FAILS, HOLDS, INK, Bench, Claim, Figure, Section, Table, listed, percent, write_csv
+from proofs.reproduce.bench import (
+    FAILS,
+    HOLDS,
+    IN_PART,
+    INK,
+    Bench,
+    Claim,
+    Figure,
+    Section,
+    Table,
+    listed,
+    percent,
+    percents,
+    span,
+    write_csv,
+)
 from trackres_ros.arrays import Array
 from trackres_ros.model.belt import along_belt, axial_stiffness, through_thickness
 from trackres_ros.model.contact import contact_force, half_length_for_force, largest_strain
@@ -63,10 +78,10 @@ def indentation(bench: Bench, out: Path) -> Section:
     paper = Contact.under(PAPER_LOADS_N, length, thickness)
     figure = Figure(
         "fig06_indentation.png",
-        "fig06_indentation.csv",
+        ("fig06_indentation.csv",),
         "Contact half length and strain amplitude of a road wheel against its load (the paper's Figure 6).",
     )
-    write_csv(out / figure.csv, {"wheel_load_n": curve.load, "half_length_m": curve.half_length, "strain": curve.strain})
+    write_csv(out / figure.data[0], {"wheel_load_n": curve.load, "half_length_m": curve.half_length, "strain": curve.strain})
     _draw_contact(out / figure.png, curve, paper, f"belt {thickness * 1e3:g} mm, contact {length:g} m wide")
     at_loads, strain_at = paper.half_length, paper.strain
     growth = [float(np.log(y[-1] / y[0]) / np.log(PAPER_LOADS_N[-1] / PAPER_LOADS_N[0])) for y in (at_loads, strain_at)]
@@ -87,15 +102,14 @@ def indentation(bench: Bench, out: Path) -> Section:
         {"half_length_m": at_loads.tolist(), "strain": strain_at.tolist(),
          "exponent_half_length": growth[0], "exponent_strain": growth[1]},
     )  # fmt: skip
-    ended = "Here every load is met."
+    ended = "It meets every load."
     if missed:
         nearest = listed([percent(e) for e in errors if e >= SEARCH_TOLERANCE])
-        ended = f"Here no step comes that near at {listed(missed)} (nearest: {nearest}): the search would not end."
+        ended = f"At {listed(missed)} no step comes that near (nearest: {nearest}), so the search would not end."
     text = [
-        f"The paper names the modulus, the wheel and the loads. Belt thickness ({thickness * 1e3:g} mm) and axial contact "
-        f"length ({length:g} m) are those of the vehicle file, which assumes them.",
-        f"The paper's own search for the half length (11) steps by R/{SEARCH_PARTS} and stops within "
-        f"{percent(SEARCH_TOLERANCE, 0)} of the load. {ended}",
+        f"The paper names modulus, wheel and loads. Belt thickness ({thickness * 1e3:g} mm) and axial contact length "
+        f"({length:g} m) are assumed. The paper's search for the half length, equation (11), steps by R/{SEARCH_PARTS} and stops "
+        f"within {percent(SEARCH_TOLERANCE, 0)} of the load. {ended}",
     ]
     return Section("Figure 6: contact of a road wheel", text, [figure], [claim], numbers={"search_error": errors})
 
@@ -154,10 +168,10 @@ def spectrum_at(model: TrackModel, speed: float, belt_degc: float, load: float, 
         position,
         height,
         through_thickness(counter.loop, half, position),
-        (belt.thickness - belt.cord_height) * counter.loop.curvature.at(position),
+        (belt.thickness - belt.cord_height) * counter.loop.curvature.values_at(position),
         along_belt(counter.loop, height[:, np.newaxis], position, tension, drive_strain),
         tension,
-        drive_strain * counter.loop.drive.at(position),
+        drive_strain * counter.loop.drive.values_at(position),
         counter,
         half,
         drive_strain,
@@ -184,26 +198,23 @@ def spectrum(bench: Bench, out: Path) -> Section:
         "drive": float(np.ptp(strains.drive)),
     }
     text = [
-        f"One assembly at {SPEED_KMH:g} km/h, {load / 1e3:g} kN and a belt of {BELT_DEGC:g} °C. The paper gives neither the "
-        "operating point nor the numbers of its Figures 10 and 11, so only their composition can be compared. Indentation "
-        "strains the belt through its thickness, bending, tension and drive along it: two components "
-        "that the program counts separately.",
-        f"The steady tension strains the belt by {strains.tension * 1e6:.0f} µm/m all round. The drive adds up to "
-        f"{ranges['drive'] * 1e6:.0f} µm/m: {percent(ranges['drive'] / ranges['bending'], 2)} of the range of bending at the "
-        "outer face.",
+        f"One assembly at {SPEED_KMH:g} km/h, {load / 1e3:g} kN and a belt of {BELT_DEGC:g} °C, all assumed. The paper gives no "
+        "operating point, so only the composition can be compared. Indentation strains the belt through its thickness; bending, "
+        f"tension and drive strain it along. The steady tension strains it by {strains.tension * 1e6:.0f} µm/m all round.",
     ]
     tension_loss = max(float(loss.tension) for loss in losses.values())
+    bending = percents(float(loss.bending / loss.total) for loss in losses.values())
+    total = span(float(loss.total) for loss in losses.values())
     claim = Claim(
         "tension_in_spectrum",
         "sections 2.4.2 and 2.4.5",
         "The strain load spectrum is built from indentation, tension, bending and driving; its cycles make the heat.",
         {**{name: value > 0 for name, value in ranges.items()}, "tension": tension_loss > 0},
         f"Ranges round the loop: indentation {percent(ranges['indentation'])}, bending {percent(ranges['bending'])} at the outer "
-        f"face, drive {ranges['drive'] * 1e6:.0f} µm/m, tension 0. Heat: indentation, bending and drive as in the table, tension "
-        f"{tension_loss:g}.",
+        f"face, drive {ranges['drive'] * 1e6:.0f} µm/m, tension 0. The loss is {total} N, of which bending has {bending} and "
+        f"tension {tension_loss:g}.",
         {
-            "holds in part": "A steady tension shifts the mean of the cycles and has no range, so it makes no heat. Its "
-            "range is that of the drive force.",
+            IN_PART: "A steady tension shifts the mean of the cycles and has no range, so it makes no heat.",
             HOLDS: "Every component has a range round the loop.",
             FAILS: "No component has a range round the loop.",
         },
@@ -238,14 +249,14 @@ def _loss_table(losses: dict[str, LossForce]) -> Table:
 def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
     figure = Figure(
         "fig10_spectrum.png",
-        "fig10_spectrum.csv",
+        ("fig10_spectrum.csv",),
         "Strain load spectrum round the loop, by component (the paper's Figure 10). It is shown through the thickness, along the "
         "belt at three heights and over position and height, and the small parts by tension and drive.",
     )
     belt = s.counter.track.belt
     cord = int(np.argmin(np.abs(s.height - belt.cord_height)))
     write_csv(
-        out / figure.csv,
+        out / figure.data[0],
         {
             "position_m": s.position,
             "through_thickness": s.through,
@@ -321,7 +332,7 @@ def _name_wheels(through: Axes, along: Axes, s: Spectrum) -> None:
 def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
     figure = Figure(
         "fig11_rainflow.png",
-        "fig11_rainflow.csv",
+        ("fig11_rainflow.csv",),
         "Strain rainflow matrix of one loop (the paper's Figure 11): range, mean and count of each cycle, those "
         "along the belt at every height.",
     )
@@ -333,7 +344,7 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
         for cycle in sorted(cycles, key=lambda c: -c.range):
             rows.append(("along", float(height), cycle.range, cycle.mean, cycle.number))
     names = ("component", "height_m", "range", "mean", "count")
-    write_csv(out / figure.csv, {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)})
+    write_csv(out / figure.data[0], {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)})
     data = np.array([row[1:] for row in rows], dtype=float)
     along = np.isfinite(data[:, 0])
     with picture(out / figure.png, 9.0, 4.0) as drawing:
@@ -433,16 +444,15 @@ def compound(bench: Bench, out: Path) -> Section:
     highest = max(c["frequency_hz"] for c in explain(bench.vehicle, SPEEDS_KMH[1] / KMH_PER_MPS, MASTER_DEGC)["contact"])
     figure = Figure(
         "fig16_compound.png",
-        "fig16_moduli.csv",
+        ("fig16_moduli.csv", "fig16_master.csv"),
         f"Storage modulus, loss modulus and loss tangent at {frequency:g} Hz (the paper's Figure 16), and the master curve at "
         f"{MASTER_DEGC:g} °C (equations 3 and 4). Dots: the sweep of the vehicle's rubber file.",
     )
     curves.write(out)
     _draw_moduli(out / figure.png, curves, lowest, highest)
     text = [
-        "The paper's measured sweep is a picture without numbers. The vehicle's rubber file holds a representative curve of the "
-        "same recipe, not the paper's measurement: every torque on this page rests on it. The data of the master curve are in "
-        "[fig16_master.csv]({prefix}fig16_master.csv); it ends where the sweep ends."
+        "The paper's measured sweep is a picture without numbers. Every torque on this page rests on the vehicle's rubber file, "
+        "a representative curve of the same recipe."
     ]
     numbers = {"lowest_hz": lowest, "highest_hz": highest}
     return Section("Figure 16: the compound", text, [figure], [_modulus_claim(curves)], [_modulus_table(curves)], numbers)
@@ -499,8 +509,7 @@ def _modulus_claim(curves: Curves) -> Claim:
         f"{moduli[15.0]:.2f} at 15 °C and {moduli[SHOWN_DEGC[-1]]:.2f} at {SHOWN_DEGC[-1]:g} °C. It rises nowhere "
         f"between. A decade of frequency changes it by a factor {by_decade:.2f} at {MASTER_DEGC:g} °C.",
         {
-            HOLDS: f"The compound works above its glass transition (largest loss modulus at {peak:.0f} °C), where warming moves "
-            "it away from the peak.",
+            HOLDS: f"The compound works above its glass transition: its loss modulus is largest at {peak:.0f} °C.",
             FAILS: "Part of the working range lies below the peak of the loss modulus.",
         },
         {"loss_modulus_mpa": moduli, "factor_per_decade": by_decade, "peak_degc": peak},

@@ -22,7 +22,7 @@ from scipy.optimize import nnls
 
 from trackres_ros.arrays import Array
 from trackres_ros.files.documents import read_yaml
-from trackres_ros.kernels.compiler import loaded
+from trackres_ros.kernels.compiler import load_module
 from trackres_ros.kernels.extension import Extension
 from trackres_ros.kernels.flow import translate_body
 from trackres_ros.kernels.functions import Translator
@@ -309,7 +309,7 @@ def native(kernel: FunctionType) -> Any:
     if interpreted():
         return kernel
     translator = Translator(translate_body)
-    translator.checked = False
+    translator.is_checked = False
     name = f"proofs_{kernel.__name__}"
-    module = loaded(name, Extension(name, translator, {kernel.__name__: kernel}).text())
+    module = load_module(name, Extension(name, translator, {kernel.__name__: kernel}).text())
     return kernel if module is None else getattr(module, kernel.__name__)

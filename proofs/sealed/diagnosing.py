@@ -51,18 +51,13 @@ def opened(folder: Path) -> tuple[list[Path], list[Recording], LoadedBase]:
     return paths, read_recordings(paths, topics), base.with_topics(topics)
 
 
-def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
-    """Diagnosis of the folder of a case, and the recordings there."""
+def answer(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    """The diagnosis of the folder of a case, and what simpler methods and general learners find."""
     paths, recordings, base = opened(folder)
     # A drive made to distinguish effects is added to the fit: the hold-out laps are the same as without it.
     kept = folder / HELD_OUT
     held_out = read_json(kept) if kept.exists() else None
-    return diagnose(recordings, base, DiagnosisOptions(holdout=held_out, quick=True)), paths
-
-
-def answer(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The diagnosis of the folder of a case, and what simpler methods and general learners find."""
-    result, paths = diagnosed(folder)
+    result = diagnose(recordings, base, DiagnosisOptions(holdout=held_out, quick=True))
     simple = simple_answers(result.refitted, result.alone.separability.of_names)
     learned_values = learned_errors(result.refitted, result.split)
     return {"report": report(result, paths), "simple": simple, "learned": learned_values, "over": _over(result)}, {}

@@ -27,9 +27,9 @@ from proofs.pipeline import Proof, answer_all, each, read_json, unseal
 from proofs.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, SOURCES, Case, draw_cases
 from proofs.sealed.diagnosing import HELD_OUT, by_trees
 from proofs.sealed.drives import STEP_S, SealedDrive, read_profiles
-from proofs.sealed.page import scores_and_page
 from proofs.sealed.phenomena import LOAD, LONG_STOP_S, PROGRAM
 from proofs.sealed.recordings import PROFILES, drive_next, make_case, sized_case, weight_and_radius
+from proofs.sealed.results import report_of
 from proofs.sealed.scoring import (
     BASELINES,
     DESCRIBED,
@@ -86,7 +86,7 @@ class OwnProof(Proof):
 
     def report(self, scores: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
-        return scores_and_page(self.folder, scores, seal, labels["seed"], len(labels["cases"]))
+        return report_of(self.folder, scores, "own", labels, seal)
 
 
 def earlier(cases: Path, results: Path, checkout: Path, first: int | None = None) -> None:

@@ -35,13 +35,8 @@ SURE = ("named", "one_of")
 DESCRIBED, CONFIRMED = "described", "confirmed"
 ABOUT = ("variable", "gate", "memory")
 EARLIER = "earlier"
-BASELINES = {
-    "naive": "regression of the residual on one effect",
-    "aic": "AIC, not whitened",
-    "sparse": "lasso on the residual",
-    "trees": "boosted trees",
-    EARLIER: "an earlier version of this tool",
-}
+BASELINES = ("naive", "aic", "sparse", "trees", EARLIER)
+"""Regression of the residual on one effect, effects added while AIC falls, a lasso, boosted trees, and an earlier version."""
 
 
 @dataclass(frozen=True)

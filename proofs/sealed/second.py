@@ -22,7 +22,7 @@ import numpy as np
 from proofs.pipeline import Proof, each, read_json
 from proofs.sealed.cases import CATALOGUE, Case
 from proofs.sealed.groomer import Groomer, draw_groomers, label, record_groomer
-from proofs.sealed.page import scores_and_page
+from proofs.sealed.results import report_of
 from proofs.sealed.scoring import (
     ABOUT,
     BASELINES,
@@ -100,7 +100,7 @@ class SecondProof(Proof):
 
     def report(self, scores: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
-        return scores_and_page(self.folder, scores, seal, labels["seed"], len(labels["cases"]), self.case_folder)
+        return report_of(self.folder, scores, self.settings["proof"], labels, seal)
 
 
 class GroomerProof(SecondProof):

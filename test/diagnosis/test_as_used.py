@@ -311,7 +311,7 @@ def test_a_run_in_effect_is_written_as_after_the_recordings(driven, effects):
         assert word in kept.text
         remainder = np.exp(-use.distance / scale)
         assert [a.values["excess"] for a in kept.effects] == pytest.approx([0.2 * remainder] if scale > 500.0 else [])
-        for active in kept.of("vehicle"):
+        for active in kept.effects_of("vehicle"):
             assert active.ranges["excess"] == pytest.approx((0.1 * remainder, 0.24 * remainder))
             assert active.ranges["distance"] == (scale, 20_000.0)
 

@@ -11,7 +11,7 @@ from streets import LAP_M, autoregression, drive, slope_at
 
 from trackres_ros.diagnosis.empirical.by_place import BaseColumns, PlaceColumns, StreetGraph, gains, learn
 from trackres_ros.diagnosis.inference.noise import estimate_noise
-from trackres_ros.route.matching import Matched, matched, neighbours, places_of
+from trackres_ros.route.matching import Matched, match_tracks, neighbour_pairs, places_of
 from trackres_ros.route.track import track_of
 
 WEIGHT_RADIUS_NM = 60_000.0
@@ -22,9 +22,9 @@ def made(seed, rounds, size=1.0, loads=(1.0,)):
     item, rng = drive(seed, rounds), np.random.default_rng(seed + 100)
     track = track_of(item.distance, item.x, item.y)
     places = places_of([track])
-    total = matched(places, [track])
-    streets = StreetGraph.of(neighbours(total), places.table, total)
-    place = total[0].at(track.nearest(item.distance))
+    total = match_tracks(places, [track])
+    streets = StreetGraph.of(neighbour_pairs(total), places.table, total)
+    place = total[0].select(track.nearest_index(item.distance))
     load = np.array(loads)[np.arange(len(item.speed)) * len(loads) // len(item.speed)]
     force = WEIGHT_RADIUS_NM * load
     rise = slope_at(item.way) * item.direction * size
@@ -49,7 +49,7 @@ def test_learned_slopes_hold_on_passes_that_were_not_used(seed):
     remainder = residual - slope.expected(result)[0]
     assert np.abs(remainder[others]).mean() < 0.5 * np.abs(residual[others]).mean()
     assert gains(slope, result.value[:, np.newaxis], [residual], [others], noise)[0] > 100.0
-    seen = np.unique(place.place[fit_result & place.known])
+    seen = np.unique(place.place[fit_result & place.is_known])
     true = np.array([np.median((slope_at(item.way) * item.direction * place.sign[:, 0])[place.place[:, 0] == p]) for p in seen])
     deviation = (result.value[seen] - true) / result.std(seen)
     known = np.isfinite(deviation)
@@ -95,8 +95,8 @@ def test_places_that_were_not_driven_are_as_unsure_as_before():
     item, place, residual, mask, slope, _ = made(5, (1, -1, 1, -1))
     fit_result = mask & (item.way < 400.0)
     result = learn(slope, [residual], [fit_result], noise_of(residual, mask), 0.03)
-    far = np.unique(place.place[(item.way > 1200.0) & place.known])
-    near = np.unique(place.place[(item.way > 100.0) & (item.way < 300.0) & place.known])
+    far = np.unique(place.place[(item.way > 1200.0) & place.is_known])
+    near = np.unique(place.place[(item.way > 100.0) & (item.way < 300.0) & place.is_known])
     assert np.median(result.std(far)) > 0.5 * result.size
     assert np.median(result.std(near)) < 0.4 * result.size
     assert np.abs(result.value[far]).max() < result.size
@@ -119,7 +119,7 @@ def along_with_rolling(off, fitted=0.0, closes=True):
         slope = replace(slope, streets=replace(slope.streets, closed_loops=slope.streets.closed_loops[:0]))
     shown = residual + WEIGHT_RADIUS_NM * true + (off - fitted) * rolling[:, 0]
     result = learn(slope, [shown], [mask], noise_of(residual, mask), 0.03, BaseColumns([rolling], np.array([fitted])))
-    seen = np.unique(place.place[mask & place.known])
+    seen = np.unique(place.place[mask & place.is_known])
     true = np.array([np.median((true * place.sign[:, 0])[place.place[:, 0] == p]) for p in seen])
     known = np.isfinite(true)
     return result.value, (result.value[seen] - true)[known], result.std(seen)[known]
@@ -148,4 +148,4 @@ def test_a_street_driven_both_ways_closes_no_loop_of_its_own():
     place = np.concatenate([np.arange(60), np.arange(60)[::-1]])
     sign = np.repeat([1.0, -1.0], 60)
     item = Matched(np.stack([place, place], axis=1), np.tile([1.0, 0.0], (120, 1)), np.stack([sign, sign], axis=1), place, place)
-    assert StreetGraph.of(neighbours([item]), np.zeros((60, 4)), [item]).closed_loops.shape == (0, 60)
+    assert StreetGraph.of(neighbour_pairs([item]), np.zeros((60, 4)), [item]).closed_loops.shape == (0, 60)

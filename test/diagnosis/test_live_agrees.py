@@ -232,7 +232,7 @@ def test_what_was_saved_goes_on_as_if_it_had_not_stopped(effects, tmp_path, driv
     np.testing.assert_array_equal(
         session.handle(at.SPEED, time_now, time_now, 5.0).row, resumed.handle(at.SPEED, time_now, time_now, 5.0).row
     )
-    cold, _ = snapshot.after_time_off(estimator, tmp_path / "state", now=1e6)
+    cold, _ = snapshot.after_time_off(estimator, tmp_path / "state", wall_s=1e6)
     result_after, result_before = (
         cold.handle(at.SPEED, time_now, time_now, 5.0),
         resumed.handle(at.SPEED, time_now + 10**8, time_now + 10**8, 5.0),

@@ -13,7 +13,7 @@ from worlds import driven, form, machine, named, scored
 from trackres_ros.diagnosis.search.proposals import BEST, TIED, Proposals, Proposer, _initial_values, _stronger, same_variable
 from trackres_ros.diagnosis.selection.visibility import Proposal
 from trackres_ros.effects.effect import Active, Parameter
-from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch, sized
+from trackres_ros.effects.learned import ABOVE, AMBIENT, SPEED, STEP, Corner, Curve, Latch, sized_effect
 
 COLD_NM, COLD_DEGC = 300.0, 3.0
 LATE_S = 0.6
@@ -63,7 +63,7 @@ def test_a_form_at_a_found_threshold_has_the_size_of_the_vehicle():
     result = driven(of=machine(), adds=lambda s, _: COLD_NM * (np.abs(s.speed) > 6.0))
     proposed = Proposer(result, {}, scored(result)).proposals(result).by_name["step_of_speed"].effect
     facts = machine().facts
-    of_vehicle = sized(Corner(SPEED, STEP), facts.weight * facts.radius)
+    of_vehicle = sized_effect(Corner(SPEED, STEP), facts.weight * facts.radius)
     sizes = [[q for q in effect.parameters if q.off is not None] for effect in (proposed, of_vehicle, Corner(SPEED, STEP))]
     assert sizes[0] == sizes[1] != sizes[2]
 

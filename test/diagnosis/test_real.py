@@ -61,7 +61,7 @@ def test_a_robot_on_wet_grass_shows_scrub_with_a_known_yaw_rate(report_of, tmp_p
 
 @pytest.fixture(scope="module")
 def winter(run, tmp_path_factory):
-    """The report on three trips of the car in winter; docs/proof-real.md is of all."""
+    """The report on three trips of the car in winter; docs/trust.md is of all."""
     folder = tmp_path_factory.mktemp("winter")
     paths = [car(DATA, name, folder) for name in ("TripB18", "TripB21", "TripB24")]
     assert run(paths, folder / "out", "--hide", "ambient", vehicle="bmw_i3").exit_code == 0

@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.selection.level_errors import Levels
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Latch, latched
+from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Latch, latch_state
 
 LEVEL_NM = 400.0
 
@@ -136,5 +136,5 @@ def test_latched_states_are_those_of_the_effect():
     for i in range(2):
         was = 0.0
         for value, state in zip(x, states[:, i], strict=True):
-            was = latched(value, was, deviation[i], on[i])
+            was = latch_state(value, was, deviation[i], on[i])
             assert was == state

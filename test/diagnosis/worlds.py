@@ -26,7 +26,7 @@ from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.synthetic import drives
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
-from trackres_ros.effects.learned import EmpiricalEffect, sized
+from trackres_ros.effects.learned import EmpiricalEffect, sized_effect
 
 LAP_S, LAPS = 75.0, 8  # of each drive
 HELD_OUT_EVERY = 4  # so many laps of a drive leave one that is not fitted
@@ -124,7 +124,7 @@ def fit_with(found: Fit, *effects: Effect) -> Fit:
 def form(effect: EmpiricalEffect) -> EmpiricalEffect:
     """A form of the size of this vehicle."""
     facts = base().facts
-    return sized(effect, facts.weight * facts.radius)
+    return sized_effect(effect, facts.weight * facts.radius)
 
 
 def series(found: Fit, of: Series, ahead: float | None = None, name: str = "series") -> ResidualPattern:

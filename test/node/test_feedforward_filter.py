@@ -54,7 +54,7 @@ class Drive:
 
     def change(self, index):
         changed = self.estimators[index].session()
-        changed.adopt(self.session)
+        changed.copy_from(self.session)
         self.session = self.filter.session = changed
         self.number.append(changed.estimator.constants.number)
 

@@ -6,6 +6,7 @@
 import dataclasses
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,6 +54,15 @@ def test_noise_alone_is_no_mismatch(phi, size, dt, settings):
         assert not turned
         assert detector.verdict.settled
         assert detector.verdict.text == "no lasting difference"
+
+
+@pytest.mark.parametrize(("speed", "torque", "factor"), [(3.0, 5.0, 27.0), (3.0, -5.0, 30.0 / 0.9), (-3.0, -5.0, 27.0)])
+def test_a_live_torque_at_the_motor_is_one_at_the_sprockets(desk, topics, speed, torque, factor):
+    d = desk(Path(topics).read_text().replace("torque.y}", "torque.y, at: motor}"), vehicle="agri3t")
+    d.drive(2.0, speed=speed, torque=torque)
+    _, (measured, expected, residual) = d.last("torque_residual")
+    assert measured == pytest.approx(factor * torque)  # of its gears: a ratio of 30, an efficiency of 0.9
+    assert residual == pytest.approx(measured - expected)
 
 
 def test_hills_that_nobody_measured_seldom_raise_it():

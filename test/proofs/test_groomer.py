@@ -150,7 +150,7 @@ def test_the_loggers_tables_hold_what_was_driven(tmp_path):
     (folder,) = (tmp_path / "cases").iterdir()
     (g,) = draw_groomers({"cold": 1}, 7)
     _, recordings, loaded = opened(folder)
-    assert loaded.known.motor_ratio == RATIO
+    assert loaded.known.gears.ratio == RATIO
     by_name = sorted(recordings, key=lambda r: r.name)
     for recording, snow, mass in zip(by_name, snow_drives(g), g.masses, strict=True):
         read = {role: recording.series[role].value for role in ("speed", "torque", "ambient", "load")}

@@ -10,7 +10,7 @@ import pytest
 
 from proofs.sealed.cases import RIGHT_FORMS, Case, sensors_of
 from proofs.sealed.own import OwnProof
-from proofs.sealed.page import TARGETS, learned_table, outside_table, scores_and_page, side_by_side
+from proofs.sealed.results import TARGETS, report_of, tables_of
 from proofs.sealed.scoring import (
     OURS,
     MassError,
@@ -25,6 +25,7 @@ from proofs.sealed.scoring import (
     sizes,
     true_values,
 )
+from proofs.tables import FOLDER, read_table
 
 PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
 
@@ -119,30 +120,28 @@ def test_scores_of_what_is_outside():
     name = "outside, predictable: held-out error removed, of what the oracle removes (median)"
     assert values[name] == pytest.approx([0.6, -0.5])
     assert values["held-out error removed, of what the oracle removes (median)"] == []
-    table = learned_table(entry)
-    assert "| 2 | 0.05 | 0.50 |" in table
-    assert "| outside: worse than the base | 4 | 1 | 0 |" in table
-    by_kind = outside_table(entry)
-    assert "| a bump | town | yes | no | 60% | curve |" in by_kind
-    assert "| a sine | town | yes | no | -50% | delay |" in by_kind
+    tables = tables_of(entry, "own", 1, "seal")
+    learned_valuess = {(row["method"], row["score"]): (row["cases"], row["value"]) for row in tables["learners"]}
+    removed = "outside, predictable: removed, of what the oracle removes (median)"
+    assert [learned_valuess[method, removed] for method in ("diagnosis", "trees")] == [("2", "0.05"), ("2", "0.50")]
+    assert [learned_valuess[method, "outside: worse than the base"] for method in ("diagnosis", "trees")] == [
+        ("4", "1"),
+        ("4", "0"),
+    ]
+    assert {row["hidden"]: (row["right"], row["error_removed"], row["verdict"]) for row in tables["outside"]} == {
+        by_chance: ("yes", "1.00", "unexplained"), "a bump": ("no", "0.60", "curve"), "a sine": ("no", "-0.50", "delay"),
+    }  # fmt: skip
 
 
-def written(folder, of, seed, drawn):
-    """Scores, as their file has them, and page."""
-    kept, text = scores_and_page(folder, of, "seal", seed, drawn)
-    return json.loads(json.dumps(kept)), text
-
-
-def test_two_truths_side_by_side(tmp_path):
-    item = [scored("none", [], report("none"), oracle_error=200.0), scored("single", ["delay"], report("named", ["delay"]))]
-    runs = {}
-    for name, kept in (("own", item), ("other", item[:1])):
-        (tmp_path / name).mkdir()
-        runs[name] = written(tmp_path / name, kept, 1, 2)[0]
-    lines = side_by_side(runs).splitlines()
-    assert lines[0] == "| Score | Target | own | other |"
-    assert "| none: false alarm | at most 3% | 0% (0 of 1; 0% to 79%), met | 0% (0 of 1; 0% to 79%), met |" in lines
-    assert "| single: truth in the reported class | at least 95% | 100% (1 of 1; 21% to 100%), met | not measured |" in lines
+def test_a_score_has_its_interval_target_and_outcome():
+    item = [scored("none", [], report("none"), oracle_error=200.0), scored("single", ["delay"], report("named", ["mullins"]))]
+    rows = {row["score"]: row for row in tables_of(item, "own", 1, "seal")["scores"]}
+    quiet, wrong = rows["none: false alarm"], rows["single: truth in the reported class"]
+    keys = "truth", "hits", "of", "value", "low", "high", "target", "met"
+    assert [quiet[key] for key in keys] == ["own", "0", "1", "0.00", "0.00", "0.79", "at most 0.03", "yes"]
+    assert [wrong[key] for key in keys] == ["own", "0", "1", "0.00", "0.00", "0.79", "at least 0.95", "no"]
+    untried = rows["two: both"]
+    assert [untried[key] for key in keys] == ["own", "0", "0", "", "", "", "", ""]
 
 
 def test_mistakes_in_a_town():
@@ -189,33 +188,31 @@ def test_scores_in_a_town():
     assert values[f"street, stretch load: {removed}"] == pytest.approx([0.5])
     assert values["street, load described: masses off, of the load, over 300 s of driving (median)"] == [0.05, 0.2]
     assert values["street, load described: masses off, of the load, all (median)"] == [0.05, 0.2, 0.02, 0.5]
-    by_kind = outside_table(item)
-    assert "| nothing | town | yes | yes |  | none |" in by_kind
-    assert "| nothing | town | yes | no |  | delay |" in by_kind
-    assert "| street_slope | town | yes | yes | 80% | grade |" in by_kind
+    tables = tables_of(item, "own", 1, "seal")
+    by_kind = [tuple(row.values()) for row in tables["outside"]]
+    assert ("own", "street", "nothing", "town", "yes", "yes", "", "none") in by_kind
+    assert ("own", "street", "nothing", "town", "yes", "no", "", "delay") in by_kind
+    assert ("own", "street", "street_slope", "town", "yes", "yes", "0.80", "grade") in by_kind
     assert set(TARGETS) <= {*result, *own, *values}
-    assert "| street: worse than the base | 6 | 1 | 0 |" in learned_table(item)
+    worse = [row for row in tables["learners"] if row["score"] == "street: worse than the base"]
+    assert [(row["cases"], row["value"]) for row in worse] == [("6", "1"), ("6", "0")]
 
 
-def test_the_page_of_a_run_of_towns_alone(tmp_path):
+def test_a_run_writes_the_columns_of_the_published_tables(tmp_path, repository):
     item = [
         scored("street", [], report("none"), oracle_error=200.0),
         scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
+        scored("two", ["delay", "mullins"], report("named", ["delay", "mullins"])),
     ]
-    kept, text = written(tmp_path, item, 3, 4)
-    assert "2 cases of the 4 that were sealed" in text
-    assert "| street_slope | town | yes | yes | 80% | grade |" in text
-    assert (tmp_path / "cases.csv").read_text().count("street") == 3  # two levels, one name
-    assert (tmp_path / "confusion.png").stat().st_size > 1000
-    assert [entry["wrong"] for entry in kept["cases"]] == ["", ""]
-
-
-def test_a_run_of_pairs_alone_has_no_confusion_picture(tmp_path):
-    pair = scored("two", ["delay", "mullins"], report("named", ["delay", "mullins"]))
-    _, text = written(tmp_path, [pair], 7, 1)
-    assert "confusion.png" not in text
-    assert not (tmp_path / "confusion.png").exists()
-    assert "| two: both | 100% (1 of 1) |" in text
+    kept, text = report_of(tmp_path, item, "own", {"seed": 3, "cases": [{}] * 4}, "seal")
+    assert "3 cases of the 4 that were sealed" in text
+    assert [load["wrong"] for load in json.loads(json.dumps(kept))["cases"]] == ["", "", ""]
+    written = sorted((tmp_path / FOLDER).iterdir())
+    assert [path.stem for path in written] == ["cases", "learners", "outside", "runs", "scores"]
+    for path in written:
+        rows, published = read_table(path), read_table(repository / "docs" / "trust" / path.name)
+        assert list(rows[0]) == list(published[0])
+    assert read_table(tmp_path / FOLDER / "runs.csv") == [{"truth": "own", "cases": "3", "seed": "3", "seal": "seal"}]
 
 
 def test_masses_are_compared_between_changes_of_the_load():

@@ -9,6 +9,7 @@ import pytest
 
 from proofs import pipeline
 from proofs.sealed.second import _accepted, _by_place, _comparable, _stated, read_labels
+from proofs.tables import FOLDER, read_table
 
 
 def label(name, kind, level="outside", d_prime=40.0):
@@ -82,7 +83,10 @@ def test_cases_of_another_simulator_get_the_same_scores(tmp_path):
     true = own["outside, seen by the oracle: described, and the statement is true"]
     assert (true["hits"], true["of"]) == (1, 2)
     assert kept["sizes"]["outside, predictable: held-out error removed, of what the oracle removes (median)"] == [0.5, 0.5]
-    assert "| pump | mixed | yes | yes | 50% | spells |" in (tmp_path / "out" / "proof.md").read_text()
+    outside = read_table(tmp_path / "out" / FOLDER / "outside.csv")
+    assert list(next(row for row in outside if row["hidden"] == "pump").values()) == [
+        "second", "outside", "pump", "mixed", "yes", "yes", "0.50", "spells",
+    ]  # fmt: skip
 
 
 def test_a_confirmed_place_counts_as_the_soft_ground_there():

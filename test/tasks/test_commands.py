@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from trackres_ros.estimator.energy import taken_text
+from trackres_ros.estimator.energy import drive_text
 from trackres_ros.tasks.options import vehicles_to_complete
 from trackres_ros.vehicle import load
 
@@ -184,7 +184,7 @@ def test_a_small_drive_has_two_figures_of_everything():
         "largest_resistance_nm": 9.4,
         "energy_mj": 0.00123,
     }
-    text = taken_text({**item, "kwh_per_km": 0.0813})
+    text = drive_text({**item, "kwh_per_km": 0.0813})
     assert text == (
         "The drive: 0.0042 km, 0.35 min of driving; mean resistance 0.31 Nm, at most 9.4 Nm; 0.0012 MJ (0.081 kWh/km)"
     )

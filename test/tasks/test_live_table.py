@@ -85,7 +85,7 @@ def test_what_is_watched_for_is_shown_and_said():
     assert as_dict(overview(), False)["disturbance"] is None
     text = as_dict(watching, False)["disturbance"]
     assert (text["there"], text["present"], text["torque_nm"]) == (0.97, True, 291.0)
-    drift = as_dict(replace(watching, disturbance=replace(belief, form="drift", there=math.nan)), False)
+    drift = as_dict(replace(watching, disturbance=replace(belief, form="drift", probability=math.nan)), False)
     assert json.loads(json.dumps(drift, allow_nan=False))["disturbance"]["there"] is None
 
 

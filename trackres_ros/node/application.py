@@ -502,7 +502,7 @@ class Application:
 
     def reset(self) -> str:
         """Start cold, with belts at the ambient temperature; inputs stay. Return a text for the log."""
-        self.session.start_cold(driving=self.filter.age_s(self.clock.steady_ns()) <= self.filter.max_age_s)
+        self.session.start_cold(is_driving=self.filter.age_s(self.clock.steady_ns()) <= self.filter.max_age_s)
         self._forget()
         text = f"the estimate restarts with cold {'belts' if self.estimator.assemblies else 'effects'} at the next speed"
         self._log(Level.WARN, f"reset: {text}")
@@ -557,7 +557,7 @@ class Application:
 
     def _continue_with(self, estimator: Estimator) -> None:
         session = estimator.session()
-        session.adopt(self.session)
+        session.copy_from(self.session)
         self.estimator, self.session, self.filter.session = estimator, session, session
 
     def _rest_unused_belts(self) -> None:

@@ -15,18 +15,19 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MPS2, Belief, DisturbanceWatch
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.settings import setting
 from trackres_ros.estimator.snapshot import LEARNED_AT
-from trackres_ros.learning.columns import LearningColumns, lines, shown
+from trackres_ros.learning.columns import LearningColumns, learning_values, lines
 from trackres_ros.learning.learner import OFF, ON, Learner, use_file
-from trackres_ros.learning.store import go_on, since_learned, stored
+from trackres_ros.learning.store import continue_session, learner_content, since_learned
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Status
 from trackres_ros.units import MAD_TO_STD, NANOSECOND
@@ -41,6 +42,9 @@ RELATED_S = 30.0  # bins further apart have uncorrelated noise
 MOST_PHI = 0.98  # nearer to 1 an offset and a random walk are one
 OUTLIER = 5.0  # standard deviations: limit of a bin
 LEAST_NOISE = 0.001  # of the expected torque: finer than torque transducers are (class 0.1), for a residual without noise
+
+
+Compared = TypeVar("Compared", float, Array)
 
 
 @dataclass(frozen=True)
@@ -64,9 +68,9 @@ class MismatchSettings:
     mismatch_min_speed_mps: float = setting(STEADY_MPS, "m/s", 0.0, 30.0, "lower speeds are not compared")
     mismatch_max_accel: float = setting(STEADY_MPS2, "m/s^2", 0.01, 15.0, "larger accelerations are not compared")
 
-    def compares(self, speed_mps: float, accel_mps2: float) -> bool:
-        """Whether measured and expected torque are compared at a speed [m/s] and an acceleration [m/s^2]."""
-        return abs(speed_mps) >= self.mismatch_min_speed_mps and abs(accel_mps2) <= self.mismatch_max_accel
+    def compares(self, speed_mps: Compared, accel_mps2: Compared) -> Any:
+        """Whether measured and expected torque are compared at a speed [m/s] and an acceleration [m/s^2], numbers or arrays."""
+        return (abs(speed_mps) >= self.mismatch_min_speed_mps) & (abs(accel_mps2) <= self.mismatch_max_accel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,7 +361,7 @@ class Comparison:
             counts = self._detector.settings.compares(speed, accel)
             now_ns = stamp_ns + set_ns
             self.belief = self._watch.take(now_ns, residual if counts else math.nan, speed, now_ns - arrival_ns, has_jumped)
-            explained_torque = 0.0 if self.belief.overdue else self.belief.torque_nm * math.copysign(1.0, speed)
+            explained_torque = 0.0 if self.belief.is_overdue else self.belief.torque_nm * math.copysign(1.0, speed)
         self._detector.take(
             stamp_ns,
             residual - explained_torque,
@@ -373,15 +377,15 @@ class Comparison:
         verdict, belief = self.verdict, self.belief
         return [
             *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
-            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
+            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.is_present else []),
         ]
 
 
 def _spell_change(last: Belief | None, belief: Belief | None) -> str:
     """Text that a spell begins or is over; empty if neither."""
-    if last is None or belief is None or last.present is belief.present:
+    if last is None or belief is None or last.is_present is belief.is_present:
         return ""
-    return f"{'the disturbance begins' if belief.present else 'the disturbance is over'}: {belief.text}"
+    return f"{'the disturbance begins' if belief.is_present else 'the disturbance is over'}: {belief.text}"
 
 
 class LiveLearning:
@@ -408,18 +412,18 @@ class LiveLearning:
         if self.learner is None:
             self._stored_values = values
             return "the learned parameters are kept, but no torque is measured"
-        go_on(session, self.learner, values, since_learned(values, now_s))
+        continue_session(session, self.learner, values, since_learned(values, now_s))
         self._stored_values = values if self.mode == OFF else None
         return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
     def wear(self, seconds: float) -> None:
         """Account for more time off [s] before the first speed; values that are only kept say when they were learned."""
         if self.learner is not None and self._stored_values is None:
-            self.learner.wear(seconds)
+            self.learner.add_wear(seconds)
 
     def stored(self) -> Any:
         """Plain values for the state file; None if nothing was learned."""
-        return self._stored_values if self.learner is None or self._stored_values is not None else stored(self.learner)
+        return self._stored_values if self.learner is None or self._stored_values is not None else learner_content(self.learner)
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
@@ -435,7 +439,7 @@ class LiveLearning:
 
     def columns(self, row: list[float], session: Session) -> list[float]:
         """Values of the columns after those of an estimate."""
-        return [] if self._columns is None else self._columns.of(row, session)
+        return [] if self._columns is None else self._columns.row_values(row, session)
 
     def change(self, mode: str, session: Session) -> None:
         """Change the mode; learned values stay, and act only in mode `on`."""
@@ -443,9 +447,9 @@ class LiveLearning:
             self.mode = mode
             return
         if mode == OFF:
-            self._stored_values = {LEARNED_AT: time.time(), **stored(self.learner)}
+            self._stored_values = {LEARNED_AT: time.time(), **learner_content(self.learner)}
         elif self._stored_values is not None:
-            go_on(session, self.learner, self._stored_values, since_learned(self._stored_values, time.time()))
+            continue_session(session, self.learner, self._stored_values, since_learned(self._stored_values, time.time()))
             self._stored_values = None
         if OFF in (mode, self.mode):
             self.learner.restart()
@@ -482,11 +486,11 @@ class LiveLearning:
             return ()
         overall_status = (
             ("mode", self.mode),
-            ("acts", str(self.learner.acts).lower()),
-            ("frozen", self.learner.frozen),
+            ("acts", str(self.learner.is_active).lower()),
+            ("frozen", self.learner.freeze_reason),
             ("disturbance", self.learner.disturbance),
         )
-        learned_lines = lines(self.learner, shown(self.learner))
+        learned_lines = lines(self.learner, learning_values(self.learner))
         rows = [("learning", self.text, overall_status), *learned_lines]
         return [Status(Level.OK, f"{node}: {name}", message, vehicle, values) for name, message, values in rows]
 
@@ -494,6 +498,6 @@ class LiveLearning:
         """Present notices of the learning."""
         if self.learner is None or self.mode == OFF:
             return []
-        frozen_reason, left_out = self.learner.frozen, self.learner.left_out
+        frozen_reason, left_out = self.learner.freeze_reason, self.learner.left_out
         text = f"learning is paused: {frozen_reason}" if frozen_reason else f"learning skips samples: {left_out}"
         return [Notice("LEARNING_FROZEN", text)] if frozen_reason or left_out else []

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.feedforward import approach, fade, feedforward_at, rate_towards
-from trackres_ros.estimator.plausible import towards
+from trackres_ros.estimator.plausible import step_towards
 from trackres_ros.node.inputs import NodeClock
 from trackres_ros.node.notices import Notice
 from trackres_ros.node.transport import Level, Reasons, Status, Transport, nearest_usable
@@ -124,7 +124,7 @@ class FeedforwardFilter:
             self._full_nm = approach(number, last_nm, present_nm, elapsed_s)
         else:  # while the session's goes to zero, so does this one
             end_nm = present_nm if min(0.0, last_nm) <= present_nm <= max(0.0, last_nm) else 0.0
-            self._full_nm = towards(last_nm, end_nm, rate_towards(number, 0.0) * elapsed_s)
+            self._full_nm = step_towards(last_nm, end_nm, rate_towards(number, 0.0) * elapsed_s)
         self._share, self._last_move_ns = self.share(course.steady_ns), course.steady_ns
         self.torque_nm = self._full_nm * self._share
         return self.torque_nm

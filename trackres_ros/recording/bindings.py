@@ -98,6 +98,8 @@ class TopicBinding:
     std_k: Positive = None  # standard deviation of a belt temperature [K], if given
     # its value belongs to that much earlier than its stamp
     delay_s: Annotated[float, Limits("s", 0.0, 10.0, "delay of a torque")] = 0.0
+    at: Literal["sprockets", "motor", ""] = ""  # of a torque: where it acts; empty if not given, then at the sprockets or wheels
+    gear_ratio: float = 1.0  # of a torque at the motor that is converted: of the gears between
     unit: str = ""  # unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide
     converts: bool = False  # whether the line of a topics file gives a unit or a scale: then the unit of the file is not used
     kg_each: Annotated[float | None, Limits("kg", 1.0, 500.0, "mass of one passenger, with luggage")] = None
@@ -211,12 +213,13 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
 
 OWN_KEYS = (
     "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s", "unit", "kg_each",
-    "threshold", "decimal", "derivative",
+    "threshold", "decimal", "derivative", "at",
 )  # fmt: skip
 """Keys of a line that are fields of a binding."""
 PARTS_OF_A_LINE = ("channel", "valid", "sum")
 ONLY_FOR = {
     "sensor": ("belt",), "std_k": ("belt",), "delay_s": ("torque",), "kg_each": ("passengers",), "threshold": ("brake",),
+    "at": ("torque",),
     "values": ("enable", "direction"), "derivative": ("speed",),
 }  # fmt: skip
 """Keys that have a meaning for some roles alone."""

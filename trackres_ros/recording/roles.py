@@ -203,7 +203,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
             parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight",
             not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|^(?!.*\bpowered veh).*combination|"
             r"\b(empty|tare|unladen|kerb|curb)\b"),
-        "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly",
+        "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly; or at the motor",
             parts=True, is_lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b",
             not_words=NOT_VEHICLE + r"|brak|brems|steer|lenk|retard|clutch|\bpto\b"),
         "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT, not_words=NOT_AMBIENT),

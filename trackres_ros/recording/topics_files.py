@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from trackres_ros.files.resources import shipped_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
@@ -32,7 +32,7 @@ def correct_bindings(role: str, correction: Conversion, bindings: Mapping[str, T
         return replace(
             binding,
             scale=correction.scale * binding.scale,
-            offset=correction.scale * binding.offset + correction.offset / len(roles),
+            offset=correction.scale * binding.offset + correction.offset / (len(roles) * binding.gear_ratio),
             converts=binding.converts or correction.scale != 1.0,
         )
 
@@ -56,6 +56,41 @@ def line_to_write(role: str, correction: Conversion, *binding_maps: Mapping[str,
     )
 
 
+@dataclass(frozen=True, slots=True)
+class TorqueCause:
+    """Why a measured torque may be a multiple of the torque at the sprockets."""
+
+    factor: float  # which it lacks
+    at: Literal["sprockets", "motor", ""] = ""  # where it acts instead, if that is the cause
+
+
+def torque_causes(
+    motor_ratio: float | None, *binding_maps: Mapping[str, TopicBinding], is_vehicle: bool = True
+) -> dict[str, TorqueCause]:
+    """Likely causes by their names, for "if it is ...". `motor_ratio`: of the vehicle file; `binding_maps`: of the recordings."""
+    causes = {"in kNm": TorqueCause(1e3), "in mNm": TorqueCause(1e-3)}
+    if is_vehicle:
+        causes |= {"counted twice": TorqueCause(0.5)} | {f"one of {n} equal parts": TorqueCause(float(n)) for n in (2, 3, 4)}
+    if motor_ratio:
+        at_motor = any(torque.at == "motor" for bindings in binding_maps for torque in _torques_of(bindings).values())
+        causes |= {"at the sprockets": TorqueCause(1.0 / motor_ratio, "sprockets")} if at_motor else {}
+        causes |= {} if at_motor else {"at the motor": TorqueCause(motor_ratio, "motor")}
+    return causes
+
+
+def torque_line(cause: TorqueCause, sign: float, *binding_maps: Mapping[str, TopicBinding]) -> str:
+    """As `line_to_write`, for a torque with such a cause, and a sign of 1 or -1."""
+    if not cause.at:
+        return line_to_write("torque", Conversion(sign * cause.factor), *binding_maps)
+    torque_maps = [_torques_of(bindings) or {"torque": TopicBinding()} for bindings in binding_maps]
+    corrected = [{role: replace(torque, at=cause.at) for role, torque in torques.items()} for torques in torque_maps]
+    return line_to_write("torque", Conversion(sign), *corrected)
+
+
+def _torques_of(bindings: Mapping[str, TopicBinding]) -> dict[str, TopicBinding]:
+    return {role: torque for role, torque in bindings.items() if base_role(role) == "torque"}
+
+
 def _line_content(binding: TopicBinding) -> dict[str, Any]:
     """Keys of a line: all that differ from the default, with the unit in the scale, which also replaces that of the file."""
     content: dict[str, Any] = {"sum": [_line_content(part) for part in binding.parts]} if binding.parts else {}
@@ -64,7 +99,7 @@ def _line_content(binding: TopicBinding) -> dict[str, Any]:
         is_given = value != item.default or (item.name == "scale" and binding.converts)
         if is_given and item.name in ("ways", "valid"):
             content |= {"values": as_said(value)} if item.name == "ways" else {"valid": _line_content(value)}
-        elif is_given and item.name not in ("parts", "unit", "converts"):
+        elif is_given and item.name not in ("parts", "unit", "converts", "gear_ratio"):
             content[item.name] = float(f"{value:.{FIGURES}g}") if isinstance(value, float) else value
     return content
 

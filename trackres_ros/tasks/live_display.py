@@ -99,7 +99,7 @@ def as_dict(overview: Overview, is_final: bool) -> dict[str, Any]:
         },
         "learning": overview.learning or None,
         "disturbance": disturbance and {
-            "form": disturbance.form, "there": _json_number(disturbance.there), "present": disturbance.present,
+            "form": disturbance.form, "there": _json_number(disturbance.probability), "present": disturbance.is_present,
             "torque_nm": _json_number(disturbance.torque_nm), "text": disturbance.text,
         },
         "state": {"file": overview.state_file, "saved_s_ago": _json_number(overview.saved_s_ago), "error": overview.state_error},

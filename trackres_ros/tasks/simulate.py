@@ -17,7 +17,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, ramp_and_hold, run_drive, series_of, through_points
-from trackres_ros.estimator.energy import taken, taken_text
+from trackres_ros.estimator.energy import drive_text, sum_drive
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import Steps
 from trackres_ros.files.output_files import BAG_SUFFIX, not_an_input, output_file
@@ -329,7 +329,7 @@ class SimulationResult(SeriesResult):
     @property
     def drive(self) -> dict[str, float]:
         """Summary of the drive: distance, driving time, resistance [Nm], energy, kWh/km, belts."""
-        return taken(self.vehicle, self.time_s, by_column(self.estimator, self._rows))
+        return sum_drive(self.vehicle, self.time_s, by_column(self.estimator, self._rows))
 
     def as_dict(self) -> dict[str, Any]:
         """The summary, ready for JSON.
@@ -415,4 +415,4 @@ def simulate_command(
     for note in result.notes:
         click.echo(f"trackres: {note}", err=True)
     report = {**result.as_dict(), "output": str(output)}
-    emit(report, as_json, lambda: f"{result!r}\n{taken_text(report['drive'])}\n{report['rows']} rows in {output}")
+    emit(report, as_json, lambda: f"{result!r}\n{drive_text(report['drive'])}\n{report['rows']} rows in {output}")

@@ -37,7 +37,7 @@ from trackres_ros.text import figures, listed, panel, table
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity, mass_per_length
 from trackres_ros.vehicle.description import FITTED, FLAGS
-from trackres_ros.vehicle.writing.vehicle_file import copied
+from trackres_ros.vehicle.writing.vehicle_file import copy_pairs
 from trackres_ros.vehicle.writing.yaml_edit import Document
 
 SHOWN_SPEED_SHARES = (0.05, 0.25, 1.0)  # of the greatest speed
@@ -298,7 +298,7 @@ def new_vehicle(name: str, folder: Path, template: str) -> list[Path]:
     paths = [target]
     rubber = content.get("rubber", {}).get("file")
     if rubber:
-        place = copied(source.parent / rubber, folder, Path(rubber))
+        place = copy_pairs(source.parent / rubber, folder, Path(rubber))
         paths.append(folder / place)
         if place != rubber:
             document.set(("rubber", "file"), place)

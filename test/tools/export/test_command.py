@@ -22,7 +22,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.snapshot import save
 from trackres_ros.learning.learner import ON, Learner
 from trackres_ros.learning.parameters import STEP
-from trackres_ros.learning.store import go_on, stored
+from trackres_ros.learning.store import continue_session, learner_content
 from trackres_ros.tools.export.c_source import check_names, in_c
 from trackres_ros.tools.export.exporting import Request, translated
 
@@ -130,14 +130,14 @@ def test_the_export_begins_with_what_a_restarted_node_knows(own, trackres, name,
         learned_values[at.OF_BELT] = 3.0 if estimator.assemblies else 0.0
     s.aim[:] = s.applied
     s.covariance *= 0.1
-    save(session, own / "off", 0.0, stored(learner))
+    save(session, own / "off", 0.0, learner_content(learner))
     refusal = trackres("export", "c", name, "-o", "out", "--state", "off", cwd=own)
     assert "without active learned parameters" in refusal.stderr
     s.fresh.better, s.lasting_nm, s.step_s, s.mean[STEP] = True, 250.0, 10.0, 250.0
-    save(session, own / "on", 0.0, stored(learner))
+    save(session, own / "on", 0.0, learner_content(learner))
     export_result = translated(Request(name, state=Path("on")))
     repetition, live = Learner(estimator, ON), estimator.session()
-    go_on(live, repetition, json.loads((own / "on").read_text())["learning"], off_s=0.0)
+    continue_session(live, repetition, json.loads((own / "on").read_text())["learning"], off_s=0.0)
     for i in range(30):
         row = live.handle(at.SPEED, i * 10**8, i * 10**8, 0.0).row.tolist()
         repetition.take(i * 10**8, row, live)

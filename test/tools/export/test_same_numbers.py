@@ -12,7 +12,7 @@ from built import EQUAL, SECOND_NS, START_NS, Built, difference, drive, have
 
 import trackres_ros as tr
 from trackres_ros.effects.effect import Active
-from trackres_ros.effects.learned import NAMES, learned
+from trackres_ros.effects.learned import NAMES, learned_effect
 from trackres_ros.effects.registry import catalogue
 from trackres_ros.effects.stepping import EACH, FIRST_OWN
 from trackres_ros.estimator import columns as at
@@ -108,7 +108,7 @@ def test_every_empirical_effect_is_the_same(tmp_path):
     values = {"x1": 1.0, "x2": 2.0, "x3": 4.0, "y1": 20.0, "y2": -10.0, "y3": 30.0, "threshold": 1.5, "off": 1.2, "on": 1.8}
     results = []
     for name in NAMES:
-        effect = learned(name, dict.fromkeys(("y1", "y2", "y3"), 0.0), vehicle.size)
+        effect = learned_effect(name, dict.fromkeys(("y1", "y2", "y3"), 0.0), vehicle.size)
         known = {q.name: values.get(q.name, q.start) if not q.is_fixed else q.start for q in effect.parameters}
         results.append(Active(effect, known))
     held_against(dataclasses.replace(vehicle, effects=tuple(results)), tmp_path, 0.1)

@@ -134,7 +134,7 @@ def compiled(tmp_path_factory):
     head = "#include <math.h>\n#include <stdint.h>\n#include <stdbool.h>\n"
     entries = ""
     for item in ones:
-        given_values = ", ".join([*(name for name, _ in item.given), *["&failed"] * item.fails])
+        given_values = ", ".join([*(name for name, _ in item.given), *["&failed"] * item.has_failure])
         entries += f"bool run_{item.function.__name__}(int64_t a, int64_t b, double *out)\n"
         entries += f"{{ bool failed = false; {item.name}({given_values}); return failed; }}\n"
     own = used_helpers(translator, functions)

@@ -21,6 +21,7 @@ from trackres_ros.model.track import with_methods
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any, with_surroundings
+from trackres_ros.vehicle.gears import gears_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,7 @@ def gate_settings(vehicle: Vehicle | RoadVehicle) -> GateSettings:
             torque_share=vehicle.torque_share,
             is_vehicle=road.rolls,
             track_width=vehicle.values.get("track_width"),
+            gears=gears_of(vehicle),
         )
     loads = vehicle.nominal_loads().tolist()
     return GateSettings(
@@ -101,7 +103,7 @@ def gate_settings(vehicle: Vehicle | RoadVehicle) -> GateSettings:
         vehicle.chassis.max_speed,
         vehicle.chassis.ambient,
         False,
-        motor_ratio=vehicle.chassis.motor_ratio,
+        gears=gears_of(vehicle),
         has_belt=True,
         axles={
             axle.name: {vehicle.assemblies[i].name: loads[i] for i in vehicle.assemblies_of(axle.name)} for axle in vehicle.axles

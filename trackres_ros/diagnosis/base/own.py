@@ -25,7 +25,7 @@ from trackres_ros.effects.stepping import (
     UNUSABLE,
     EffectScratch,
     EffectTable,
-    cooled,
+    cool_memory,
     new_effect_scratch,
     new_memory,
     rest_effects,
@@ -123,7 +123,7 @@ class OwnBase(Base):
             if i > 0 and np.isfinite(session.gap):
                 rest_own(*acting_effects.table, memory, scratch, float(session.ambient[0]), session.gap)
             else:
-                memory = cooled(memory)
+                memory = cool_memory(memory)
                 if session.first_drive:
                     memory[DISTANCE] = distance = 0.0
             true_session = replace(session, speed=acting_effects.speed(session), accel=acting_effects.accel(session))
@@ -187,7 +187,7 @@ class OwnBase(Base):
         values = file_changes.values or {}
         parameters = {name: (values.get(name, parameter[0]), *parameter[1:]) for name, parameter in self.model.parameters.items()}
         parameters = {n: (v, min(low, v), max(high, v), unit) for n, (v, low, high, unit) in parameters.items()}
-        return replace(self.model, parameters=parameters, effects=(*self.model.effects, *file_changes.of("vehicle")))
+        return replace(self.model, parameters=parameters, effects=(*self.model.effects, *file_changes.effects_of("vehicle")))
 
     def write(self, path: Path, file_changes: FileChanges, text: str) -> list[Path]:
         """See `base.Base`: the values of the parameters, and effects."""

@@ -138,7 +138,7 @@ class PlaceColumns:
 def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array, count: int) -> sparse.csr_matrix:
     """Means over the points within each sample; zero if any of them is at no place."""
     points = len(track.number) // len(factor)
-    is_known = np.repeat(track.known.reshape(-1, points).all(axis=1), points)
+    is_known = np.repeat(track.is_known.reshape(-1, points).all(axis=1), points)
     sample = np.repeat(np.arange(len(factor)), points)
     rows = np.flatnonzero(is_known)
     data = (track.share * sign)[rows] * factor[sample[rows], np.newaxis] / points

@@ -53,7 +53,7 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.locate import against_travel, closest_channel, torque_residuals
 from trackres_ros.effects.learned import EmpiricalEffect
-from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
+from trackres_ros.estimator.disturbance import BLOCK_S, predict_presence, update_presence
 from trackres_ros.progress import counted
 from trackres_ros.vehicle import Drift, Spells
 from trackres_ros.vehicle.description import DISTURBANCES
@@ -160,9 +160,9 @@ def expected_there(b: Blocks, chain: Chain) -> Array:
     levels, probability = (chain.rest, chain.level), chain.share
     forecast = np.empty(len(b.mean))
     for i, (mean, variance) in enumerate(zip(b.mean.tolist(), (chain.noise**2 / b.count).tolist(), strict=True)):
-        probability = chain.share if b.first[i] else later_there(probability, chain.come_rate, chain.go_rate)
+        probability = chain.share if b.first[i] else predict_presence(probability, chain.come_rate, chain.go_rate)
         forecast[i] = probability
-        probability = seen_there(probability, mean, levels, variance)
+        probability = update_presence(probability, mean, levels, variance)
     return forecast
 
 

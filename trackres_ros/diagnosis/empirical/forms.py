@@ -188,7 +188,7 @@ def _finer(grid: Array, threshold: float) -> Array:
 
 
 def latched_states(x: Array, off_values: Array, on_values: Array) -> Array:
-    """State of latches along a series, initially off, shape (n, latches); see `effects.learned.latched`."""
+    """State of latches along a series, initially off, shape (n, latches); see `effects.learned.latch_state`."""
     set_, reset = x[:, np.newaxis] > on_values, ~(x[:, np.newaxis] >= off_values)
     row = np.arange(1, len(x) + 1)[:, np.newaxis]
     last_set, last_reset = (np.maximum.accumulate(np.where(event, row, 0), axis=0) for event in (set_, reset))
@@ -295,4 +295,4 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
             limits[learned.NEGATIVE] = most_on_side(np.where(reverse, 1.0, -1.0) * x[learned.DRIVING_TORQUE], 1)
         forms += [SidedGain(side, largest_torque) for side, largest_torque in limits.items() if min(limits.values()) > 0.0]
     size = facts.weight * facts.radius
-    return {effect.name: learned.sized(effect, size) for effect in forms}
+    return {effect.name: learned.sized_effect(effect, size) for effect in forms}

@@ -26,7 +26,7 @@ from trackres_ros.diagnosis.selection.locate import torque_residuals
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import SPACING_M
-from trackres_ros.route.matching import Matched, Places, matched, neighbours, places_of
+from trackres_ros.route.matching import Matched, Places, match_tracks, neighbour_pairs, places_of
 from trackres_ros.route.track import Frame, track_of
 from trackres_ros.text import figures
 from trackres_ros.vehicle.writing.changes import BY_PLACE
@@ -77,7 +77,7 @@ class Roads:
         """Number of passes of each place on used samples, shape (places,)."""
         pairs = set()
         for track, mask in zip(self.within, masks, strict=True):
-            used_rows = np.repeat(mask, len(track.number) // len(mask)) & track.known
+            used_rows = np.repeat(mask, len(track.number) // len(mask)) & track.is_known
             nearest_places = np.where(track.share[used_rows, 1] > 0.5, track.place[used_rows, 1], track.place[used_rows, 0])
             pairs |= set(zip(nearest_places.tolist(), track.number[used_rows].tolist(), strict=True))
         return np.bincount(np.array([place for place, _ in pairs], dtype=np.int64), minlength=len(self.places))
@@ -90,13 +90,13 @@ def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     is_known = np.isfinite(latitude) & np.isfinite(longitude)
     if not is_known.any():
         return None
-    frame = Frame.about(latitude, longitude)
+    frame = Frame.of_positions(latitude, longitude)
     tracks = [track_of(w.driven, *frame.metres(w.latitude, w.longitude)) for w in ways]
     places = places_of(tracks)
-    matches = matched(places, tracks)
-    matches_within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(matches, tracks, ways, strict=True))
+    matches = match_tracks(places, tracks)
+    matches_within = tuple(m.select(t.nearest_index(w.driven)) for m, t, w in zip(matches, tracks, ways, strict=True))
     middles = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(matches_within, sessions, strict=True))
-    return Roads(frame, places, StreetGraph.of(neighbours(matches), places.table, matches), middles, matches_within)
+    return Roads(frame, places, StreetGraph.of(neighbour_pairs(matches), places.table, matches), middles, matches_within)
 
 
 def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Term | None:
@@ -134,7 +134,7 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
     if not term.matters:
         return None
     metres = SPACING_M * int((passes > 0).sum())
-    course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.middles)
+    course = tuple(np.where(m.is_known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.middles)
     typical_passes = int(np.median(passes[passes > 1]))
     return replace(
         term,
@@ -154,7 +154,7 @@ def _slope_or_torque(
     }
     typical_sizes = {SLOPE: spread / (problem.base.facts.weight * problem.base.facts.radius), TORQUE: spread}
     base = _base_columns(current, current_fit)
-    at_places = [m & t.known for m, t in zip(masks, roads.middles, strict=True)]  # elsewhere the base alone would take a slope
+    at_places = [m & t.is_known for m, t in zip(masks, roads.middles, strict=True)]  # elsewhere the base alone would take a slope
     values_by_kind = {kind: learn(c, residuals, at_places, noise, typical_sizes[kind], base) for kind, c in columns.items()}
     slope_gain = values_by_kind[SLOPE].evidence - values_by_kind[TORQUE].evidence
     kind = SLOPE if slope_gain > SURE_OF_KIND else TORQUE

@@ -33,7 +33,10 @@ ANY_MACHINE = ("a part that rubs, binds or slips under these conditions",)
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
     learned.SPEED: (VehicleMechanism("a resonance of belt, wheels or drive train"), "a fan or pump driven by the motion"),
     learned.ACCELERATION: ("play in the drive train", "an inertia that the model lacks"),
-    learned.LOAD: (VehicleMechanism("a part that touches when the springs are compressed"), VehicleMechanism("soft ground")),
+    learned.LOAD: (
+        VehicleMechanism("a part that touches when the springs are compressed"),
+        VehicleMechanism("soft ground"),
+    ),
     learned.AMBIENT: ("grease or oil that thickens in the cold",),
     learned.TURN: (VehicleMechanism("a part that touches on one side in turns"), VehicleMechanism("a steering brake")),
     learned.TURNING: (VehicleMechanism("a part that touches in turns"), VehicleMechanism("sheared ground")),
@@ -53,8 +56,14 @@ LATCH_MECHANISMS: Mapping[int, tuple[str, ...]] = {
     learned.BELT: ("a fan, pump or valve with a thermostat",),
 }
 GAIN_MECHANISMS: Mapping[int, tuple[str, ...]] = {
-    learned.DRIVES: ("a torque sensor with another gain for one sign", VehicleMechanism("gears with a larger loss when driving")),
-    learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
+    learned.DRIVES: (
+        "a torque sensor with another gain for one sign",
+        VehicleMechanism("gears with a larger loss when driving"),
+    ),
+    learned.BRAKES: (
+        "a torque sensor with another gain for one sign",
+        "a friction brake that acts while the motor brakes",
+    ),
     learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
 }
 SPELL_MECHANISMS = (

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.estimator.disturbance import BLOCK_S, later_level, seen_level
+from trackres_ros.estimator.disturbance import BLOCK_S, predict_level, update_level
 from trackres_ros.kernels.marks import entry
 
 FEWEST_SAMPLES = 2  # of a block
@@ -248,6 +248,6 @@ def _follow_level(mean: Array, noise: Array, is_first: Mask, keep: float, size: 
         if is_first[i]:
             level, variance = 0.0, size * size
         else:
-            level, variance = later_level(level, variance, keep, size)
+            level, variance = predict_level(level, variance, keep, size)
         levels[i], spread[i] = level, variance + noise[i]
-        level, variance = seen_level(level, variance, mean[i], noise[i])
+        level, variance = update_level(level, variance, mean[i], noise[i])

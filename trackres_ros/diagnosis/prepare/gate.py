@@ -60,7 +60,7 @@ from trackres_ros.diagnosis.prepare.session import (
     whole_past,
 )
 from trackres_ros.diagnosis.prepare.speed_smoothing import with_slope
-from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
+from trackres_ros.diagnosis.prepare.torque_checks import at_sprockets, on_one_clock
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
@@ -68,7 +68,7 @@ from trackres_ros.estimator.records import Steps
 from trackres_ros.recording.recording import Recording, with_stamps
 from trackres_ros.recording.samples import Series, standing_time
 from trackres_ros.route.learned import SLOPE, RouteMap
-from trackres_ros.route.matching import matched
+from trackres_ros.route.matching import match_tracks
 from trackres_ros.route.track import track_of
 from trackres_ros.text import number_of, some_of
 from trackres_ros.units import SECOND_NS
@@ -190,6 +190,7 @@ def _admit(recording: Recording, hide: Sequence[str], settings: GateSettings) ->
     shortest_s = _shortest_s(step_of([recording], settings), settings)
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
+    recording = at_sprockets(recording, settings)
     check_compared(recording, shortest_s)
     notes += [f"{recording.name}: {note}" for note in original.wheel_notes(recording.series)]
     return _Admitted(recording, _standing_time(recording), notes)
@@ -442,9 +443,9 @@ def _values_along(session: DriveSession, route: RouteMap) -> Array:
     """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
-    match = matched(route.places, [track])[0].at(track.nearest(way.driven))
+    match = match_tracks(route.places, [track])[0].select(track.nearest_index(way.driven))
     route_values = route.value[match.place, (match.sign < 0.0).astype(int)]
-    is_known = np.isfinite(route_values) & (match.share > 0.0) & match.known[:, np.newaxis]
+    is_known = np.isfinite(route_values) & (match.share > 0.0) & match.is_known[:, np.newaxis]
     share = np.where(is_known, match.share, 0.0)
     total = share.sum(axis=1)
     values = (share * np.where(is_known, route_values, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)

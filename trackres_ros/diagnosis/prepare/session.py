@@ -20,6 +20,7 @@ from trackres_ros.recording.roles import PASSENGER_KG
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text import told_apart
 from trackres_ros.units import MAD_TO_STD, STANDSTILL_MPS
+from trackres_ros.vehicle.gears import Gears
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -228,7 +229,7 @@ class GateSettings:
     ambient: float  # [degC], for recordings without it
     friction_brakes: bool | None  # whether they may add to a braking torque, if not recorded; None for a vehicle without
     belt_shows_surface: bool = False  # whether a measured belt temperature is that of the surface, as from infrared
-    motor_ratio: float | None = None  # motor turns per sprocket turn; None if not in the file
+    gears: Gears | None = None  # between motor and sprockets; None if not in the file
     torque_scale: float = 1.0  # shown over true torque: sessions have the true one [Nm]
     torque_share: tuple[float, float] = (1.0, 1.0)  # limits of true over expected torque, by the ranges of the file
     passenger_kg: float = PASSENGER_KG  # of one passenger

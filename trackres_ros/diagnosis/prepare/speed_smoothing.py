@@ -433,7 +433,7 @@ def error_by_revisits(session: DriveSession) -> tuple[float, int]:
     """Standard deviation of the altitude's error between passes of a place [m], and the number of pairs; 0 without pairs."""
     from scipy.spatial import cKDTree  # takes a while to load
 
-    x, y = Frame.about(session.latitude, session.longitude).metres(session.latitude, session.longitude)
+    x, y = Frame.of_positions(session.latitude, session.longitude).metres(session.latitude, session.longitude)
     is_known = np.isfinite(x) & np.isfinite(session.altitude)
     piece = np.floor(session.distance / APART_M)
     rows = np.flatnonzero(is_known & (np.diff(piece, prepend=-1.0) > 0.0))

@@ -29,11 +29,13 @@ from trackres_ros.diagnosis.prepare.session import (
     WarningNote,
 )
 from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import Conversion, base_role
 from trackres_ros.recording.samples import Series
-from trackres_ros.recording.topics_files import line_to_write
-from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
+from trackres_ros.recording.topics_files import line_to_write, torque_causes, torque_line
+from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD, NANOSECOND
+from trackres_ros.vehicle.gears import no_gears
 
 SURE = 0.5  # correlation for a certain wrong sign or unit
 HEALTHY = (0.62, 1.7)  # of the inertia: covers a gear loss of a quarter, rotating parts and a sensor gain together
@@ -106,9 +108,7 @@ def check_torque(
     inertia = _inertia(m, e - r, columns)
     notes = _sign_notes(where, (m, e, v), inertia, sessions, settings)
     low, high = HEALTHY[0] * settings.torque_share[0], HEALTHY[1] * settings.torque_share[1]
-    allowed = (
-        "the torque of the whole vehicle at sprockets or wheels, in Nm" if settings.is_vehicle else "the torque of the model"
-    )
+    allowed = "the torque of the whole vehicle at its sprockets, in Nm" if settings.is_vehicle else "the torque of the model"
     if not (inertia.lower_share <= high and inertia.upper_share >= low):
         share = float(np.sqrt(inertia.lower_share * inertia.upper_share))
         statement = f"about {share:.2g} times the expected torque, by the speed's changes"
@@ -204,22 +204,18 @@ def _inertia(measured: Array, inertia: Array, other_columns: Array) -> _Inertia:
 
 def _remedy(share: float, sessions: Sequence[DriveSession], settings: GateSettings) -> str:
     """Possible causes of this ratio to the expected torque, and the line for the topics file."""
-    factors = {"in kNm": 1e3, "in mNm": 1e-3}
-    if settings.is_vehicle:
-        factors |= {"counted twice": 0.5} | {f"one of {n}": float(n) for n in (2, 3, 4)}
-    if settings.motor_ratio:
-        factors["of the motor"] = settings.motor_ratio
-    causes = [cause for cause, factor in factors.items() if 1.0 / NEAR < share * factor < NEAR]
-    nearest_cause = min(causes, key=lambda cause: abs(np.log(share * factors[cause])), default="")
     remedies, bindings = [], [s.bindings for s in sessions]
+    causes = torque_causes(None if settings.gears is None else settings.gears.ratio, *bindings, is_vehicle=settings.is_vehicle)
+    near = [name for name, cause in causes.items() if 1.0 / NEAR < share * cause.factor < NEAR]
+    nearest_cause = min(near, key=lambda name: abs(np.log(share * causes[name].factor)), default="")
     fastest_mps = max(float(np.percentile(np.abs(s.speed), 99.0)) for s in sessions)
     if 1.0 / NEAR < share * KMH_PER_MPS < NEAR and fastest_mps > KMH_PER_MPS * SLOWEST_MPS:
         remedies.append(f"if the speed is in km/h, {line_to_write('speed', Conversion(1.0 / KMH_PER_MPS), *bindings)}")
     if nearest_cause:
-        remedies.append(f"if it is {nearest_cause}, {line_to_write('torque', Conversion(factors[nearest_cause]), *bindings)}")
+        remedies.append(f"if it is {nearest_cause}, {torque_line(causes[nearest_cause], 1.0, *bindings)}")
     elif settings.is_vehicle:
         remedies.append(
-            "with scale in the topics file, multiply a motor torque by its gear ratio and the torque of one side by two"
+            "write at: motor for a torque at the motor, and scale: 2.0 for the torque of one side of two, in the topics file"
         )
     else:
         remedies.append("scale in the topics file converts a unit; if the model is off, widen the ranges of its parameters")
@@ -305,6 +301,31 @@ class _Offset(NamedTuple):
 
     seconds: int
     log_offset: bool
+
+
+def at_sprockets(recording: Recording, settings: GateSettings) -> Recording:
+    """The recording with its torques at the sprockets, where the topics file says that they are at the motor.
+
+    Raises InputError without gears in the vehicle file.
+    """
+    motor = [role for role in recording.series if base_role(role) == "torque" and _at_motor(recording.bindings, role)]
+    if not motor:
+        return recording
+    gears = settings.gears
+    if gears is None:
+        raise no_gears(f"{recording.name}: {motor[0]}", settings.has_belt)
+    times, speed = sort_samples(recording.series["speed"], recording.start_ns)
+    series, bindings = dict(recording.series), dict(recording.bindings)
+    for role in motor:
+        samples = series[role]
+        at_samples = np.interp((samples.stamp_ns - recording.start_ns) * NANOSECOND, times, speed)
+        series[role] = replace(samples, value=gears.at_sprockets(samples.value, at_samples))
+        bindings[role] = replace(bindings[role], gear_ratio=gears.ratio)
+    return replace(recording, series=series, bindings=bindings)
+
+
+def _at_motor(bindings: Mapping[str, TopicBinding], role: str) -> bool:
+    return role in bindings and bindings[role].at == "motor"
 
 
 def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:

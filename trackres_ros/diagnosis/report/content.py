@@ -31,7 +31,7 @@ from trackres_ros.diagnosis.selection.locate import Bin, residual_sources
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
-from trackres_ros.vehicle.writing.sensor_lines import replaced, sensor_lines
+from trackres_ros.vehicle.writing.sensor_lines import file_phrase, sensor_lines
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
@@ -41,7 +41,7 @@ BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
 def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
     """All findings as plain data."""
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
-    lines = sensor_lines(d.kept.of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
+    lines = sensor_lines(d.kept.effects_of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
     written_names = {kind: d.kept.names_of(kind) for kind in BELONGS_TO}
     routes = [_route(t, t.pattern, d.final) for t in d.in_order if isinstance(t.pattern, Route)]
     content = {
@@ -184,7 +184,7 @@ def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
             "--surroundings where it applies."
         )
     if lines:
-        steps.append(f"A sensor causes {sensors}. No file corrects that: {replaced(lines)}:")
+        steps.append(f"A sensor causes {sensors}. No file corrects that: {file_phrase(lines)}:")
     return steps
 
 

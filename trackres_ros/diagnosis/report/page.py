@@ -30,7 +30,7 @@ from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.files.file_sets import present_content
 from trackres_ros.files.own_files import write
 from trackres_ros.text import alike, decimals, figures, templates, told_apart
-from trackres_ros.vehicle.writing.sensor_lines import replaced
+from trackres_ros.vehicle.writing.sensor_lines import file_phrase
 from trackres_ros.version import __version__
 
 MOST_WORDS = 40  # upper limit for the sentence
@@ -223,7 +223,7 @@ def _advice_tile(d: Diagnosis, lines: Mapping[str, str]) -> Tile:
         if lead is None or lead.name in task.separates:
             return Tile(name, "Drive once more", f"{capitalise(task.manoeuvre)} ({figures(task.minutes, 2)} min)")
     if lines:
-        return Tile(name, "Correct the sensor", f"{replaced(lines)} {'; '.join(lines.values())}")
+        return Tile(name, "Correct the sensor", f"{file_phrase(lines)} {'; '.join(lines.values())}")
     if d.found and any(by_file(d)):
         own_names, surroundings_names = (" and ".join(map(_plain_name, names)) for names in by_file(d))
         if not surroundings_names:

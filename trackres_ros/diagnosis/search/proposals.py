@@ -29,7 +29,7 @@ from trackres_ros.diagnosis.selection.visibility import (
     separability,
 )
 from trackres_ros.effects.effect import Effect
-from trackres_ros.effects.learned import EmpiricalEffect, sized
+from trackres_ros.effects.learned import EmpiricalEffect, sized_effect
 from trackres_ros.progress import counted
 
 BEST = 4  # of each list
@@ -90,7 +90,7 @@ class Proposer:
         self._columns.forget()
         forms = scanned_forms(current, levels, {code: series(code, current) for code in variable_codes(current)})
         for form, rows in (*forms, *clock_forms(current, levels)):
-            effect = sized(form, facts.weight * facts.radius) if isinstance(form, EmpiricalEffect) else form
+            effect = sized_effect(form, facts.weight * facts.radius) if isinstance(form, EmpiricalEffect) else form
             self._columns.give(effect, rows[:, np.newaxis])
             effects[f"scanned {form.name}"] = effect
         return effects

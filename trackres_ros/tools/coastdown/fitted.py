@@ -113,7 +113,7 @@ class Coastdown:
         spans = {("", p.name): p.interval for p in self.parameters if p.determined}
         names_determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
         return FileChanges(
-            self.values, (), spans, f"found in {self.runs.count} coast-downs: {names_determined}", by="trackres coastdown"
+            self.values, (), spans, f"found in {self.runs.count} coast-downs: {names_determined}", command="trackres coastdown"
         )
 
 

@@ -20,7 +20,7 @@ from trackres_ros.diagnosis.prepare.gate import Gated, on_route
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, GateSettings, Mask
 from trackres_ros.diagnosis.prepare.speed_smoothing import coasting_errors, confirm_slope, slope_of_altitude, with_slope
-from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
+from trackres_ros.diagnosis.prepare.torque_checks import at_sprockets, on_one_clock
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording, with_stamps
 from trackres_ros.recording.roles import Conversion
@@ -195,6 +195,7 @@ def _resample(recording: Recording, step: float, settings: GateSettings, limit: 
         reason = f"the torque {_hardly(limit)}, and its clock is not the speed's; it is not used"
         recording, clock_note = on_one_clock(replace(recording, series=series, order=None))
     notes += clock_note
+    recording = at_sprockets(recording, settings)
     if _torques(recording):
         messages: list[str] = []
         session, gaps = resample(recording, step, settings, messages, SHORTEST_RECORDING_S)

@@ -76,7 +76,9 @@ def put_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> 
             rubber = write_numbered(files["rubber"], _rubber_text(fit).encode())
             write(files["prony"], prony_text(fit).encode())
             with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=rubber)
-            changes = FileChanges(None, (), {}, by="trackres compound", amend=lambda text: _with_rubber(text, with_rubber, fit))
+            changes = FileChanges(
+                None, (), {}, command="trackres compound", amend=lambda text: _with_rubber(text, with_rubber, fit)
+            )
             write_track_vehicle(with_rubber, files["vehicle"], changes, "\n".join(_provenance(fit)))
     except OSError as error:
         raise InputError(

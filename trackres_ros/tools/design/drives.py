@@ -14,7 +14,7 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, lap_drive, run_drive, through_points
-from trackres_ros.estimator.energy import taken
+from trackres_ros.estimator.energy import sum_drive
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.track import vehicle_constants
@@ -115,7 +115,7 @@ def run_cycle(
     series = cycle.recorded(vehicle, [role for role, value in choices.items() if value is not None])
     load, air = (value if value is not None else series.get(role) for role, value in choices.items())
     columns = by_column(estimator, run_drive(estimator, cycle.drive, load, air))
-    return taken(vehicle, cycle.drive.time_s, columns), columns
+    return sum_drive(vehicle, cycle.drive.time_s, columns), columns
 
 
 def left_out(columns: Mapping[str, Array]) -> list[str]:

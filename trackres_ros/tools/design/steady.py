@@ -182,7 +182,7 @@ def plain_vehicle(vehicle: Vehicle, speed: float, ambient: float, weight: float 
         radius, network = model.track.sprocket_radius, model.network
         by_torque, drive = model.loss.by_torque(speed, belts[:, np.newaxis], of_track), np.zeros((NODES, len(of_track)))
         for _ in range(DRIVE_PASSES):
-            loss = by_torque.at(drive).total
+            loss = by_torque.loss_at(drive).total
             drive = radius * (loss * way + (bearing + drag) * of_track)
         film = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
         for load, course in zip(of_track.tolist(), loss.T, strict=True):

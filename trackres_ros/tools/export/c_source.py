@@ -16,9 +16,9 @@ from trackres_ros.effects.calls import CALL
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.records import LONGEST_STEP_S
-from trackres_ros.kernels.extension import filled, used_helpers
+from trackres_ros.kernels.extension import fill_template, used_helpers
 from trackres_ros.kernels.functions import Instance
-from trackres_ros.kernels.kinds import INT, REAL, WIDE, ArrayOf, Record, safe
+from trackres_ros.kernels.kinds import INT, REAL, WIDE, ArrayOf, Record, safe_name
 from trackres_ros.recording.roles import ROLES, UNITS
 from trackres_ros.tools.export.parts import Parts, StateArray
 
@@ -72,7 +72,9 @@ class CSource:
         """Each file by its name."""
         common = {"TITLE": self._title, "MADE": self._origin_text, "REAL": self.real, "VERSION": self.version()}
         values = {"trackres.h": self._header(), "trackres.c": self._source(), "main.c": self._main(), "CMakeLists.txt": {}}
-        return {name: filled((TEMPLATES / name).read_text(encoding="utf-8"), common | names) for name, names in values.items()}
+        return {
+            name: fill_template((TEMPLATES / name).read_text(encoding="utf-8"), common | names) for name, names in values.items()
+        }
 
     def version(self) -> str:
         """Version number of the state: a digest of everything that defines the numbers in a state."""
@@ -83,7 +85,7 @@ class CSource:
     def state_bytes(self) -> int:
         """Size of a state."""
         width = {INT: 8, WIDE: 8, REAL: 4 if self.translator.single else 8}
-        return CHECKED_BYTES + sum(width[array.kind.of] * self._length(array) for array in self.parts.arrays)
+        return CHECKED_BYTES + sum(width[array.kind.element] * self._length(array) for array in self.parts.arrays)
 
     # The header
 
@@ -104,14 +106,14 @@ class CSource:
 
     def _state(self) -> str:
         return "\n".join(
-            f"    {'trackres_real' if array.kind.of == REAL else self.translator.number(array.kind.of)} "
+            f"    {'trackres_real' if array.kind.element == REAL else self.translator.number(array.kind.element)} "
             f"{in_state(array)}[{self._length(array)}]; /* {_shape(array)}{array.axes} */"
             for array in self.parts.arrays
         )
 
     def _length(self, array: StateArray) -> int:
         """Number of elements of a state array in C; with `float` the total is even, so that there is no gap."""
-        reals = sum(int(state_array.start.size) for state_array in self.parts.arrays if state_array.kind.of == REAL)
+        reals = sum(int(state_array.start.size) for state_array in self.parts.arrays if state_array.kind.element == REAL)
         return int(array.start.size) + (reals % 2 if self.translator.single and array is self.parts.arrays[-1] else 0)
 
     # The source
@@ -162,7 +164,7 @@ class CSource:
             yield f"    for (int i = 0; i < {length}; i++) {{\n        {name}[i] = {literals[0]};\n    }}"
             return
         body = textwrap.fill(", ".join(literals), 110, initial_indent="            ", subsequent_indent="            ")
-        kind = self.translator.number(array.kind.of)
+        kind = self.translator.number(array.kind.element)
         yield f"    {{\n        static const {kind} start[{length}] = {{\n{body}\n        }};"
         yield f"        for (int i = 0; i < {length}; i++) {{\n            {name}[i] = start[i];\n        }}\n    }}"
 
@@ -184,14 +186,14 @@ class CSource:
     def _filled_record(self, kind: Record, const: bool) -> str:
         """The initializer of a record: arrays of the state, tuned numbers, records of these."""
         parts = []
-        for field, part in kind.stored():
+        for field, part in kind.stored_fields():
             if isinstance(part, Record):
                 parts.append(self._filled_record(part, const))
             elif not isinstance(part, ArrayOf):
                 parts.append(f"state->tuned[{self.parts.tuned.index(field)}]")
             else:
-                cast = f"({self.translator.declared(part).removesuffix('*')}*)" if const else ""
-                parts.append(f"{cast}state->{safe(field)}")
+                cast = f"({self.translator.declaration(part).removesuffix('*')}*)" if const else ""
+                parts.append(f"{cast}state->{safe_name(field)}")
         return f"{{{', '.join(parts)}}}"
 
     def _call(self, instance: Instance, **given: str) -> str:

@@ -27,7 +27,7 @@ from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.kernels.marks import sources_digest
 from trackres_ros.learning.learner import ON, Learner
-from trackres_ros.learning.store import go_on_from
+from trackres_ros.learning.store import continue_from
 from trackres_ros.node.parameters import make_parameters, read_parameters
 from trackres_ros.tools.export.c_source import CSource
 from trackres_ros.tools.export.parts import Parts
@@ -91,8 +91,8 @@ def _learned(estimator: Estimator, path: Path) -> Any:
     """The learned values with which a live node goes on after a restart: cold, and without what holds only for the moment."""
     saved_values, session, learner = snapshot.read_learning(estimator, path), estimator.session(), Learner(estimator, ON)
     session.begin(estimator.cold_start(estimator.inputs(0.0)))
-    go_on_from(path, session, learner, saved_values, off_s=0.0)
-    learner.act(session)
+    continue_from(path, session, learner, saved_values, off_s=0.0)
+    learner.apply_learned(session)
     if not session.learned[layout.Learned.on] > 0.0:
         given, allowed = "a state without active learned parameters", "a state of a run with --learning on"
         raise InputError(f"state file {path}", given, allowed, "save it with --learning on, after enough driving")

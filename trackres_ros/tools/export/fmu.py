@@ -29,7 +29,7 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.dataclass_reader import limits_of
 from trackres_ros.files.output_files import output_file
 from trackres_ros.files.own_files import write
-from trackres_ros.kernels.extension import filled
+from trackres_ros.kernels.extension import fill_template
 from trackres_ros.model.thermal import parting_resistance
 from trackres_ros.tools.export.c_source import TEMPLATES, CSource, in_c
 from trackres_ros.tools.export.exporting import Request, translated
@@ -95,7 +95,7 @@ def export_fmu(request: Request, path: Path) -> Path:
     variables = list(_variables(source))
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'trackres/{source.version()}/{len(variables)}')}}}"
     texts = {name: text for name, text in source.files().items() if name in ("trackres.c", "trackres.h")}
-    texts["fmi3.c"] = filled((TEMPLATES / "fmi3.c").read_text(encoding="utf-8"), _places(source, variables, token))
+    texts["fmi3.c"] = fill_template((TEMPLATES / "fmi3.c").read_text(encoding="utf-8"), _places(source, variables, token))
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")

@@ -59,7 +59,7 @@ class Parts:
         self._by_name = {array.name: array for array in self.arrays}
         self.arrays = [array for array in self.arrays if array.start.size]
         self.translator = Translator(translate_body, is_single)
-        self.translator.checked = False
+        self.translator.is_checked = False
         self.effects = EffectCalls(self.translator)
         self._translate_effects()
         self.entries = self._translate_entries()

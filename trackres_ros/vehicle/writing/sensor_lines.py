@@ -41,8 +41,8 @@ def sensor_lines(
     }
 
 
-def replaced(lines: Mapping[str, str]) -> str:
-    """Where such lines belong; those of several recordings cannot be in one file."""
+def file_phrase(lines: Mapping[str, str]) -> str:
+    """Name the file for the lines. Lines of several recordings cannot be in one file."""
     has_names = any(" of " in role for role in lines)
     return f"in the topics file{' of each recording' if has_names else ''}, replace the line of the role with"
 

@@ -37,7 +37,6 @@ def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
     tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, result)
     assert tried.outcome == "right"
     repeated = twice(tried)
-    assert np.all(np.diff(repeated.distance) > 0.0)
     assert repeated.repeats > 0.8
     assert repeated.follows_slope < 0.5
 
