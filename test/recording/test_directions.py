@@ -104,7 +104,7 @@ def test_a_message_without_a_direction_gives_no_speed(can_log):
     )
     keep = ~broken | (np.abs(TRUE) < 1e-9)
     np.testing.assert_allclose(recording.series["speed"].value, TRUE[keep], atol=1e-3)
-    assert ("no_direction", int(np.sum(~keep))) in {(one.kind, one.count) for one in recording.findings}
+    assert ("no_direction", int(np.sum(~keep))) in {(finding.kind, finding.count) for finding in recording.findings}
 
 
 @pytest.mark.parametrize("suffix", ["csv", "log", "mf4"])
@@ -123,7 +123,7 @@ def test_what_a_validity_refuses_gives_no_sample_and_is_counted(can_log, tmp_pat
         lines["direction"] = {"channel": "back", "values": ways}
     recording = read(path, **lines)
     np.testing.assert_allclose(recording.series["speed"].value, TRUE[valid], atol=1e-3)
-    assert ("invalid", int(np.sum(~valid))) in {(one.kind, one.count) for one in recording.findings}
+    assert ("invalid", int(np.sum(~valid))) in {(finding.kind, finding.count) for finding in recording.findings}
 
 
 def table(folder, **columns):
@@ -160,7 +160,7 @@ def test_a_column_reverse_of_words_is_left_alone(tmp_path):
     path.write_text("\n".join(["time_s,speed_mps,reverse", *rows]) + "\n")
     recording = tr.read(path)
     assert "direction" not in recording.series
-    assert "unsigned" in {one.kind for one in recording.findings}
+    assert "unsigned" in {finding.kind for finding in recording.findings}
 
 
 # The public command, on the case of the specification
@@ -183,12 +183,12 @@ def test_a_speed_never_negative_beside_reverse_is_a_finding(tmp_path, good):
     report = json.loads(
         good("replay", path, "--topics", tmp_path / "t.yaml", "--vehicle", "xgd24d", "-o", tmp_path / "o.csv", "--json")
     )
-    found = [one for one in tr.read(path, topics=tmp_path / "t.yaml").findings if one.kind == "unsigned"]
-    assert len(found) == 1
-    assert "direction: {channel: ReverseGearEngagedSignal" in found[0].text
+    results = [finding for finding in tr.read(path, topics=tmp_path / "t.yaml").findings if finding.kind == "unsigned"]
+    assert len(results) == 1
+    assert "direction: {channel: ReverseGearEngagedSignal" in results[0].text
     assert "never negative" in json.dumps(report)
     path = table(tmp_path, v=TRUE, ReverseGearEngagedSignal=BACK)
-    assert "unsigned" not in {one.kind for one in tr.read(path, topics=tmp_path / "t.yaml").findings}
+    assert "unsigned" not in {finding.kind for finding in tr.read(path, topics=tmp_path / "t.yaml").findings}
 
 
 # Rules
@@ -199,8 +199,8 @@ def test_neutral_keeps_the_way_and_a_negative_speed_its_sign(tmp_path):
     speed[50:60] = -2.0
     lever[:20], lever[20:100], lever[100:] = -1.0, 0.0, 1.0
     recording = tr.read(table(tmp_path, speed_mps=speed, travel_direction=lever))
-    expected = np.where(TIMES < 9.95, -np.abs(speed), speed)
-    np.testing.assert_array_equal(recording.series["speed"].value, expected)
+    expectation = np.where(TIMES < 9.95, -np.abs(speed), speed)
+    np.testing.assert_array_equal(recording.series["speed"].value, expectation)
 
 
 def test_a_direction_in_another_message_expires_and_is_said(tmp_path):
@@ -217,8 +217,8 @@ def test_a_direction_in_another_message_expires_and_is_said(tmp_path):
 
 def test_a_companion_of_one_message_is_not_timed_apart():
     apart, together = Companion(1.0, shares_message=False), Companion(1.0, shares_message=True)
-    for one in (apart, together):
-        one.take_sample(10**9, -1.0)
+    for item in (apart, together):
+        item.take_sample(10**9, -1.0)
     assert (apart.value_at(15 * 10**8), together.value_at(10**9)) == (-1.0, -1.0)
     assert math.isnan(together.value_at(10**9 + 1))
     assert math.isnan(apart.value_at(2 * 10**9 + 1))
