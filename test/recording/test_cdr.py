@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.cdr import NUMBERS, Encoding, FieldReader, MalformedError, Template, layout_of
-from trackres_ros.recording.message_types import definitions
+from trackres_ros.recording.message_types import Field, definitions
 
 STORE = get_typestore(Stores.LATEST)
 STORE1 = get_typestore(Stores.ROS1_NOETIC)
@@ -111,6 +112,64 @@ def test_equals_decoding_each_ros1_message(msgtype: str, data: st.DataObject) ->
     raws = [bytes(STORE1.serialize_ros1(message, msgtype)) for message in sent]
     reader = FieldReader(definitions(STORE1.fielddefs, msgtype), msgtype, CASES[msgtype], Encoding.ROS1)
     check(reader.decode(raws), [STORE1.deserialize_ros1(raw, msgtype) for raw in raws], CASES[msgtype])
+
+
+WIDE_TYPES = {
+    "x/msg/Y": (
+        Field("name", "wstring", "one", 1), Field("gear", "uint8", "one", 1), Field("notes", "wstring", "sequence", 1),
+        Field("speed", "float64", "one", 1), Field("both", "wstring", "array", 2), Field("torque", "float32", "one", 1),
+    )
+}  # fmt: skip
+LONG = "a text that is long enough to show the size of its units"
+WIDE_TEXTS = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=4)
+
+
+def wide_message(parts: tuple[Any, ...], unit_bytes: int, counts_bytes: bool, order: str) -> bytes:
+    """A message of `WIDE_TYPES` as CDR, with texts in units of two or four bytes."""
+    raw = bytearray()
+
+    def add(code: str, number: float) -> None:
+        size = struct.calcsize(code)
+        raw.extend(b"\0" * (-len(raw) % size) + struct.pack(order + code, number))
+
+    def add_text(text: str) -> None:
+        units = np.frombuffer(text.encode("utf-16-le"), "<u2")
+        add("I", 2 * len(units) if counts_bytes else len(units))
+        raw.extend(units.astype(f"{order}u{unit_bytes}").tobytes())
+
+    name, gear, notes, speed, both, torque = parts
+    add_text(name)
+    add("B", gear)
+    add("I", len(notes))
+    for text in notes:
+        add_text(text)
+    add("d", speed)
+    for text in both:
+        add_text(text)
+    add("f", torque)
+    return (b"\0\1\0\0" if order == "<" else b"\0\0\0\0") + bytes(raw)
+
+
+@pytest.mark.parametrize("form", [(2, False), (4, False), (2, True)], ids=["two bytes", "four bytes", "counted bytes"])
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_wide_texts_are_read_in_the_units_of_any_writer(form: tuple[int, bool], data: st.DataObject) -> None:
+    pair = st.tuples(WIDE_TEXTS, WIDE_TEXTS)
+    part = st.tuples(WIDE_TEXTS, st.integers(0, 255), st.lists(WIDE_TEXTS, max_size=3), st.floats(), pair, st.floats(width=32))
+    sent = [("", 1, [], 0.5, (LONG, LONG), 0.5), *data.draw(st.lists(part, max_size=8))]
+    order = data.draw(st.sampled_from("<>"))
+    raws = [wide_message(parts, *form, order) for parts in sent]
+    reader = FieldReader(WIDE_TYPES, "x/msg/Y", ["speed", "torque", "gear"])
+    decoded = reader.decode([*raws[1:], raws[0]])
+    assert not decoded.is_malformed.any()
+    np.testing.assert_array_equal(decoded.value, [[parts[3], parts[5], parts[1]] for parts in [*sent[1:], sent[0]]])
+
+
+@pytest.mark.parametrize("first", [6, 7, 8, 9, 10, 11])
+def test_messages_in_xcdr2_say_so(first: int) -> None:
+    reader = FieldReader(WIDE_TYPES, "x/msg/Y", ["speed"])
+    assert reader.decode([bytes([0, first, 0, 0]) + b"\0" * 32]).is_malformed.all()
+    assert reader.representation.startswith("XCDR2")
 
 
 def check(decoded: Any, sent: list[Any], fields: list[str]) -> None:

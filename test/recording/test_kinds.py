@@ -33,7 +33,7 @@ from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
 from trackres_ros.recording.recording import Recording, topics_in_use
 from trackres_ros.recording.roles import ROLES, UNITS, conversion
 
-LIBRARIES = ("asammdf", "can", "cantools", "h5py", "openpyxl", "pyarrow", "rosbags")
+LIBRARIES = ("asammdf", "can", "cantools", "h5py", "openpyxl", "pyarrow", "pyulog", "rosbags")
 asammdf, can, *_ = map(pytest.importorskip, LIBRARIES)
 MDF, Signal = asammdf.MDF, asammdf.Signal
 LONGEST = 12
@@ -571,6 +571,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path, monkeypatch, peak_of, kind
 
 def test_a_missing_library_says_how_to_install_it(files, monkeypatch):
     kinds = {"MF4": "asammdf", "BLF": "can", "ASC": "cantools", "MATLAB 7.3": "h5py", "Excel": "openpyxl", "Parquet": "pyarrow"}
+    kinds |= {"ULog": "pyulog"}
     for kind, module in kinds.items():
         with monkeypatch.context() as without:
             without.setitem(sys.modules, module, None)

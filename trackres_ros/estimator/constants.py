@@ -27,7 +27,7 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.cache import cached_arrays
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
 from trackres_ros.model.hysteresis import METHODS, Spectral
-from trackres_ros.model.loss_table import fingerprint, loss_table
+from trackres_ros.model.loss_table import LossTable, fingerprint, loss_table
 from trackres_ros.model.resistance import TORQUE_TERMS
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, parting_resistance, thermal_network
@@ -272,6 +272,10 @@ class Constants(NamedTuple):
     route_places: Annotated[Array, (None, PLACE_COLUMNS)]
 
 
+TableMaker = Callable[[Vehicle, str, Path | None], LossTable]
+"""Makes the loss table of a kind of track, by its name, with a folder of the cache."""
+
+
 class Running(NamedTuple):
     """Constants that depend on the running gear, tracks or wheels: assemblies, tables and numbers."""
 
@@ -290,19 +294,22 @@ def check_own_effects(vehicle: AnyVehicle) -> None:
 
 
 def make_constants(
-    vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, with_uncertainty: bool = True
+    vehicle: AnyVehicle,
+    settings: Settings,
+    cache: Path | None = None,
+    with_uncertainty: bool = True,
+    make_table: TableMaker = loss_table,
 ) -> Constants:
     """Gather the constants; builds the loss tables or takes them from the cache.
 
     Not `with_uncertainty`: belts without standard deviations and heat, and without the half second that these take at first.
+    `make_table`: makes the loss table of a kind of track.
     """
     check_own_effects(vehicle)
-    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty)
+    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, make_table)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     table = effect_table(vehicle.own, vehicle.surroundings)
-    frame, gears = frame_of(vehicle.route), gears_of(vehicle)
-    if settings.torque_at == "motor" and gears is None:
-        raise no_gears(str(vehicle.source), bool(vehicle.assemblies))
+    frame = frame_of(vehicle.route)
     feed_shares: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
         with_uncertainty=with_uncertainty,
@@ -312,9 +319,6 @@ def make_constants(
         route_latitude=frame.latitude,
         route_longitude=frame.longitude,
         belt_shows_surface=settings.belt_sensor == "surface",
-        torque_at_motor=settings.torque_at == "motor",
-        motor_ratio=math.nan if gears is None else gears.ratio,
-        motor_efficiency=math.nan if gears is None else gears.efficiency,
         bearing_friction=chassis.bearing_friction,
         drag_area=chassis.drag_coefficient * chassis.frontal_area,
         drag_area_std=math.hypot(*drag_area_stds(vehicle).values()),
@@ -340,6 +344,7 @@ def make_constants(
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
+        **_gears(vehicle, settings),
         **_places(vehicle),
         **_times_ns(settings),
         **feed_shares,
@@ -355,6 +360,15 @@ def make_constants(
         table.values,
         *followed_in(vehicle.route, frame),
     )
+
+
+def _gears(vehicle: AnyVehicle, settings: Settings) -> dict[str, Any]:
+    """The gears between motor and sprockets, and whether the measured torque is at the motor."""
+    gears, at_motor = gears_of(vehicle), settings.torque_at == "motor"
+    if at_motor and gears is None:
+        raise no_gears(str(vehicle.source), bool(vehicle.assemblies))
+    ratio, efficiency = (math.nan, math.nan) if gears is None else (gears.ratio, gears.efficiency)
+    return {"torque_at_motor": at_motor, "motor_ratio": ratio, "motor_efficiency": efficiency}
 
 
 def _places(vehicle: AnyVehicle) -> dict[str, Any]:
@@ -374,10 +388,10 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=2)  # a change of settings must not hold a node's outputs where no file can be cached
-def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool) -> Running:
+def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool, make_table: TableMaker) -> Running:
     """Assemblies with belts."""
     names = list(vehicle.tracks)
-    tables = [loss_table(vehicle, name, cache) for name in names]
+    tables = [make_table(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
     ranges = [coverage(vehicle, name) for name in names]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -33,6 +34,7 @@ WIDEST = 40.0  # decades of x
 DECADES = 0.5  # the ends are multiples of it
 EXACT_EACH, FINE_EACH = 20, 100  # exact evaluations for a decade, joined by cubics, and nodes, joined by straight lines
 EXACT_LOADS = 12
+QUICK_EACH, QUICK_LOADS, QUICK_HARMONICS_EACH = 5, 4, 16  # of a quick table: it differs by less than 0.1 % (test_compare.py)
 DRIVE_EVERY = 5  # of the exact evaluations along x has the drive's share too
 EVALUATED_DEGC = 20.0  # at any other temperature, the same x has the same loss
 FINE_LOADS = 64
@@ -104,16 +106,29 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
     """
 
     def compute() -> dict[str, Array]:
-        rubber, track = RubberModel(vehicle.rubber), vehicle.tracks[track_name]
-        spectral = vehicle.hysteresis == Spectral.name
-        nodes = thinned_numbers(TABLE_HARMONICS, HARMONICS_EACH)
-        method = Spectral(track, rubber, TABLE_HARMONICS, nodes) if spectral else METHODS[vehicle.hysteresis](track, rubber)
-        return build(method, load_range(vehicle, track_name))
+        return build(_method(vehicle, track_name, HARMONICS_EACH), load_range(vehicle, track_name))
 
     low, high = log_speeds(RubberModel(vehicle.rubber))
     nodes = round((high - low) * FINE_EACH) + 1
     shapes = {"axes": (4,), "loss": (nodes, FINE_LOADS), "drive": (nodes, 2)}
     arrays = cached_arrays(f"loss-{fingerprint(vehicle, track_name)}", shapes, compute, cache)
+    return _table(arrays)
+
+
+def quick_table(vehicle: Vehicle, track_name: str, _cache: Path | None = None) -> LossTable:
+    """Table of a vehicle that is used only once: with fewer exact evaluations, and not cached."""
+    method = _method(vehicle, track_name, QUICK_HARMONICS_EACH)
+    return _table(build(method, load_range(vehicle, track_name), QUICK_EACH, QUICK_LOADS))
+
+
+def _method(vehicle: Vehicle, track_name: str, harmonics_each: int) -> LossMethod:
+    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
+    if vehicle.hysteresis != Spectral.name:
+        return METHODS[vehicle.hysteresis](track, rubber)
+    return Spectral(track, rubber, TABLE_HARMONICS, thinned_numbers(TABLE_HARMONICS, harmonics_each))
+
+
+def _table(arrays: Mapping[str, Array]) -> LossTable:
     first_x, step_x, first_log_load, step_log_load = (float(value) for value in arrays["axes"])
     return LossTable(first_x, step_x, first_log_load, step_log_load, arrays["loss"], arrays["drive"])
 
@@ -142,14 +157,15 @@ def fingerprint(vehicle: Vehicle, track_name: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def build(method: LossMethod, loads: LoadRange) -> dict[str, Array]:
+def build(method: LossMethod, loads: LoadRange, exact_each: int = EXACT_EACH, exact_loads: int = EXACT_LOADS) -> dict[str, Array]:
     """Evaluate the exact method on a coarse grid and refine it by cubics in the logarithm: the arrays of a `LossTable`.
 
-    Bending does not depend on the load, and the logarithm of the indentation hardly bends over that of the load.
+    `exact_each`, `exact_loads`: exact evaluations for a decade of x, and over the loads. Bending does not depend on the load, and
+    the logarithm of the indentation hardly bends over that of the load.
     """
     low, high = log_speeds(method.rubber)
-    x, fine_x = (np.linspace(low, high, round((high - low) * density) + 1) for density in (EXACT_EACH, FINE_EACH))
-    log_load, fine_load = (np.linspace(np.log(loads.low), np.log(loads.high), count) for count in (EXACT_LOADS, FINE_LOADS))
+    x, fine_x = (np.linspace(low, high, round((high - low) * density) + 1) for density in (exact_each, FINE_EACH))
+    log_load, fine_load = (np.linspace(np.log(loads.low), np.log(loads.high), count) for count in (exact_loads, FINE_LOADS))
     speed = 10.0 ** (x - method.rubber.log_shift(EVALUATED_DEGC))
     exact_loss = method.by_torque(speed[:, np.newaxis], EVALUATED_DEGC, np.exp(log_load))
     over_x, over_load = cubic_weights(x, fine_x), cubic_weights(log_load, fine_load)

@@ -121,17 +121,16 @@ class VehicleState:
 
 def vehicle_state(
     vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float,
-    loss_factors: Mapping[str, float] | None = None, models: Mapping[str, TrackModel] | None = None,
+    models: Mapping[str, TrackModel] | None = None,
 ) -> VehicleState:  # fmt: skip
     """A vehicle with its effects at a speed [m/s], with the belt temperature of each assembly; see `explain`.
 
-    `loss_factors`: on the loss of kinds of track, by name; `models`: of these kinds, if several states of the vehicle share them.
+    `models`: of the kinds of track, by name, if several states of the vehicle share them.
     """
     nominal = vehicle.nominal_loads()
     loads = weight * nominal / nominal.sum()
     kinds = [(a.track, float(load), degc) for a, load, degc in zip(vehicle.assemblies, loads, belts_degc, strict=True)]
     of_tracks = models or track_models(vehicle)
-    factors = dict.fromkeys(vehicle.tracks, 1.0) | dict(loss_factors or {})
     effects_used, left_out = _effects(vehicle)
     belts = np.array(belts_degc)
     mean = float(belts[0] + (belts - belts[0]).mean())
@@ -139,14 +138,7 @@ def vehicle_state(
     terms = _belt_terms(effects_used, instant)
     for _ in range(DRIVE_PASSES):
         by_kind = {
-            (track, load, degc): _assembly_state(
-                vehicle.chassis,
-                instant,
-                degc,
-                terms._replace(loss_factor=factors[track] * terms.loss_factor),
-                of_tracks[track],
-                load,
-            )
+            (track, load, degc): _assembly_state(vehicle.chassis, instant, degc, terms, of_tracks[track], load)
             for track, load, degc in set(kinds)
         }
         assemblies = tuple(by_kind[kind] for kind in kinds)

@@ -66,6 +66,27 @@ FORMS = {
         ["log10 Frequency [Hz]", "lg storage modulus [Pa]", *PLAIN, "log tan delta"],
         [np.log10(F), np.log10(E1), T, F, E1 / 1e6, E2 / 1e6, np.log10(E2 / E1)],
     ),
+    "complex modulus, loss angle": text(
+        ["T [degC]", "f [Hz]", "|E*| [MPa]", "\u03b4 [\u00b0]"],
+        [T, F, np.hypot(E1, E2) / 1e6, np.degrees(np.arctan2(E2, E1))],
+    ),
+    "complex modulus in shear, phase angle in rad": text(
+        ["Temp (\u00b0C)", "Frequency (Hz)", "Complex shear modulus (kPa)", "Phase angle (rad)", "Complex viscosity (Pa s)"],
+        [T, F, np.hypot(E1, E2) / 3e3, np.arctan2(E2, E1), E1], ",",
+    ),
+    "complex modulus, tan delta": text(
+        ["Temperatur", "Frequenz", "Komplexer E-Modul", "tan \u03b4"], [T, F, np.hypot(E1, E2) / 1e6, E2 / E1], ";", True, "",
+        ["\u00b0C", "Hz", "MPa", "-"],
+    ),
+    "complex modulus, loss modulus": text(
+        ["T [degC]", "f [Hz]", "E* [MPa]", "E'' [MPa]"], [T, F, np.hypot(E1, E2) / 1e6, E2 / 1e6]
+    ),
+    "storage modulus, loss angle": text(
+        ["T [degC]", "f [Hz]", "E' [MPa]", "Loss angle [deg]"], [T, F, E1 / 1e6, np.degrees(np.arctan2(E2, E1))]
+    ),
+    "complex modulus and phase without units beside others": text(
+        [*PLAIN, "E*", "Phase"], [T, F, E1 / 1e6, E2 / 1e6, np.hypot(E1, E2), E2 / E1]
+    ),
     "a column without numbers": text([*PLAIN, "tan delta"], [T, F, E1 / 1e6, E2 / 1e6, T * np.nan]),
 }  # fmt: skip
 
@@ -118,6 +139,19 @@ def test_a_frequency_may_be_given_beside(tmp_path):
         read(tmp_path, content)
 
 
+def test_what_is_computed_from_a_complex_modulus_is_noted(tmp_path):
+    found = read(tmp_path, FORMS["complex modulus, loss angle"])
+    assert found.notes == ("computed: storage modulus from |E*| [MPa], tan delta from \u03b4 [\u00b0]",)
+
+
+def test_each_frequency_has_its_own_complex_modulus(tmp_path):
+    by = [np.isclose(F, f) for f in (0.5, 5.0, 50.0)]
+    head = ["T [degC]", *(f"{name}_{f}Hz [{unit}]" for f in (0.5, 5, 50) for name, unit in (("|E*|", "MPa"), ("delta", "deg")))]
+    both = (np.hypot(E1, E2) / 1e6, np.degrees(np.arctan2(E2, E1)))
+    columns = [T[by[0]], *(values[rows] for rows in by for values in both)]
+    same(read(tmp_path, text(head, columns)), np.concatenate([np.flatnonzero(rows) for rows in by]))
+
+
 GOOD = FORMS["MPa, commas"]
 BAD = {
     "no file of columns": ("a\nb\n", "missing: a temperature, a storage modulus"),
@@ -145,6 +179,12 @@ BAD = {
         for place, name in enumerate(GOOD.splitlines()[0].split(","))
         for log in ("log {}", "log10({})", "lg {}", "LN_{}", "Log{}", "{} (log)")
     },
+    "a loss angle without a unit": (
+        text(["T [degC]", "f [Hz]", "|E*| [MPa]", "delta"], [T, F, E1, E2]), "unit of delta: given 'none'; allowed: deg, rad",
+    ),
+    "a loss angle in degrees under rad": (
+        text(["T [degC]", "f [Hz]", "|E*| [MPa]", "delta [rad]"], [T, F, E1 / 1e6, T * 0 + 95.0]), "column delta .rad.*check its",
+    ),
     "too few": ("\n".join(GOOD.splitlines()[:5]), "4 rows at 2 temperatures over 15 K"),
 }  # fmt: skip
 

@@ -499,6 +499,36 @@ def test_a_sweep_over_the_air_says_so(good):
     assert told["columns"]["cold_nm"][0] > told["columns"]["cold_nm"][1]
 
 
+@pytest.mark.parametrize("words", [("--ambient-degc", "-10,30"), ("--ambient-degc=-10,30",)])
+def test_several_air_temperatures_are_rows_of_a_sweep(good, words):
+    """As if varied, and with a drive in that air; one alone is a condition."""
+    swept = json.loads(good("sweep", "agri3t", *words, "--cycle", "laps", "--json"))
+    assert swept["ambient_degc"] is None
+    columns = swept["columns"]
+    assert columns["chassis.ambient"] == [-10.0, 30.0]
+    for row, air in enumerate((-10, 30)):
+        alone = json.loads(
+            good("sweep", "agri3t", "--vary", "belt.width=+0%", "--ambient-degc", air, "--cycle", "laps", "--json")
+        )
+        assert alone["ambient_degc"] == air
+        for outcome in ("cold_nm", "warm_nm", "belt_degc", "kwh_per_km", "drive_kwh_per_km"):
+            assert alone["columns"][outcome][0] == columns[outcome][row]
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        ((), "several --ambient-degc"),
+        (("--ambient-degc", "-10"), "several --ambient-degc"),
+        (("--ambient-degc", "-100,3"), "numbers from -60 to 60"),
+        (("--vary", "chassis.ambient=1,2", "--ambient-degc", "-10,30"), "each value once"),
+        (("--vary", "chassis.ambient=1,2", "--ambient-degc", "-10"), "leave out --ambient-degc"),
+    ],
+)
+def test_a_sweep_without_a_varied_value_is_refused(refused, words, part):
+    assert part in refused("sweep", "agri3t", *words)
+
+
 def test_the_command_says_what_to_measure_first(good, tmp_path, vary):
     pytest.importorskip("matplotlib")
     vary("rubber.loss_modulus_scale", "chassis.bearing_friction", "rubber.density")

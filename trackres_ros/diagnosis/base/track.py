@@ -82,10 +82,8 @@ class TrackBase(FileBase):
             low, high = max(limit.low, min(low, 0.2 * q.low)), min(limit.high, max(high, 3.0 * q.high))
             return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high, (q.low, q.high))
 
-        film, capacity = (
-            vehicle.parameters[f"tracks.{first_track.name}.belt.film_offset"],
-            vehicle.parameters["rubber.heat_capacity"],
-        )
+        film = vehicle.parameters[f"tracks.{first_track.name}.belt.film_offset"]
+        capacity = vehicle.parameters["rubber.heat_capacity"]
         assert isinstance(film.value, float)
         assert isinstance(capacity.value, float)
         share = float(shares[0])

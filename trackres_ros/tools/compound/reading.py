@@ -21,6 +21,8 @@ from trackres_ros.recording.reading import check_there, reading
 from trackres_ros.recording.text_table import Column, Progress, TextTable, decide, marks_of, number_of
 from trackres_ros.text import figures
 from trackres_ros.tools.compound.columns import (
+    ANGLE,
+    COMPLEX,
     FREQUENCY,
     LOSS,
     STORAGE,
@@ -40,8 +42,8 @@ FEWEST_ROWS, FEWEST_DEGC, NARROWEST_K = 8, 4, 10.0
 TANGENT_DIFFERS = 0.02  # of loss over storage modulus, in the median: both are there, and cannot be of one test
 NEEDED = {
     (TEMPERATURE,): "a temperature",
-    (STORAGE,): "a storage modulus (E' or G')",
-    (LOSS, TANGENT): "a loss modulus (E'' or G'') or tan delta",
+    (STORAGE,): "a storage modulus (E' or G') or |E*|",
+    (LOSS, TANGENT): "a loss modulus (E'' or G''), tan delta or loss angle",
 }
 WHAT = "table of a DMA sweep as text"
 UNIT_REMEDY = "check its unit; delete rows that the instrument could not measure"
@@ -98,6 +100,8 @@ def _read(path: Path, name: str, frequency_hz: float | None) -> Sweep:
     _complete(columns, table.names, where, frequency_hz)
     if any(c.shear for c in columns):
         notes.append("moduli in shear were multiplied by 3, as rubber keeps its volume")
+    computed = [f"{c.role} from {c.name.strip()}" for c in columns if c.quantity]
+    notes += [f"computed: {', '.join(computed)}"] if computed else []
     if len(whole) < len(rows):
         notes.append(f"{len(rows) - len(whole)} rows with an empty cell were left out")
     if not whole:
@@ -148,6 +152,26 @@ def _each_once(
     return [columns[k] for k in kept], [(line, [values[k] for k in kept]) for line, values in rows]
 
 
+def _split_complex(columns: Sequence[DmaColumn], si: Array) -> None:
+    """Put tan delta in the place of loss angles, and storage moduli in that of complex ones: |E*|^2 = E'^2 + E''^2.
+
+    `si`: by row and column; a complex modulus without a loss at its frequency stays.
+    """
+    for k, column in enumerate(columns):
+        if column.quantity == ANGLE:
+            is_acute = (si[:, k] >= 0.0) & (si[:, k] < 0.5 * math.pi)
+            si[:, k] = np.where(is_acute, np.tan(si[:, k]), math.inf)  # infinite is out of limits
+    for k, column in enumerate(columns):
+        if column.quantity != COMPLEX:
+            continue
+        losses = [j for j, c in enumerate(columns) if c.role in (LOSS, TANGENT) and c.frequency in (column.frequency, None)]
+        if losses and columns[losses[0]].role == TANGENT:
+            tangent = si[:, losses[0]]
+            si[:, k] /= np.where(np.isfinite(tangent), np.hypot(1.0, tangent), 1.0)
+        elif losses:
+            si[:, k] = np.sqrt(np.maximum(si[:, k] ** 2 - si[:, losses[0]] ** 2, 0.0))
+
+
 @dataclass(frozen=True, eq=False)
 class _Table:
     """Numbers of a sweep with their lines, as given and in SI, each of shape (rows, columns)."""
@@ -163,6 +187,7 @@ class _Table:
         given = np.array([row for _, row in rows])
         with np.errstate(over="ignore"):  # infinite is out of limits
             si = given * np.array([c.scale for c in columns]) + np.array([c.offset for c in columns])
+            _split_complex(columns, si)
         return cls(name, columns, [line for line, _ in rows], given, si)
 
     def of_role(self, role: str) -> list[int]:
