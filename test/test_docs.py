@@ -12,7 +12,7 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.effects import catalogue
 from trackres_ros.estimator.columns import Count
-from trackres_ros.node.notices import LIVE_KINDS
+from trackres_ros.node.notices import KINDS
 from trackres_ros.node.parameters import PARAMETERS, make_parameters
 from trackres_ros.node.status import COMPARISON_KEYS, DISTURBANCE_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
 from trackres_ros.node.transport import live_topics

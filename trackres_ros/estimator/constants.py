@@ -294,7 +294,6 @@ def make_constants(
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     table = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
-    feed_shares: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
         with_uncertainty=with_uncertainty,
         surroundings=bool(vehicle.surroundings or vehicle.route),
@@ -323,15 +322,12 @@ def make_constants(
         speed_variance=settings.speed_std_mps**2,
         acceleration_variance=settings.acceleration_std**2,
         acceleration_time=settings.acceleration_time_s,
-        feedforward_rate=settings.feedforward_rate,
-        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, layout.Assembly.radius])),
         speed_max_age=settings.speed_max_age_s,
-        feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
         **_gears(vehicle, settings),
         **_places(vehicle),
         **_times_ns(settings),
-        **feed_shares,
+        **_feedforward(settings, float(np.dot(loads, runs_on.assembly[:, layout.Assembly.radius]))),
         **runs_on.numbers,
     )
     return Constants(
@@ -344,6 +340,16 @@ def make_constants(
         table.values,
         *followed_in(vehicle.route, frame),
     )
+
+
+def _feedforward(settings: Settings, weight_torque: float) -> dict[str, Any]:
+    """Rate, limit, fade and terms of the feed-forward; `weight_torque`: nominal weight times sprocket radius [Nm]."""
+    return {
+        "feedforward_rate": settings.feedforward_rate,
+        "feedforward_limit": settings.feedforward_share * weight_torque,
+        "feedforward_fade": settings.feedforward_fade_s,
+        **{f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS},
+    }
 
 
 def _gears(vehicle: AnyVehicle, settings: Settings) -> dict[str, Any]:
