@@ -29,6 +29,7 @@ PLUG_INS = {
     "compound": "compound.commands:compound_group",
     "export": "export.commands:export_group",
     "fleet": "fleet.commands:fleet_group",
+    "road-load": "design.commands:road_load_command",
     "sensitivity": "design.commands:sensitivity_command",
     "sweep": "design.commands:sweep_command",
     "trend": "fleet.commands:trend_command",
@@ -95,7 +96,8 @@ EXCEL = ["openpyxl>=3.1"]
 MDF = ["asammdf>=8.0"]
 CAN = ["python-can>=4.3", "cantools>=39.4"]
 MATLAB = ["h5py>=3.10"]
-FORMATS = PARQUET + EXCEL + MDF + CAN + MATLAB
+ULOG = ["pyulog>=1.0"]
+FORMATS = PARQUET + EXCEL + MDF + CAN + MATLAB + ULOG
 PLOTS = ["matplotlib>=3.6"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
@@ -167,6 +169,7 @@ setup(
         "mdf": MDF,
         "can": CAN,
         "matlab": MATLAB,
+        "ulog": ULOG,
         "plots": PLOTS,
         "notebook": NOTEBOOK,
         "dds": DDS,

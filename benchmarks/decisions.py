@@ -270,7 +270,7 @@ def page() -> dict[str, float]:
     """What a library that draws in the browser adds to a page, as it is and packed [kB]."""
     from bokeh.resources import Resources
 
-    from trackres_ros.diagnosis.report.interactive import packed
+    from trackres_ros.diagnosis.report.interactive import pack
 
     libraries = {"Bokeh, without widgets": "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)}
     if importlib.util.find_spec("plotly"):
@@ -280,7 +280,7 @@ def page() -> dict[str, float]:
     sizes = {}
     for name, text in libraries.items():
         sizes[f"{name} [kB]"] = len(text.encode()) / 1e3
-        sizes[f"{name}, packed [kB]"] = len(packed(text)) / 1e3
+        sizes[f"{name}, packed [kB]"] = len(pack(text)) / 1e3
     return sizes
 
 
@@ -333,7 +333,7 @@ def _symbol(kind: Any) -> Any:
     if isinstance(kind, kinds.Scalar):
         return casadi.SX.sym("x") if kind == kinds.REAL else 0
     shape = [length if isinstance(length, int) else 64 for length in kind.shape]
-    if kind.of != kinds.REAL:
+    if kind.element != kinds.REAL:
         return np.zeros(shape, dtype=np.int64)
     array = np.empty(int(np.prod(shape)), dtype=object)
     array[:] = [casadi.SX.sym(f"x{i}") for i in range(array.size)]

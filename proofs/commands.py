@@ -3,18 +3,21 @@
 
 """The commands of `python -m proofs`, one for each proof, and one that draws the paper's figures."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from trackres_ros import InputError
-from trackres_ros.files.file_sets import file_set
-from trackres_ros.files.own_files import write
 from trackres_ros.tasks import options
 from trackres_ros.tasks.main import SETTINGS
 from trackres_ros.tasks.terminal import Commands, emit, needs, output_folder, progress, watch
+
+if TYPE_CHECKING:
+    from proofs.tables import Tables
 
 COUNT = click.IntRange(1, 100_000)
 MINUTES = 15.0
@@ -23,6 +26,7 @@ REPORTED_SEED = 20261124
 GROOMERS = 6  # of each kind
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
 EXTRA = "proof", "matplotlib", "jinja2"
+LEARNERS = "proof", "sklearn", "pysindy"
 DIAGNOSIS = "sealed.diagnosing.answer"
 
 hostile_option = click.option(
@@ -80,7 +84,7 @@ def own_command(
     diagnoses them from recordings and vehicle files only; one simulates the advised manoeuvres;
     the last opens the labels and counts. An interrupted run continues where it stopped.
     """
-    needs("python -m proofs own", *EXTRA, "sklearn", "pysindy")
+    needs("python -m proofs own", *LEARNERS)
     from proofs.pipeline import prove
     from proofs.sealed.cases import LEVELS, QUICK
     from proofs.sealed.drives import profile_files
@@ -114,9 +118,12 @@ def _counts(option: str, words: Iterable[str], numbers: Mapping[str, int], count
     return counts
 
 
-def _print(path: Path, text: str, as_json: bool) -> None:
-    """Print a page that was written."""
-    emit({"written": str(path), "text": text}, as_json, lambda: text)
+def _finish(output: Path, tables: Tables, as_json: bool) -> None:
+    """Write the tables of a run, and print them."""
+    from proofs.tables import FOLDER, shown, write_tables
+
+    write_tables(output / FOLDER, tables)
+    emit({name: [dict(row) for row in rows] for name, rows in tables.items()}, as_json, lambda: shown(tables))
 
 
 @proofs.command("second")
@@ -130,7 +137,7 @@ def second_command(cases: Path, first: int | None, output: Path, as_json: bool) 
     CASES holds labels.json, cases/NAME/session1.csv and so on; a case without a vehicle.yaml uses the vehicle xgd24d. The
     diagnosis runs in a process that sees only the recordings. An interrupted run continues where it stopped.
     """
-    needs("python -m proofs second", *EXTRA, "sklearn", "pysindy")
+    needs("python -m proofs second", *LEARNERS)
     from proofs.pipeline import prove
     from proofs.sealed.second import read_labels
 
@@ -159,7 +166,7 @@ def groomer_command(kinds: tuple[str, ...], count: int, seed: int, first: int | 
     One process draws, seals and records; the diagnosis sees recordings, topics file and vehicle file; the last opens the
     labels and counts. An interrupted run continues where it stopped.
     """
-    needs("python -m proofs groomer", *EXTRA, "sklearn", "pysindy")
+    needs("python -m proofs groomer", *LEARNERS)
     from proofs.pipeline import prove
     from proofs.sealed.groomer import KINDS
 
@@ -177,15 +184,22 @@ def groomer_command(kinds: tuple[str, ...], count: int, seed: int, first: int | 
 def real_command(data: Path, output: Path, as_json: bool) -> None:
     """Diagnose public recordings of real vehicles, with a measured channel concealed."""
     needs("python -m proofs real", *EXTRA)
-    from proofs.field.page import write_page
+    from proofs.field.results import tables_of
     from proofs.field.trials import try_all, try_bus
 
     output_folder(output)
-    tried = try_all(data, output), try_bus(data)
-    with file_set():
-        text = write_page(data, *tried, output)
-        write(output / "proof-real.md", text.encode())
-    _print(output / "proof-real.md", text, as_json)
+    _finish(output, tables_of(data, try_all(data, output), try_bus(data)), as_json)
+
+
+@proofs.command("emps")
+@click.argument("recording", type=options.PATH)
+@into_folder
+@options.json
+def emps_command(recording: Path, output: Path, as_json: bool) -> None:
+    """Diagnose a carriage on a ball screw, whose missing friction is published; RECORDING is emps.csv.gz."""
+    from proofs.field.emps import tables_of, try_slide
+
+    _finish(output, tables_of(try_slide(recording, output_folder(output))), as_json)
 
 
 @proofs.command("learning")
@@ -238,13 +252,9 @@ def delay_command(seed: int, vehicles: int, hostile: int, minutes: float, output
 @options.json
 def paper_command(output: Path, as_json: bool) -> None:
     """Diagnose the paper's own test: circular laps on a tilted site, with torque computed from the engine torque."""
-    needs("python -m proofs paper", *EXTRA)
-    from proofs.unsealed import diagnose_all, paper_page
+    from proofs.unsealed import diagnose_all, paper_tables
 
-    output_folder(output)
-    text = paper_page(diagnose_all(output))
-    write(output / "paper-test.md", text.encode())
-    _print(output / "paper-test.md", text, as_json)
+    _finish(output, paper_tables(diagnose_all(output_folder(output))), as_json)
 
 
 @proofs.command("loop")
@@ -253,15 +263,12 @@ def paper_command(output: Path, as_json: bool) -> None:
 def loop_command(output: Path, as_json: bool) -> None:
     """Compare the feed-forward before and after a diagnosis, on an unused drive."""
     needs("python -m proofs loop", *EXTRA)
-    from proofs.unsealed import close_loop, draw_loop, loop_page
+    from proofs.tables import FOLDER
+    from proofs.unsealed import close_loop, draw_loop, loop_tables
 
-    output_folder(output)
-    loop = close_loop(output)
-    with file_set():
-        draw_loop(loop, output / "loop.png")
-        text = loop_page(loop, "loop.png")
-        write(output / "loop.md", text.encode())
-    _print(output / "loop.md", text, as_json)
+    loop = close_loop(output_folder(output))
+    draw_loop(loop, output_folder(output / FOLDER) / "loop.png")
+    _finish(output, loop_tables(loop), as_json)
 
 
 @proofs.command("fleet")
@@ -287,7 +294,7 @@ def fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: 
 @proofs.command("reproduce")
 @click.option("-o", "--output", type=options.FOLDER, required=True, help="Folder for pictures, tables and the page.")
 @click.option(
-    "--page", type=click.Path(path_type=Path, dir_okay=False), help="Write the page here too, with links into the folder."
+    "--page", type=click.Path(path_type=Path, dir_okay=False), help="Write the page here, not to index.md in the folder."
 )
 @options.json
 def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
@@ -312,4 +319,4 @@ def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
             done = share
 
         summary: dict[str, Any] = reproduce(output, report, page=page)
-    emit(summary, as_json, lambda: f"Figures, tables and index.md are in {output}")
+    emit(summary, as_json, lambda: f"Figures and tables are in {output}, the page is {page or output / 'index.md'}")

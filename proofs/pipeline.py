@@ -10,7 +10,7 @@ Each stage is a process: `python -m proofs.pipeline pipeline.answer sealed.diagn
 - sealed/labels.json and seal.txt: the labels and their SHA-256; sealed/ also has the truth that only the score needs.
 - cases/NAME: recordings, and the vehicle file.
 - results/NAME.json: the answer, with arrays in NAME.npz.
-- scores.json and a page.
+- scores.json, and tables (CSV) or a page.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Proof(ABC):
     noun = "cases"
     key = "cases"  # of the labels in labels.json
     label_settings: tuple[str, ...] = ("seed",)  # that labels.json has too
-    page = "proof.md"
+    page = ""  # file of the page; empty if the results are tables
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
         self.folder, self.settings = folder, settings
@@ -117,7 +117,7 @@ class Proof(ABC):
 
     @abstractmethod
     def report(self, scores: list[Any], labels: Mapping[str, Any], seal: str) -> tuple[Mapping[str, Any], str]:
-        """Content of scores.json and of the page; writes pictures and further pages."""
+        """Content of scores.json, and the page, or a text for the terminal; writes pictures and tables."""
 
     def result(self, name: str, results: str = "results") -> Any:
         """JSON of the answer to a case."""
@@ -165,7 +165,7 @@ def run_process(name: str, **how: Any) -> None:
     `name`: for messages; `how`: for `subprocess.Popen`.
     """
     running = subprocess.Popen(**how, process_group=0)
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    result_before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         code = running.wait()
     except BaseException:
@@ -174,7 +174,7 @@ def run_process(name: str, **how: Any) -> None:
         running.wait()
         raise
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, result_before)
     if code:
         raise click.ClickException(f"{name} ended with exit code {code}; finished results are kept")
 
@@ -230,14 +230,15 @@ def unseal(folder: Path) -> tuple[Proof, dict[str, Any], str]:
 
 
 def score(folder: Path, first: int | None = None) -> None:
-    """Open the seal, score all answers, or the first, and write scores and page."""
+    """Open the seal, score all answers, or the first, and write scores, and tables or a page."""
     proof, labels, seal = unseal(folder)
     scores = proof.scores(proof.choice(proof.cases(labels), first))
     with file_set():
-        content, page = proof.report(scores, labels, seal)
+        content, text = proof.report(scores, labels, seal)
         write(folder / "scores.json", json.dumps(content, indent=1).encode())
-        write(folder / proof.page, page.encode())
-    print(page)
+        if proof.page:
+            write(folder / proof.page, text.encode())
+    print(text)
 
 
 def digest(labels: object) -> str:
@@ -272,8 +273,8 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") 
         for count, result in enumerate(as_completed(results), start=1):
             result.result()
             if done:
-                left = (time.monotonic() - began) / count * (len(tasks) - count)
-                show_count(done, count, len(tasks), f", {left / 60.0:.0f} min to go")
+                remainder = (time.monotonic() - began) / count * (len(tasks) - count)
+                show_count(done, count, len(tasks), f", {remainder / 60.0:.0f} min to go")
     return [result.result() for result in results]
 
 
@@ -288,9 +289,9 @@ def show_count(what: str, done: int, total: int, rest: str = "") -> None:
 
 def run_command(*words: str | Path) -> None:
     """Run a command of `trackres`; RuntimeError with what it printed if it fails."""
-    done = subprocess.run(**python("trackres_ros", *words), check=False, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"trackres {' '.join(map(str, words))} ended with {done.returncode}: {done.stderr}")
+    process = subprocess.run(**python("trackres_ros", *words), check=False, capture_output=True, text=True)
+    if process.returncode:
+        raise RuntimeError(f"trackres {' '.join(map(str, words))} ended with {process.returncode}: {process.stderr}")
 
 
 def _member(name: str) -> Any:

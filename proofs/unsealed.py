@@ -22,6 +22,7 @@ from proofs.sealed.cases import LOADS, Case
 from proofs.sealed.drives import STEP_S, SealedDrive, drive
 from proofs.sealed.recordings import FASTEST_MPS, make_case, record_all, weight_and_radius, write_vehicle
 from proofs.sealed.truth import Build, Sensors
+from proofs.tables import Tables, number
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
@@ -52,20 +53,22 @@ class ClosedLoop:
 def close_loop(folder: Path) -> ClosedLoop:
     """Drive three times with effects hidden; replay the last, with the vehicle file before and after the others' diagnosis."""
     make_case(folder, MINUTES, Case("loop", "single", LOOP_HIDDEN, {}, False, False, False, True, LOOP_SEED))
-    before, after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
-    *paths, last = sorted(before.parent.glob("drive_*.csv"))
-    loaded = load_base(before)
-    found = diagnose(read_recordings(paths, None), loaded)
-    loaded.base.write(after, found.kept, found.verdict.sentence)
+    result_before, result_after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
+    *paths, last = sorted(result_before.parent.glob("drive_*.csv"))
+    loaded = load_base(result_before)
+    result = diagnose(read_recordings(paths, None), loaded)
+    loaded.base.write(result_after, result.kept, result.verdict.sentence)
     drive = np.genfromtxt(last, delimiter=",", names=True)
-    rows = [_replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", before), ("after", after))]
+    rows = [
+        _replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", result_before), ("after", result_after))
+    ]
     time = drive["time_s"] - drive["time_s"][0]
     without, with_found = (np.interp(time, row["time_s"] - row["time_s"][0], row["feedforward_torque_nm"]) for row in rows)
     inertia = np.interp(time, rows[0]["time_s"] - rows[0]["time_s"][0], rows[0]["inertia_nm"])
-    moving = drive["speed_mps"] > 0.5
-    torque = np.where(moving, drive["torque_nm"] - inertia, np.nan)
+    is_moving = drive["speed_mps"] > 0.5
+    torque = np.where(is_moving, drive["torque_nm"] - inertia, np.nan)
     turning = np.abs(drive["yaw_rate_radps"]) > TURNS_M * np.maximum(drive["speed_mps"], 0.5)
-    return ClosedLoop(found.verdict.sentence, time, torque, without, with_found, turning)
+    return ClosedLoop(result.verdict.sentence, time, torque, without, with_found, turning)
 
 
 def _replayed(recording: Path, vehicle: Path, out: Path) -> NDArray[np.void]:
@@ -96,14 +99,19 @@ def draw_loop(loop: ClosedLoop, path: Path) -> None:
         axes.legend(loc="upper right")
 
 
-def loop_page(loop: ClosedLoop, name: str) -> str:
-    """The numbers, with the picture of a name."""
+def loop_tables(loop: ClosedLoop) -> Tables:
+    """The mean error in parts of the drive, and the verdict."""
     everywhere, cold = np.isfinite(loop.torque), loop.time < 300.0
     parts = {"the whole drive": everywhere, "the first five minutes": cold, "bends": loop.turning, "straights": ~loop.turning}
-    lines = [f"The diagnosis of two drives: {loop.sentence}", "", f"![A third drive, which it never saw.]({name})", ""]
-    lines += ["| Of a third drive | Mean error before [Nm] | After [Nm] |", "|---|---|---|"]
-    lines += [f"| {what} | {loop.error(loop.before, at):.0f} | {loop.error(loop.after, at):.0f} |" for what, at in parts.items()]
-    return "\n".join(lines) + "\n"
+    errors = [
+        {
+            "part": part,
+            "before_nm": number(loop.error(loop.before, place), 0),
+            "after_nm": number(loop.error(loop.after, place), 0),
+        }
+        for part, place in parts.items()
+    ]
+    return {"loop": errors, "loop_verdict": [{"verdict": loop.sentence}]}
 
 
 RADIUS_M = 100.0
@@ -145,29 +153,23 @@ def _diagnosed(folder: Path, drives: list[SealedDrive], rng: np.random.Generator
     return diagnose(read_recordings(paths, None), load_base(vehicle))
 
 
-def paper_page(cases: Mapping[str, Diagnosis]) -> str:
-    """Findings, and the truth."""
-    lines = [
-        f"True: turning scrub (friction {PAPER_HIDDEN['turning_scrub']['friction']:g}), "
-        f"a site tilted by {PAPER_HIDDEN['grade_profile']['rise']:.0%}, "
-        f"a drive train of efficiency {PAPER_HIDDEN['drivetrain_efficiency']['efficiency']:g}.",
-        "",
-        "| Driven | Found | True ones in a class | Mean error on held-out laps: file, re-fitted, with effects [Nm] |",
-        "|---|---|---|---|",
-    ]
-    for what, found in cases.items():
-        classes = [t.members for t in found.found]
-        named = "; ".join(" or ".join(m) for m in classes) or found.verdict.status
-        hit = [name for name in PAPER_HIDDEN if any(name in m for m in classes)]
-        mae = found.held_out.mae
-        errors = ", ".join(f"{mae[stage]:.0f}" for stage in ("nominal", "refitted", "with_effects"))
-        lines.append(f"| {what} | {named} | {', '.join(hit) or '-'} | {errors} |")
-    for what, found in cases.items():
-        lines += ["", f"## {what[0].upper()}{what[1:]}", "", found.verdict.sentence, ""]
-        fitted = ", ".join(f"{name} {value:.3g}" for name, value in found.final.base_values.items())
-        lines += [f"Base, re-fitted along: {fitted}.", ""]
-        hidden = [n for n in found.last.separability.not_visible if n.name in PAPER_HIDDEN]
-        lines += [f"- {n.name} cannot be seen: {n.why}" for n in hidden]
-        for x in found.advice[:1]:
-            lines.append(f"- To drive next, {x.minutes:.0f} min: {x.manoeuvre}. It tells {', '.join(x.separates)} apart.")
-    return "\n".join(lines) + "\n"
+def paper_tables(cases: Mapping[str, Diagnosis]) -> Tables:
+    """Findings by the way to drive."""
+    return {"paper": [paper_row(driven, result) for driven, result in cases.items()]}
+
+
+def paper_row(driven: str, found: Diagnosis) -> dict[str, str]:
+    """Findings, errors, and what to drive next."""
+    classes = [t.members for t in found.found]
+    hidden = [f"{n.name}: {n.why}" for n in found.last.separability.not_visible if n.name in PAPER_HIDDEN]
+    advice = [f"{a.minutes:.0f} min: {a.manoeuvre}. It tells {', '.join(a.separates)} apart." for a in found.advice[:1]]
+    return {
+        "driven": driven,
+        "found": "; ".join(" or ".join(members) for members in classes) or found.verdict.status,
+        "true_in_a_class": ", ".join(name for name in PAPER_HIDDEN if any(name in members for members in classes)),
+        **{f"{stage}_nm": number(found.held_out.mae[stage], 0) for stage in ("nominal", "refitted", "with_effects")},
+        "verdict": found.verdict.sentence,
+        "base": ", ".join(f"{name} {value:.3g}" for name, value in found.final.base_values.items()),
+        "not_visible": "; ".join(hidden),
+        "to_drive_next": "".join(advice),
+    }

@@ -11,8 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from types import FunctionType, ModuleType
 
-from trackres_ros.effects.calls import EffectCalls, shipped
-from trackres_ros.kernels.compiler import loaded
+from trackres_ros.effects.calls import EffectCalls, package_functions
+from trackres_ros.kernels.compiler import load_module
 from trackres_ros.kernels.extension import Extension
 from trackres_ros.kernels.flow import translate_body
 from trackres_ros.kernels.functions import Translator
@@ -35,12 +35,12 @@ def all_entries() -> dict[str, FunctionType]:
 def source(name: str, entries: Mapping[str, FunctionType]) -> str:
     """The C of some kernels, of all effects if they call any, and of the module of that name that they are in."""
     translator = Translator(translate_body)
-    translator.checked = False
+    translator.is_checked = False
     effects = EffectCalls(translator, others=True)
     extension = Extension(name, translator, entries, {"SOURCES": sources_digest()})
     if not effects.called:
         return extension.text()
-    for function, number in shipped().items():
+    for function, number in package_functions().items():
         effects.add(function, number)
     return extension.text(effects.text(), effects.prototype, list(effects.functions.values()))
 
@@ -48,7 +48,7 @@ def source(name: str, entries: Mapping[str, FunctionType]) -> str:
 def built(entries: Mapping[str, FunctionType], *options: str) -> ModuleType | None:
     """A module with some kernels as C, compiled now, for tests and comparisons; None without a compiler."""
     name = f"of_{'_'.join(entries)}"
-    return loaded(name, source(name, entries), *options)
+    return load_module(name, source(name, entries), *options)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Diagnoses real recordings with concealed channels, and writes the page of the findings."""
+"""Diagnoses real recordings with concealed channels, and compares the findings with them."""

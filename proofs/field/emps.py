@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from proofs.tables import Tables, number
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.fitting import Fit, with_levels
 from trackres_ros.diagnosis.prepare.session import Mask
-from trackres_ros.diagnosis.report.series import timeline
-from trackres_ros.diagnosis.report.static import draw
 from trackres_ros.diagnosis.selection.as_used import NORMAL_95, intervals
 from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.friction_by_direction import FrictionByDirection
@@ -45,7 +44,7 @@ class SlideTrial:
 def try_slide(recording: Path, folder: Path) -> SlideTrial:
     """Diagnose the recording of the positioning system; InputError without one. The second vehicle file goes to `folder`."""
     if not recording.is_file():
-        raise InputError("--emps", str(recording), "the recording of the positioning system, emps.csv.gz")
+        raise InputError("RECORDING", str(recording), "the recording of the positioning system, emps.csv.gz")
     file = yaml.safe_load((config_dir() / "emps.yaml").read_text(encoding="utf-8"))
     file["road_load"]["coulomb_friction"] = ASSUMED_FRICTION
     second = folder / "emps_coulomb.yaml"
@@ -58,56 +57,56 @@ def try_slide(recording: Path, folder: Path) -> SlideTrial:
 def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:
     """Relative error: norm of measured less expected force over that of the measured one, in compared or hold-out steps."""
     errors, forces = [], []
-    for session, predicted in zip(d.sessions, found.predicted, strict=True):
+    for session, prediction in zip(d.sessions, found.predicted, strict=True):
         steps: Mask = d.split.held_out_mask(session) if held_out else session.used
-        errors.append((session.torque - predicted.torque)[steps])
+        errors.append((session.torque - prediction.torque)[steps])
         forces.append(session.torque[steps])
     return float(np.linalg.norm(np.concatenate(errors)) / np.linalg.norm(np.concatenate(forces)))
 
 
 def only(d: Diagnosis, names: Sequence[str]) -> Fit:
     """The last fit with only some of its effects, all values fitted again."""
-    return with_levels(d.final, without=[name for name in d.final.effect_names if name not in names])
+    return with_levels(d.final, removed_names=[name for name in d.final.effect_names if name not in names])
 
 
-def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
-    """Draw the picture into a folder and return the page's tables, whose links begin with `of_pictures`."""
+def tables_of(tried: SlideTrial) -> Tables:
+    """Errors of the force and values, next to the published ones, and the verdicts."""
     first, second = tried.lacking, tried.with_friction
-    draw(timeline(first), folder / "believed.svg")
-    dry, both = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
-    rows = [
+    dry, pair = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
+    models = [
         ("mass, viscous friction, offset: the file re-fitted", "viscous", first, first.refitted),
         ("and Coulomb friction", "coulomb", first, dry),
-        ("and friction by direction", "direction", first, both),
+        ("and friction by direction", "direction", first, pair),
         ("all that the diagnosis found", "", first, first.final),
         ("Coulomb friction in the file: re-fitted", "coulomb", second, second.refitted),
         ("Coulomb friction in the file: all that was found", "direction", second, second.final),
     ]
-    lines = ["| model | published | here | here, held-out pieces |", "|---|---|---|---|"]
-    for what, key, d, fit in rows:
-        published = f"{PUBLISHED_ERRORS[key]} %" if key else ""
-        lines.append(
-            f"| {what} | {published} | {100.0 * force_error(d, fit):.1f} % | {100.0 * force_error(d, fit, True):.1f} % |"
-        )
-    lines += ["", "| value | published | here, with a 95 % interval |", "|---|---|---|"]
-    lines += [f"| {what} | {published} | {here} |" for what, published, here in (*_of_dry(dry), *_of_both(both))]
-    session = first.sessions[0]
-    said = [
-        f"Steps of {session.step:g} s; {int(session.used.sum())} of {len(session)} are compared, {first.split.text}.",
-        *(f"The file {what}: {_found(d)}" for what, d in (("without dry friction", first), ("with it", second))),
-        f"![What the file without dry friction lacks, over time]({of_pictures}believed.svg)",
-    ]
-    return "\n\n".join(["\n".join(lines), *said]) + "\n"
+    errors = [
+        {
+            "model": what, "published_percent": number(PUBLISHED_ERRORS.get(key, np.nan), 1),
+            "here_percent": number(100.0 * force_error(d, fit), 1),
+            "held_out_percent": number(100.0 * force_error(d, fit, True), 1),
+        }
+        for what, key, d, fit in models
+    ]  # fmt: skip
+    values = [dict(zip(("value", "published", "here_95"), row, strict=True)) for row in (*_of_dry(dry), *_of_both(pair))]
+    verdicts = [_verdict(what, d) for what, d in (("without dry friction", first), ("with it", second))]
+    return {"emps_errors": errors, "emps_values": values, "emps_verdicts": verdicts}
 
 
-def _found(d: Diagnosis) -> str:
-    terms = [(t.name, t.grade) for t in (*d.found, *d.described)]
-    return ", ".join(f"`{name}` {grade}" for name, grade in terms) + f". It says: “{d.verdict.sentence}”"
+def _verdict(file: str, d: Diagnosis) -> dict[str, str]:
+    session, terms = d.sessions[0], (*d.found, *d.described)
+    return {
+        "file": file,
+        "found": ", ".join(f"{t.name} {t.grade}" for t in terms),
+        "verdict": d.verdict.sentence,
+        "steps": f"of {session.step:g} s; {int(session.used.sum())} of {len(session)} are compared, {d.split.text}",
+    }
 
 
 def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
     """The values with Coulomb friction alike both ways."""
-    at = {
+    places = {
         "mass": (("", "mass"), "kg"),
         "viscous": (("", "viscous_friction"), "N s/m"),
         "coulomb": ((COULOMB, "friction"), "N"),
@@ -115,8 +114,12 @@ def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
     }
     bounds, values = intervals(dry), dry.estimates
     return [
-        (f"{key}, alike both ways", PUBLISHED[key], f"{values[of]:.3g} [{bounds[of].low:.3g}, {bounds[of].high:.3g}] {unit}")
-        for key, (of, unit) in at.items()
+        (
+            f"{key}, alike both ways",
+            PUBLISHED[key],
+            f"{values[value]:.3g} [{bounds[value].low:.3g}, {bounds[value].high:.3g}] {unit}",
+        )
+        for key, (value, unit) in places.items()
     ]
 
 
@@ -126,15 +129,15 @@ def _of_both(both: Fit) -> list[tuple[str, str, str]]:
     viscous, forward = ("", "viscous_friction"), (DIRECTION, "forward")
     keys = [f.key for f in both.free]
     i, j = keys.index(viscous), keys.index(forward)
-    found = []
+    results = []
     for what, sign in (("forward", 1.0), ("reverse", -1.0)):
         value = values[viscous] + sign * values[forward]
         half = bounds[forward].high - bounds[forward].low, bounds[viscous].high - bounds[viscous].low
         by_curvature = both.covariance[i, i] + both.covariance[j, j] + 2.0 * sign * both.covariance[i, j]
         wide = max(0.5 * float(np.hypot(*half)), NORMAL_95 * float(np.sqrt(by_curvature)))
         here = f"{value:.3g} [{value - wide:.3g}, {value + wide:.3g}] N s/m"
-        found.append((f"viscous {what}", PUBLISHED_BY_DIRECTION[what], here))
+        results.append((f"viscous {what}", PUBLISHED_BY_DIRECTION[what], here))
     friction, offset = (COULOMB, "friction"), ("", "torque_offset")
     sides = " and ".join(f"{values[friction] + sign * values[offset]:.3g}" for sign in (1.0, -1.0))
     here = f"{sides} N; half of their sum {values[friction]:.3g} [{bounds[friction].low:.3g}, {bounds[friction].high:.3g}] N"
-    return [*found, ("coulomb forward and reverse", PUBLISHED_BY_DIRECTION["coulomb"], here)]
+    return [*results, ("coulomb forward and reverse", PUBLISHED_BY_DIRECTION["coulomb"], here)]

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from proofs.field.trials import BUS, BUS_TOPICS, car, missions, robot, trips
 from proofs.pipeline import run_command
+from proofs.tables import Rows
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import Steps
@@ -102,11 +103,11 @@ def live_errors(drives: Drives, folder: Path) -> list[LiveError]:
             (f"{what}, with estimator.yaml", [*files, "--params", settings]),
             (f"{what}, with `--both-sides` (offline)", [*files, "--both-sides"]),
         ]
-    found = []
+    results = []
     for what, files in runs:
-        left = np.concatenate([_left(drives, rest, files, folder / "replay.csv") for rest in drives.rest])
-        found.append(LiveError(what, float(np.abs(left).mean()), MEAN_S * len(left) / 60.0))
-    return found
+        remainder = np.concatenate([_left(drives, rest, files, folder / "replay.csv") for rest in drives.rest])
+        results.append(LiveError(what, float(np.abs(remainder).mean()), MEAN_S * len(remainder) / 60.0))
+    return results
 
 
 def _left(drives: Drives, recording: Path, vehicle: Sequence[str | Path], out: Path) -> Array:
@@ -121,8 +122,8 @@ def means(time_s: Array, speed: Array, residual: Array, braked: NDArray[np.bool_
     counts = (np.abs(speed) > SLOWEST_MPS) & ~braked & np.isfinite(residual)
     block = (time_s / MEAN_S).astype(int)
     number, used = np.bincount(block), np.bincount(block, counts)
-    whole = (used == number) & (number > 0)
-    return np.asarray(np.bincount(block, np.where(counts, residual, 0.0))[whole] / number[whole])
+    total = (used == number) & (number > 0)
+    return np.asarray(np.bincount(block, np.where(counts, residual, 0.0))[total] / number[total])
 
 
 def _braked(drives: Drives, recording: Path, rows: Any) -> NDArray[np.bool_]:
@@ -135,30 +136,17 @@ def _braked(drives: Drives, recording: Path, rows: Any) -> NDArray[np.bool_]:
     return np.asarray(has_brakes & (rows["measured_torque_nm"] < 0.0))
 
 
-def live_page(data: Path) -> list[str]:
-    """Lines of the page."""
-    lines = [
-        "## What was found, live",
-        "",
-        "The diagnosis uses some drives. `trackres replay` then runs other drives with the files that it wrote, step by step as "
-        "the live node does. Its acceleration is that of its own filter, with the settings of estimator.yaml where it is named; "
-        "with `--both-sides` it is that of the diagnosis. The commands for the bus:",
-        "",
-        "    trackres diagnose mission_first.csv --vehicle ztbus_hess19 --topics ztbus -o report",
-        "    trackres replay mission_rest.csv --vehicle report/vehicle.yaml --surroundings report/surroundings.yaml "
-        "--topics ztbus -o replay.csv",
-        "",
-        f"The error is of means over {MEAN_S:.0f} s while the vehicle drives without friction brakes. The diagnosis uses the "
-        f"first {DIAGNOSED:.0%} of a single recording, and every other one of the car's winter trips.",
-        "",
-        "| Drives | Replayed [min] | Files | Mean error [Nm] |",
-        "|---|---|---|---|",
-    ]
+def live_rows(data: Path) -> Rows:
+    """The residual in replays of unused drives, by the files in use."""
     with tempfile.TemporaryDirectory() as folder:
-        for drives in all_drives(data, Path(folder)):
-            errors = live_errors(drives, Path(folder))
-            lines += [f"| {drives.what} | {figures(e.minutes, 2)} | {e.what} | {figures(e.error_nm)} |" for e in errors]
-    return [*lines, ""]
+        into = Path(folder)
+        return [replay_row(drives.what, error) for drives in all_drives(data, into) for error in live_errors(drives, into)]
+
+
+def replay_row(drives: str, error: LiveError) -> dict[str, str]:
+    """A row of `live_rows`."""
+    numbers = {"replayed_min": figures(error.minutes, 2), "files": error.what, "error_nm": figures(error.error_nm)}
+    return {"drives": drives, **numbers}
 
 
 class Taught(NamedTuple):
@@ -199,7 +187,7 @@ def taught(what: str, vehicle: AnyVehicle, topics_name: str, first: Sequence[Pat
     for path in first:
         _left_learning(path, topics, estimator, learner)
     without, with_it = (
-        np.concatenate([_left_learning(path, topics, estimator, one) for path in other]) for one in (None, learner)
+        np.concatenate([_left_learning(path, topics, estimator, item) for path in other]) for item in (None, learner)
     )
     return Taught(what, float(np.abs(without).mean()), float(np.abs(with_it).mean()))
 
@@ -217,19 +205,12 @@ def _left_learning(path: Path, topics: Topics, estimator: Estimator, learner: Le
     return means((stamps - stamps[0]) * NANOSECOND, speed, residual, measured < 0.0)
 
 
-def learned_page(data: Path) -> list[str]:
-    """Lines of the page."""
-    lines = [
-        "## What one drive teaches the other",
-        "",
-        "The vehicles are learned while they drive (`learning: on`) on some drives. The error is that on the other drives, where "
-        "learning goes on. In the last two lines of the car a slope is an input, which the estimate uses too.",
-        "",
-        "| What teaches | The vehicle file [Nm] | With what was learned [Nm] | |",
-        "|---|---|---|---|",
-    ]
+def learned_rows(data: Path) -> Rows:
+    """The residual in other drives, with the vehicle file and with values learned while driving."""
     with tempfile.TemporaryDirectory() as folder:
-        for one in (*of_car(data, Path(folder)), *of_bus(data, Path(folder))):
-            change = f"{one.learned_nm / one.file_nm - 1.0:+.0%}"
-            lines.append(f"| {one.what} | {figures(one.file_nm)} | {figures(one.learned_nm)} | {change} |")
-    return [*lines, ""]
+        return [learned_row(item) for item in (*of_car(data, Path(folder)), *of_bus(data, Path(folder)))]
+
+
+def learned_row(one: Taught) -> dict[str, str]:
+    """A row of `learned_rows`."""
+    return {"teacher": one.what, "file_nm": figures(one.file_nm), "learned_nm": figures(one.learned_nm)}

@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from proofs.tables import Rows
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.empirical.payload import Payload
 from trackres_ros.errors import InputError
-from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.output.table import write_table
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.slopes import slopes
@@ -98,15 +98,15 @@ def robot(data: Path, name: str, folder: Path) -> Path:
         power += current * (speed if signed else np.abs(speed))
         mean += 0.5 * speed
         rims[side] = speed
-    moving = np.abs(mean) > SLOWEST_MPS
+    is_moving = np.abs(mean) > SLOWEST_MPS
     yaw = np.unwrap(2.0 * np.arctan2(column("icp_quat_z"), column("icp_quat_w"))[there])
-    at = time[there]
-    after, before = (np.interp(at + side * 0.5 * YAW_OVER_S, at, yaw) for side in (1.0, -1.0))
+    place = time[there]
+    result_after, result_before = (np.interp(place + side * 0.5 * YAW_OVER_S, place, yaw) for side in (1.0, -1.0))
     columns = {
-        "time_s": at,
+        "time_s": place,
         "speed_mps": mean[there],
-        "torque_nm": np.where(moving, NM_PER_A * power / np.where(moving, mean, 1.0), np.nan)[there],
-        "yaw_rate_radps": (after - before) / YAW_OVER_S,
+        "torque_nm": np.where(is_moving, NM_PER_A * power / np.where(is_moving, mean, 1.0), np.nan)[there],
+        "yaw_rate_radps": (result_after - result_before) / YAW_OVER_S,
         "heading_rad": yaw,
         **{name: np.degrees(column(f"icp_pos_{axis}")[there] / EARTH_M) for name, axis in POSITION.items()},
         **{f"wheel_speed_mps/{side}": rim[there] for side, rim in rims.items()},
@@ -189,15 +189,15 @@ def try_all(data: Path, folder: Path) -> list[FieldTrial]:
         FieldTrial(
             "car, 11 winter trips", AIR + ", standing time", WARM, UPHILL, of_car(winter, ["ambient"], False, mixed)
         ),
-        FieldTrial("the same", AIR, WARM, UPHILL, of_car(winter, ["ambient"], True, mixed)),
+        FieldTrial("car, 11 winter trips", AIR, WARM, UPHILL, of_car(winter, ["ambient"], True, mixed)),
         FieldTrial("car, 10 summer trips", "nothing", NOTHING, UPHILL, of_car(warm, [])),
         FieldTrial("car, hilly trips A06, A07, A11, A12", "elevation", UPHILL, NOTHING, of_car(HILLY, ["grade"])),
-        FieldTrial("the same", "nothing", NOTHING, UPHILL, of_car(HILLY, [])),
+        FieldTrial("car, hilly trips A06, A07, A11, A12", "nothing", NOTHING, UPHILL, of_car(HILLY, [])),
         FieldTrial("car, one route twice, B16 and B17", "elevation", NOTHING, UPHILL, of_car(TWICE, ["grade"])),
         FieldTrial("robot on wet grass", "all that shows turning", NOTHING, TURNING, of_robot("husky_wetgrass", SHOWS_TURNING)),
-        FieldTrial("the same", "yaw rate, heading, position", TURNING, NOTHING, of_robot("husky_wetgrass", BUT_WHEELS)),
-        FieldTrial("the same", "yaw rate", TURNING, NOTHING, of_robot("husky_wetgrass", SHOWS_TURNING[:1])),
-        FieldTrial("the same", "nothing that the base has", TURNING, NOTHING, of_robot("husky_wetgrass")),
+        FieldTrial("robot on wet grass", "yaw rate, heading, position", TURNING, NOTHING, of_robot("husky_wetgrass", BUT_WHEELS)),
+        FieldTrial("robot on wet grass", "yaw rate", TURNING, NOTHING, of_robot("husky_wetgrass", SHOWS_TURNING[:1])),
+        FieldTrial("robot on wet grass", "nothing that the base has", TURNING, NOTHING, of_robot("husky_wetgrass")),
         FieldTrial("robot, wheels off the ground", "nothing", NOTHING, TURNING, of_robot("husky_avide2")),
     ]  # fmt: skip
 
@@ -221,13 +221,13 @@ class Start:
 
 def starts(data: Path, tried: FieldTrial) -> list[Start]:
     """Unsealed standing time and ambient temperature, with each trip's missing torque at its beginning."""
-    rows, found = trips(data), []
+    rows, result = trips(data), []
     for i, session in enumerate(tried.found.sessions):
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
         stood = float(row["hours_since_previous_trip_ended"] or "nan")
         lacks = float(tried.found.refitted.residuals[i][early].mean()) if early.any() else float("nan")
-        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks))
-    return found
+        result.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks))
+    return result
 
 
 def acts_early(tried: FieldTrial, index: int) -> float:
@@ -239,15 +239,10 @@ def acts_early(tried: FieldTrial, index: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RepeatedRoute:
-    """Residuals of two drives of one route and the slope by the elevation, each [Nm] and [1] over distance [m], and the
-    correlation of the residuals with each other and with the slope.
-    """
+    """Correlation of the residuals of two drives of one route, over distance."""
 
-    distance: Array
-    residuals: Array  # (2, n)
-    slope: Array
-    repeats: float
-    follows_slope: float
+    repeats: float  # with each other
+    follows_slope: float  # their mean with the slope by the elevation
 
 
 def twice(tried: FieldTrial) -> RepeatedRoute:
@@ -262,10 +257,10 @@ def twice(tried: FieldTrial) -> RepeatedRoute:
         grade = np.interp(session.time, table["time_s"] - table["time_s"][0], table["grade"])
         slopes.append(_smooth(np.interp(grid, far, grade)))
     n = min(map(len, residuals))
-    both, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
-    distance = np.arange(500.0, 500.0 + n * EVERY_M, EVERY_M)[:n]
-    repeats, follows = (float(np.corrcoef(*pair)[0, 1]) for pair in ((both[0], both[1]), (both.mean(axis=0), mean)))
-    return RepeatedRoute(distance, both, mean, repeats, follows)
+    pair_here, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
+    return RepeatedRoute(
+        *(float(np.corrcoef(*pair)[0, 1]) for pair in ((pair_here[0], pair_here[1]), (pair_here.mean(axis=0), mean)))
+    )
 
 
 def _smooth(series: Array) -> Array:
@@ -277,15 +272,12 @@ SAME_PLACE_M = 15.0
 SLOPE_OVER_M = 300.0
 LONG_STRETCH_S = 300.0  # of driving
 CLOSE = 0.08  # of the passengers' weight
-SECONDS_PER_MIN = 60.0
 
 
 @dataclass(frozen=True)
 class PayloadFound:
     """Comparison of the found payload with the passengers: values of each stretch, masses relative to their mean [kg]."""
 
-    begin_s: Array
-    end_s: Array
     mass: Array
     std: Array
     true: Array
@@ -334,27 +326,27 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> tuple[float, float] | N
         return None
     named = next(name for name in final.effect_names if name in UPHILL)
     radius = tried.found.base.facts.radius
-    found, true = [], []
+    result, true = [], []
     for session, adds in zip(given.found.sessions, final.contribution(named), strict=True):
         surveyed = slope_by_all_passes(session.latitude, session.longitude, session.altitude, session.distance)
         there = session.used & np.isfinite(surveyed) & (np.abs(adds) > 0.0)
-        found.append((adds / (session.weight * radius))[there])
+        result.append((adds / (session.weight * radius))[there])
         true.append(surveyed[there])
-    x, y = np.concatenate(true), np.concatenate(found)
+    x, y = np.concatenate(true), np.concatenate(result)
     return float(np.corrcoef(x, y)[0, 1]), float(np.polyfit(x, y, 1)[0])
 
 
 def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, distance: Array) -> Array:
     """Slope of the altitude averaged over all passes of each place, over 300 m; nan where unknown."""
-    x, y = Frame.about(latitude, longitude).metres(latitude, longitude)
+    x, y = Frame.of_positions(latitude, longitude).metres(latitude, longitude)
     known = np.isfinite(x) & np.isfinite(altitude)
-    at = np.column_stack([x, y])[known]
-    near = cKDTree(at).query_ball_point(at, SAME_PLACE_M)
+    place = np.column_stack([x, y])[known]
+    near = cKDTree(place).query_ball_point(place, SAME_PLACE_M)
     mean = np.array([altitude[known][rows].mean() for rows in near])
-    ahead, behind = (np.interp(distance + side * 0.5 * SLOPE_OVER_M, distance[known], mean) for side in (1.0, -1.0))
+    forecast, behind = (np.interp(distance + side * 0.5 * SLOPE_OVER_M, distance[known], mean) for side in (1.0, -1.0))
     slope = np.full(len(distance), np.nan)
-    inside = (distance - 0.5 * SLOPE_OVER_M > distance[known][0]) & (distance + 0.5 * SLOPE_OVER_M < distance[known][-1])
-    slope[inside & known] = ((ahead - behind) / SLOPE_OVER_M)[inside & known]
+    is_inside = (distance - 0.5 * SLOPE_OVER_M > distance[known][0]) & (distance + 0.5 * SLOPE_OVER_M < distance[known][-1])
+    slope[is_inside & known] = ((forecast - behind) / SLOPE_OVER_M)[is_inside & known]
     return slope
 
 
@@ -371,15 +363,15 @@ def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
         if there.any():
             driven.append(float(there.sum()) * session.step)
             people = float(session.payload[there].mean()) / GRAVITY
-            rows.append((stretch.begin_s, stretch.end_s, stretch.mass, stretch.std, people))
-    begin, end, mass, std, true = np.array(rows).T
+            rows.append((stretch.mass, stretch.std, people))
+    mass, std, true = np.array(rows).T
     weight = np.array(driven)
     mass, people = mass - np.average(mass, weights=weight), true - np.average(true, weights=weight)
     covariance = np.cov(np.stack([mass, people]), aweights=weight)
     correlation = float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
-    off, carried = (mass_of_joined(x, weight) for x in (mass - people, true))
-    close = int((np.abs(off) < CLOSE * carried).sum())
-    return PayloadFound(begin, end, mass, std, people, correlation, close, len(off), float(weight.max()))
+    deviation, carried = (mass_of_joined(x, weight) for x in (mass - people, true))
+    close = int((np.abs(deviation) < CLOSE * carried).sum())
+    return PayloadFound(mass, std, people, correlation, close, len(deviation), float(weight.max()))
 
 
 def mass_of_joined(mass: Array, driven: Array) -> Array:
@@ -394,48 +386,30 @@ def mass_of_joined(mass: Array, driven: Array) -> Array:
     return np.array(joined)
 
 
-def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> list[str]:
-    """Lines of the page; pictures go to a folder, and links to them begin with `of_pictures`. None without a mission."""
-    if not tried:
-        return []
-    given = next(t for t in tried if t.hidden == "nothing")
-    lines = ["## The trolley bus, unsealed", ""]
-    slopes = [(t.hidden, slope) for t in tried if (slope := slope_found(t, given)) is not None]
-    if slopes:
-        lines += ["The slope found, against that of the altitude averaged over all passes of a place and taken over 300 m:", ""]
-        lines += ["| Concealed | Correlation | Coefficient |", "|---|---|---|"]
-        lines += [f"| {hidden} | {correlation:.2f} | {coefficient:.2f} |" for hidden, (correlation, coefficient) in slopes]
-        lines.append("")
-    else:
-        lines += ["No slope was found.", ""]
-    hidden = next(t for t in tried if t.hidden == "passengers")
-    payload = payload_found(hidden, given)
-    if payload is None:
-        return [*lines, "With the passengers concealed no payload was found.", ""]
-    differ, error, stated = (
-        figures(float(x)) for x in (payload.true.std(), np.sqrt(np.mean((payload.mass - payload.true) ** 2)), payload.std.mean())
-    )
-    lines.append(
-        f"With the passengers concealed, the masses of {len(payload.mass)} stretches have a correlation of "
-        f"{payload.correlation:.2f} with those of the passengers (70 kg each). These differ by {differ} kg. The masses are "
-        f"{error} kg off; their stated standard deviation is {stated} kg. No stretch has more than {payload.longest_s:.0f} s of "
-        f"driving. Joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of "
-        "the passengers' weight."
-    )
-    _draw_payload(folder / "payload.png", payload)
-    return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]
+def against_given(tried: Sequence[FieldTrial]) -> tuple[Rows, PayloadFound | None]:
+    """Of `try_bus`: the found slopes against that of the altitude, and the found payload; nothing without a mission."""
+    given_values = next((t for t in tried if t.hidden == "nothing"), None)
+    if given_values is None:
+        return [], None
+    slopes = [slope_row(t.hidden, *slope) for t in tried if (slope := slope_found(t, given_values)) is not None]
+    return slopes, payload_found(next(t for t in tried if t.hidden == "passengers"), given_values)
 
 
-def _draw_payload(path: Path, payload: PayloadFound) -> None:
-    with picture(path, 9.0, 3.4) as figure:
-        axes = figure.subplots()
-        middle = 0.5 * (payload.begin_s + payload.end_s) / SECONDS_PER_MIN
-        axes.errorbar(
-            middle, payload.mass, 1.96 * payload.std, fmt="o", markersize=3, color=VERMILION, linewidth=1.0,
-            label="found, and its 95 % interval",
-        )  # fmt: skip
-        axes.step(payload.begin_s / SECONDS_PER_MIN, payload.true, where="post", color=BLUE, label="passengers, 70 kg each")
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_xlabel("time [min]")
-        axes.set_ylabel("mass less its mean [kg]")
-        axes.legend()
+def slope_row(hidden: str, correlation: float, coefficient: float) -> dict[str, str]:
+    """See `slope_found`."""
+    return {"concealed": hidden, "correlation": f"{correlation:.2f}", "coefficient": f"{coefficient:.2f}"}
+
+
+def payload_numbers(found: PayloadFound) -> list[tuple[str, str]]:
+    """The masses against the passengers, as text."""
+    error = float(np.sqrt(np.mean((found.mass - found.true) ** 2)))
+    return [
+        ("bus: stretches between stops", str(len(found.mass))),
+        ("bus: correlation of the masses with the passengers", f"{found.correlation:.2f}"),
+        ("bus: standard deviation of the passengers, 70 kg each [kg]", figures(float(found.true.std()))),
+        ("bus: error of the masses [kg]", figures(error)),
+        ("bus: stated standard deviation of the masses [kg]", figures(float(found.std.mean()))),
+        ("bus: driving in the longest stretch [s]", f"{found.longest_s:.0f}"),
+        (f"bus: stretches joined to {LONG_STRETCH_S:.0f} s of driving", str(found.long)),
+        (f"bus: of these within {CLOSE:.0%} of the passengers' weight", str(found.close)),
+    ]

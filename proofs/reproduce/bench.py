@@ -21,7 +21,7 @@ from trackres_ros.estimator.drives import SimulatedDrive, ramp_and_hold, simulat
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.own_files import write
 from trackres_ros.model.track import with_methods
-from trackres_ros.output.style import STEPS, legend_beside, picture, thinned
+from trackres_ros.output.style import STEPS, legend_beside, picture, thin_out
 from trackres_ros.text import figures
 from trackres_ros.vehicle import Vehicle
 
@@ -60,8 +60,8 @@ class Claim:
 
     def summary(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
-        found: dict[str, Any] = rounded(asdict(self))
-        return found | {"verdict": self.verdict, "why": self.why.get(self.verdict, UNEXPLAINED)}
+        result: dict[str, Any] = rounded(asdict(self))
+        return result | {"verdict": self.verdict, "why": self.why.get(self.verdict, UNEXPLAINED)}
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Figure:
     """A picture with its data: file names in the output folder, and its caption."""
 
     png: str
-    csv: str
+    data: tuple[str, ...]
     caption: str
 
 
@@ -95,8 +95,8 @@ class Section:
 
     def summary(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
-        found: dict[str, Any] = rounded(asdict(self))
-        return found | {"claims": [claim.summary() for claim in self.claims]}
+        result: dict[str, Any] = rounded(asdict(self))
+        return result | {"claims": [claim.summary() for claim in self.claims]}
 
 
 def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
@@ -271,20 +271,20 @@ def write_family(out: Path, family: Family) -> str:
 def mark_time(axes: Axes, time_s: float, text: str) -> None:
     """A dotted line at a time with a remark at its top."""
     axes.axvline(time_s, color=INK, linewidth=0.8, linestyle=":")
-    at = (time_s, 0.98), (4, 0), ("data", "axes fraction"), "offset points"
-    axes.annotate(text, *at, ha="left", va="top", fontsize=8, color=INK)
+    places = (time_s, 0.98), (4, 0), ("data", "axes fraction"), "offset points"
+    axes.annotate(text, *places, ha="left", va="top", fontsize=8, color=INK)
 
 
 def draw_family(out: Path, family: Family, combination: str, caption: str, title: str, marks: Mapping[float, str]) -> Figure:
     """Torque over temperature of one combination, which caption and title then name, one line a value."""
     methods = combination.replace("/", ", ")
-    figure = Figure(f"{family.name}.png", write_family(out, family), f"{caption}; {methods}.")
-    with picture(out / figure.png, 8.5, 5.6) as drawn:
-        torque, belt = drawn.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
+    figure = Figure(f"{family.name}.png", (write_family(out, family),), f"{caption}; {methods}.")
+    with picture(out / figure.png, 8.5, 5.6) as drawing:
+        torque, belt = drawing.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
         for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
             torque.plot(*moving(series), color=colour, label=f"{value:g}")
-            belt.plot(*thinned(series["time_s"], series["belt_degc"]), color=colour)
-        torque.set_ylim(*_limits(family, [combination]))
+            belt.plot(*thin_out(series["time_s"], series["belt_degc"]), color=colour)
+        torque.set_ylim(*_limits(family, combination))
         torque.set_title(f"{title}; {methods}")
         torque.set_ylabel("resistance torque [Nm]")
         legend_beside(torque, family.quantity)
@@ -294,41 +294,13 @@ def draw_family(out: Path, family: Family, combination: str, caption: str, title
             mark_time(torque, time_s, text)
             mark_time(belt, time_s, "")
         belt.margins(x=0.01)
-        drawn.align_ylabels()
+        drawing.align_ylabels()
     return figure
 
 
-def draw_combinations(out: Path, family: Family, caption: str, marks: Mapping[float, str]) -> Figure:
-    """Torque of all four combinations in one row; the dashes at the right edge are the steady values."""
-    figure = Figure(f"{family.name}_methods.png", f"{family.name}.csv", caption)
-    with picture(out / figure.png, 9.0, 6.2) as drawn:
-        panels = drawn.subplots(len(METHODS), len(THERMAL), sharex=True, sharey="row")
-        for row, method in enumerate(METHODS):
-            for column, thermal in enumerate(THERMAL):
-                axes, combination = panels[row, column], f"{method}/{thermal}"
-                for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
-                    axes.plot(*moving(series), color=colour, label=f"{value:g}")
-                    stable, edge = family.stable[value][combination].torque_nm, axes.get_yaxis_transform()
-                    axes.plot(
-                        1.02, stable, marker="_", color=colour, markersize=9, markeredgewidth=2, transform=edge, clip_on=False
-                    )
-                axes.set_title(f"{method}, {thermal}")
-                axes.set_xlim(0.0, family.series(combination)[0]["time_s"][-1])
-                for time_s, text in marks.items():
-                    mark_time(axes, time_s, text if (row, column) == (0, 0) else "")
-            panels[row, 0].set_ylim(*_limits(family, [f"{method}/{thermal}" for thermal in THERMAL]))
-            panels[row, 0].set_ylabel("resistance torque [Nm]")
-        for axes in panels[-1]:
-            axes.set_xlabel("time [s]")
-        legend_beside(panels[0, -1], family.quantity)
-        panels[0, -1].get_legend().set_bbox_to_anchor((1.08, 1.0))
-    return figure
-
-
-def _limits(family: Family, combinations: Sequence[str]) -> tuple[float, float]:
+def _limits(family: Family, combination: str) -> tuple[float, float]:
     """Limits of a torque axis [Nm] that show the time at constant speed whole; a ramp may come in from below."""
-    shown = [family.torque(c, 0.0)[:, first_comparable(family) :] for c in combinations]
-    shown += [family.stable_torque(c) for c in combinations]
+    shown = family.torque(combination, 0.0)[:, first_comparable(family) :], family.stable_torque(combination)
     low, high = min(float(part.min()) for part in shown), max(float(part.max()) for part in shown)
     return low - 0.15 * (high - low), high + 0.06 * (high - low)
 
@@ -341,7 +313,7 @@ def first_comparable(family: Family) -> int:
 def moving(series: Series) -> tuple[Array, Array]:
     """Time and resistance torque without the first instant at rest, where the torque is zero, thinned for a picture."""
     torque = np.where(series["speed_mps"] > 0.0, series["resistance_torque_nm"], np.nan)
-    return thinned(series["time_s"], torque)
+    return thin_out(series["time_s"], torque)
 
 
 def colours(family: Family) -> Sequence[str]:
@@ -416,10 +388,7 @@ def hot_belts(bench: Bench, family: Family) -> list[str]:
         if values:
             belts = span((family.stable[value][c].belt_degc for value in values), 0, " °C")
             hot.append(f"{c.replace('/', ', ')} at {family.quantity} {listed([f'{value:g}' for value in values])} ({belts})")
-    remark = (
-        f"The compound's sweep ends at {last:g} °C; above it the modulus keeps its last value. Stable belts that are "
-        f"hotter: {'; '.join(hot)}."
-    )
+    remark = f"Stable belts beyond the compound's sweep, which ends at {last:g} °C: {'; '.join(hot)}."
     return [remark] if hot else []
 
 
@@ -455,7 +424,7 @@ def same_stable(key: str, where: str, paper: str, family: Family, why: str) -> C
         paper,
         {c: end[c] < SAME for c in COMBINATIONS},
         f"The stable torques differ by {percents(end.values())} of their mean, after {percents(start.values())} when the speed "
-        f"is reached. The same would be less than {percent(SAME, 0)}.",
+        f"is reached. Less than {percent(SAME, 0)} would be the same.",
         {FAILS: why + (" The differences shrink with time; they do not vanish." if shrinks else "")},
         {"spread_stable": end, "spread_start": start, "stable_nm": {c: values.tolist() for c, values in stable.items()}},
         {

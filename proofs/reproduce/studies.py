@@ -27,7 +27,6 @@ from proofs.reproduce.bench import (
     Figure,
     Section,
     colours,
-    draw_combinations,
     draw_family,
     falls,
     listed,
@@ -41,7 +40,7 @@ from proofs.reproduce.bench import (
 )
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.drives import SimulatedDrive, ramp_and_hold
-from trackres_ros.output.style import legend_beside, picture, thinned
+from trackres_ros.output.style import legend_beside, picture, thin_out
 from trackres_ros.units import KMH_PER_MPS
 
 SPEEDS_KMH = (10.0, 20.0, 30.0, 40.0, 50.0)
@@ -66,11 +65,7 @@ def speeds(bench: Bench, out: Path) -> Section:
     vehicle, reached = bench.vehicle, {RAMP_S: "speed reached"}
     caption = "Resistance torque and belt temperature at five speeds (the paper's Figure 24)"
     title = f"{vehicle.weight / 1e3:g} kN, ambient {vehicle.chassis.ambient:g} °C, ramp of {RAMP_S:g} s"
-    combined = "The same with every combination of loss method and thermal model; dashes at the right: the stable values."
-    figures = [
-        draw_family(out, family, bench.shipped, caption, title, reached),
-        draw_combinations(out, family, combined, reached),
-    ]
+    figures = [draw_family(out, family, bench.shipped, caption, title, reached)]
     held = RAMP_S + 2 * bench.dt  # the belt strain by the drive lags one step behind the torque
     claims = [
         falls("speeds", SPEEDS_WHERE, family, held),
@@ -79,9 +74,8 @@ def speeds(bench: Bench, out: Path) -> Section:
             SPEEDS_WHERE,
             "All speeds tend to the same stable torque.",
             family,
-            "Stable is F_h(T*) v = U(v) A (T* - Ta). A higher speed raises the loss modulus and the wind, and "
-            "warms the belt more. The two effects pull against each other, so the stable values come close, but "
-            "nothing makes them equal.",
+            "A higher speed raises the loss modulus and the wind, and warms the belt more. The two pull against each other, so "
+            "the stable torques come close; nothing makes them equal.",
         ),
         _warms_faster(family, held),
         _settles_sooner(family, held),
@@ -89,8 +83,7 @@ def speeds(bench: Bench, out: Path) -> Section:
     ]
     text = [
         f"From rest to each speed in {RAMP_S:g} s, then held to {DURATION_S:g} s. Resistance torque is hysteresis, bearings "
-        "and wind of the whole vehicle. The inertia of the ramp is not included, as the paper excludes the first 50 s from "
-        "its analysis.",
+        "and wind of the whole vehicle, without inertia.",
     ]
     return section_of(bench, family, "Figure 24: speed", TIMES_S, figures, claims, text)
 
@@ -147,15 +140,13 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
         SPEEDS_WHERE,
         "At a higher speed the torque comes to its stable value sooner.",
         {name: all(sooner(times[c][i]) for c in COMBINATIONS) for i, name in enumerate(names)},
-        "The paper gives no measure, so two are used, both from the end of the ramp. One is the time until "
-        f"{percent(FALLEN, 0)} of the fall "
-        f"to the stable value is done. The other is the time until the torque is within {percent(NEAR, 0)} of it.",
+        f"The paper gives no measure. Here it is the time until {percent(FALLEN, 0)} of the fall is done, and the time until the "
+        f"torque is within {percent(NEAR, 0)} of its stable value.",
         {
             HOLDS: "The time constant is C / (U A - F_h' v). The film coefficient U grows with the speed, and so does the heat "
             "-F_h' v that a warmer belt saves.",
-            IN_PART: "The time constant is C / (U A - F_h' v). U and -F_h' v grow with the speed, so a share of the fall is done "
-            "sooner. But a slow speed warms the belt little and has little to fall: it is near its stable value from the "
-            "start.",
+            IN_PART: "The time constant C / (U A - F_h' v) falls with speed, so a share of the fall is done sooner. But a slow "
+            "speed warms the belt little, so its torque is near the stable value from the start.",
         },
         {
             "seconds": {
@@ -179,6 +170,12 @@ def _order_from(torque: Array, time: Array) -> float | None:
     return float(time[broken[-1] + 1]) if len(broken) else float(time[0])
 
 
+def _first_order(order: dict[str, float | None]) -> str:
+    """Between which times, over the combinations, an order holds from then on."""
+    times = [time for time in order.values() if time is not None]
+    return f"after {span(times)} s" if len(times) == len(order) else "with some combinations only" if times else "never"
+
+
 def _slower_is_larger(family: Family, start_s: float) -> Claim:
     time = family.series(COMBINATIONS[0])[0]["time_s"]
     time = time[time >= start_s - 1e-9]
@@ -186,7 +183,7 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
     share = {c: float((np.diff(m, axis=0) < 0).all(axis=0).mean()) for c, m in torque.items()}
     total = {c: _order_from(m, time) for c, m in torque.items()}
     hysteresis = {c: _order_from(family.torque(c, start_s, "hysteresis_nm"), time) for c in COMBINATIONS}
-    at = {c: m[:, int(np.argmin(np.abs(time - COMPARED_S)))] for c, m in torque.items()}
+    torques = {c: m[:, int(np.argmin(np.abs(time - COMPARED_S)))] for c, m in torque.items()}
 
     def since(order: dict[str, float | None]) -> dict[str, str]:
         return {c: "never" if t is None else f"from {t:.0f} s on" for c, t in order.items()}
@@ -197,13 +194,11 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
         "At the same time the torque is the larger, the lower the speed.",
         {c: share[c] == 1.0 for c in COMBINATIONS},
         f"The torques of all five speeds are in this order during {percents(share.values(), 0)} of the time at constant speed. "
-        f"At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} km/h is {span((m[-1] / m[0] for m in at.values()), 2)} times that "
-        f"at {SPEEDS_KMH[0]:g} km/h. When the hysteresis torque alone, without wind and bearings, is in this order, is the last "
-        "but one column.",
+        f"At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} km/h is {span((m[-1] / m[0] for m in torques.values()), 2)} times "
+        f"that at {SPEEDS_KMH[0]:g} km/h. Hysteresis alone comes into this order {_first_order(hysteresis)}.",
         {
-            FAILS: "At equal temperature a higher speed means a higher frequency, and the loss modulus rises with frequency "
-            "(Figure 16). The wind rises with the square of the speed. The order can turn only as the faster belt warms, "
-            "which takes hundreds of seconds, and only where warming does more than frequency and wind.",
+            FAILS: "A higher speed means a higher frequency, a larger loss modulus and more wind. Only the warming of the faster "
+            "belt can turn the order, after hundreds of seconds.",
             IN_PART: "A higher speed means a higher frequency and loss modulus; "
             "the order can turn only as the faster belt warms.",
         },
@@ -211,11 +206,11 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
             "share_of_time_in_order": share,
             "order_from_s": total,
             "hysteresis_order_from_s": hysteresis,
-            "at_250_s_nm": {c: m.tolist() for c, m in at.items()},
+            "at_250_s_nm": {c: m.tolist() for c, m in torques.items()},
             "at_end_nm": {c: m[:, -1].tolist() for c, m in torque.items()},
         },
         {
-            f"torque at {COMPARED_S:g} s, {SPEEDS_ENDS}": {c: f"{m[0]:.0f} and {m[-1]:.0f} Nm" for c, m in at.items()},
+            f"torque at {COMPARED_S:g} s, {SPEEDS_ENDS}": {c: f"{m[0]:.0f} and {m[-1]:.0f} Nm" for c, m in torques.items()},
             f"at {DURATION_S:g} s": {c: f"{m[0, -1]:.0f} and {m[-1, -1]:.0f} Nm" for c, m in torque.items()},
             "torque in the paper's order": since(total),
             "hysteresis torque in the paper's order": since(hysteresis),
@@ -241,8 +236,7 @@ def weights(bench: Bench, out: Path) -> Section:
         _heavier_is_larger(family),
     ]
     text = [
-        f"From rest to {SPEED_KMH:g} km/h in {RAMP_S:g} s, then held to {DURATION_S:g} s. The weight is that of the whole "
-        "vehicle with its assemblies, shared as nominal.",
+        f"From rest to {SPEED_KMH:g} km/h in {RAMP_S:g} s, then held to {DURATION_S:g} s.",
     ]
     return section_of(bench, family, "Figure 25: load", TIMES_S, figures, claims, text)
 
@@ -257,8 +251,8 @@ def _different_stable(family: Family) -> Claim:
         {c: least[c] > SAME for c in COMBINATIONS},
         f"Neighbouring weights differ by at least {percent(min(least.values()))} when stable.",
         {
-            HOLDS: "A contact loses more under more load, about as the power 4/3 of it at constant modulus, and bearing friction "
-            "goes with the load. The warmer belt takes back a part."
+            HOLDS: "The loss of a contact goes about as the power 4/3 of its load, and bearing friction as the load. The warmer "
+            "belt takes back a part."
         },
         {"least_difference": least, "stable_nm": {c: m.tolist() for c, m in stable.items()}},
         {
@@ -278,10 +272,7 @@ def _heavier_is_larger(family: Family) -> Claim:
         "At any moment the torque increases with the load.",
         {c: least[c] > 0 for c in COMBINATIONS},
         f"At all times in motion each weight has at least {min(least.values()):.0f} Nm more torque than the next lighter one.",
-        {
-            HOLDS: "At equal temperature more load means more loss and more bearing friction. More loss warms the belt more, "
-            "which takes back a part of it, but not all. Were the loss no larger, the belt would be no warmer."
-        },
+        {HOLDS: "A warmer belt takes back a part of the larger loss, never all: with no larger loss it would be no warmer."},
         {"least_difference_nm": least, "exponent": exponent},
         {
             "least difference between neighbours": {c: f"{m:.0f} Nm" for c, m in least.items()},
@@ -306,11 +297,9 @@ def ambients(bench: Bench, out: Path) -> Section:
     family = run_family(bench, "fig26_ambients", "ambient [°C]", "degc", AMBIENTS_DEGC, lambda degc: (drive, WEIGHT_N, degc))
     caption = "Resistance torque and belt temperature at four ambient temperatures (the paper's Figure 26)"
     title = f"constant {SPEED_KMH:g} km/h, {WEIGHT_N / 1e3:g} kN, belt at ambient at the start"
-    combined = "Torque with every combination of loss method and thermal model; dashes at the right: the stable values."
     figures = [
         draw_family(out, family, bench.shipped, caption, title, {CROSSING_S: CROSSING, PAPER_END_S: "paper's end"}),
         _draw_differences(out, family),
-        draw_combinations(out, family, combined, {CROSSING_S: CROSSING}),
     ]
     claims = [
         falls("ambients", AMBIENTS_WHERE, family, 2 * bench.dt),
@@ -319,8 +308,8 @@ def ambients(bench: Bench, out: Path) -> Section:
             AMBIENTS_WHERE,
             "All ambient temperatures tend to the same stable torque.",
             family,
-            "Stable is F_h(T*) v = U A (T* - Ta). With s = -F_h' v / (U A), a warmer ambient leaves a warmer belt: dT*/dTa = "
-            "1 / (1 + s). This is more than zero and less than one.",
+            "Stable is F_h(T*) v = U A (T* - Ta). With s = -F_h' v / (U A), dT*/dTa = 1 / (1 + s): a warmer ambient leaves a "
+            "warmer belt.",
         ),
         _colder_is_larger_first(family),
         _warmer_is_larger_later(family),
@@ -330,11 +319,10 @@ def ambients(bench: Bench, out: Path) -> Section:
         c: [(family.stable[b][c].belt_degc - family.stable[a][c].belt_degc) / (b - a) for a, b in pairwise(AMBIENTS_DEGC)]
         for c in COMBINATIONS
     }
-    kept_shares = [f"With {c.replace('/', ' and ')} it keeps {percents(shares, 0)}." for c, shares in kept.items()]
     text = [
-        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper. The run goes on "
-        f"to {DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
-        " ".join(["The stable belt keeps a part of a difference in ambient temperature.", *kept_shares]),
+        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start; the belt starts at the ambient temperature. The "
+        f"run goes on to {DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. Of a difference in ambient temperature, the "
+        f"stable belt keeps {percents((share for shares in kept.values() for share in shares), 0)}.",
     ]
     return section_of(bench, family, "Figure 26: ambient temperature", AMBIENTS_TIMES_S, figures, claims, text, kept_share=kept)
 
@@ -347,18 +335,18 @@ def differences(family: Family, combination: str) -> Array:
 def _draw_differences(out: Path, family: Family) -> Figure:
     figure = Figure(
         f"{family.name}_differences.png",
-        f"{family.name}.csv",
+        (f"{family.name}.csv",),
         "Torque of each ambient temperature less that of the next warmer one, on a logarithmic axis. A crossing "
         "would show as a line that drops out of the picture.",
     )
-    with picture(out / figure.png, 9.0, 5.6) as drawn:
-        panels = drawn.subplots(len(METHODS), len(THERMAL), sharex=True, sharey=True)
+    with picture(out / figure.png, 9.0, 5.6) as drawing:
+        panels = drawing.subplots(len(METHODS), len(THERMAL), sharex=True, sharey=True)
         for axes, combination in zip(panels.flat, COMBINATIONS, strict=True):
             time = family.series(combination)[0]["time_s"]
             pairs = zip(colours(family)[1:], pairwise(AMBIENTS_DEGC), differences(family, combination), strict=True)
             for colour, (colder, warmer), difference in pairs:
                 shown = np.where(difference > 0.0, difference, np.nan)
-                axes.plot(*thinned(time, shown), color=colour, label=f"{colder:g} less {warmer:g}")
+                axes.plot(*thin_out(time, shown), color=colour, label=f"{colder:g} less {warmer:g}")
             axes.set_yscale("log")
             axes.set_title(combination.replace("/", ", "))
             axes.margins(x=0.01)
@@ -398,22 +386,20 @@ def _warmer_is_larger_later(family: Family) -> Claim:
     stable = {c: float(np.min(-np.diff(family.stable_torque(c)))) for c in COMBINATIONS}
     belts = {c: float(np.diff(np.stack([s["belt_degc"] for s in family.series(c)]), axis=0).min()) for c in COMBINATIONS}
     crosses = {c: bool((m < 0).any()) for c, m in later.items()}
-    found = [c for c in COMBINATIONS if crosses[c]]
+    results = [c for c in COMBINATIONS if crosses[c]]
     return Claim(
         "warmer_is_larger_later",
         AMBIENTS_WHERE,
         "After 250 s the torque at a higher ambient temperature is slightly higher (section "
         "4.2.3 says so once, and the opposite a few lines below).",
         crosses,
-        (f"There is a crossing with {listed(found)}. " if found else "There is no crossing. ")
-        + f"After {CROSSING_S:g} s an ambient temperature has more torque than the next warmer one. The least difference is "
-        f"{min(least.values()):.0f} Nm up to {DURATION_S:g} s, and {min(stable.values()):.0f} Nm when stable. The belt in the "
-        f"warmer ambient is the warmer one by at least {min(belts.values()):.1f} K at all times.",
+        (f"There is a crossing with {listed(results)}. " if results else "There is no crossing. ")
+        + f"The colder ambient temperature has at least {min(least.values()):.0f} Nm more torque up to {DURATION_S:g} s, and "
+        f"{min(stable.values()):.0f} Nm more when stable. Its belt is at all times the colder one, by at least "
+        f"{min(belts.values()):.1f} K.",
         {
-            FAILS: "Two belts that start at their ambient temperatures obey the same equation. To overtake, the colder one would "
-            "first have to be as warm as the other. At that moment both make the same heat, and the one in colder air loses "
-            "more of it. So it stays the colder one, and its loss, which falls with temperature, stays the larger. The "
-            "paper's reason, that the cold belt makes more heat, lets it catch up in part; it cannot take it past.",
+            FAILS: "To overtake, the colder belt would first have to be as warm as the other. At that moment both make the same "
+            "heat, and the one in colder air loses more of it. So it stays the colder one, with the larger loss.",
             IN_PART: "A crossing needs the belt in colder air to become the warmer one.",
         },
         {"least_difference_nm": least, "least_difference_stable_nm": stable, "least_belt_difference_k": belts},

@@ -33,7 +33,7 @@ from proofs.reproduce.bench import (
 )
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.drives import SimulatedDrive, laps, simulate, through_points
-from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
+from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thin_out
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.units import KMH_PER_MPS
 
@@ -74,9 +74,9 @@ class Trial:
         if not self.laps:
             return through_points(np.array([0.0, ramp, end]), np.array([0.0, speed, speed]), dt)
         count = math.ceil(end / (LAP_M / speed + ramp + stop_s))
-        whole = laps(speed, LAP_M, count, ramp, stop_s, dt)
-        kept = whole.time_s <= end + 1e-9
-        return SimulatedDrive(whole.time_s[kept], whole.speed[kept], whole.acceleration[kept])
+        total = laps(speed, LAP_M, count, ramp, stop_s, dt)
+        kept = total.time_s <= end + 1e-9
+        return SimulatedDrive(total.time_s[kept], total.speed[kept], total.acceleration[kept])
 
 
 TRIALS = (
@@ -112,22 +112,18 @@ def trials(bench: Bench, out: Path) -> Iterator[Section]:
 
 
 def _profile_text(bench: Bench, trial: Trial) -> str:
-    way, assumed = f"{STRAIGHT_M:g} m straight", "Weight and ambient temperature are assumed."
-    if trial.laps:
-        way = f"laps of a circle of 100 m radius ({LAP_M:.0f} m), a stop of {STOP_S:g} s after each"
-        assumed = "How long a stop lasts is assumed, and so are weight and ambient temperature. The model does not know the turn."
+    way = f"in laps of {LAP_M:.0f} m with a stop of {STOP_S:g} s after each" if trial.laps else f"on a {STRAIGHT_M:g} m straight"
     return (
-        f"{trial.speed_kmh:g} km/h, {trial.duration_s:g} s: {way}; {bench.vehicle.weight / 1e3:g} kN, "
-        f"{bench.vehicle.chassis.ambient:g} °C. The recorded speed is not public, so the profile follows the text. The "
-        f"acceleration is the {ACCELERATION:.2f} m/s² at which {STRAIGHT_M:g} m from rest to {STRAIGHT_KMH:g} km/h take the "
-        f"{STRAIGHT_S:g} s of the paper's record. {assumed}"
+        f"{trial.duration_s:g} s {way}, {bench.vehicle.weight / 1e3:g} kN, {bench.vehicle.chassis.ambient:g} °C. Weight, air"
+        f"{', stops' if trial.laps else ''} and the acceleration of {ACCELERATION:.2f} m/s² are assumed: the recorded speed is "
+        f"not public.{' The model does not know the turn.' if trial.laps else ''}"
     )
 
 
 def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
     figure = Figure(
         f"{trial.name}.png",
-        f"{trial.name}.csv",
+        (f"{trial.name}.csv",),
         f"Speed, torque and belt temperature of the test at {trial.speed_kmh:g} km/h (the paper's Figures {trial.figures}).",
     )
     times = np.arange(0.0, trial.duration_s + 1e-9, trial.csv_step_s)
@@ -135,16 +131,16 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
     for combination in COMBINATIONS:
         for column in ("resistance_torque_nm", "drive_torque_nm", "belt_degc"):
             columns[f"{column}_{combination.replace('/', '_')}"] = at_times(runs[combination], column, times)
-    write_csv(out / figure.csv, columns)
+    write_csv(out / figure.data[0], columns)
     main = runs[bench.shipped]
-    with picture(out / figure.png, 9.0, 8.0) as drawn:
-        speed, torque, zoom, belt = drawn.subplots(4, 1, sharex=True, height_ratios=(0.8, 1.3, 1.3, 1.2))
-        speed.plot(*thinned(main["time_s"], main["speed_mps"] * KMH_PER_MPS), color=BLACK)
+    with picture(out / figure.png, 9.0, 8.0) as drawing:
+        speed, torque, zoom, belt = drawing.subplots(4, 1, sharex=True, height_ratios=(0.8, 1.3, 1.3, 1.2))
+        speed.plot(*thin_out(main["time_s"], main["speed_mps"] * KMH_PER_MPS), color=BLACK)
         speed.set_ylim(0.0, 1.1 * trial.speed_kmh)
         speed.set_ylabel("speed [km/h]")
-        driving = thinned(main["time_s"], main["drive_torque_nm"] / 1e3)
+        driving = thin_out(main["time_s"], main["drive_torque_nm"] / 1e3)
         torque.plot(*driving, color=GREY, linewidth=0.9, label="drive torque,\nwith inertia")
-        torque.plot(*thinned(main["time_s"], main["resistance_torque_nm"] / 1e3), color=BLUE, label="resistance")
+        torque.plot(*thin_out(main["time_s"], main["resistance_torque_nm"] / 1e3), color=BLUE, label="resistance")
         torque.set_title(bench.shipped.replace("/", ", "))
         torque.set_ylabel("torque [kNm]")
         zoom.set_title("resistance at full speed")
@@ -153,8 +149,8 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
             at_speed = np.full(len(series["time_s"]), np.nan)
             for part in held(series):
                 at_speed[part] = series["resistance_torque_nm"][part]
-            zoom.plot(*thinned(series["time_s"], at_speed), color=colour, linestyle=style, label=label)
-            belt.plot(*thinned(series["time_s"], series["belt_degc"]), color=colour, linestyle=style, label=label)
+            zoom.plot(*thin_out(series["time_s"], at_speed), color=colour, linestyle=style, label=label)
+            belt.plot(*thin_out(series["time_s"], series["belt_degc"]), color=colour, linestyle=style, label=label)
         zoom.set_ylabel("torque [Nm]")
         belt.set_ylabel("belt [°C]")
         belt.axhline(bench.vehicle.chassis.ambient, color=GREY, linestyle=":", linewidth=1.0, label="ambient")
@@ -162,7 +158,7 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
         belt.margins(x=0.01)
         for axes in (torque, zoom, belt):
             legend_beside(axes)
-        drawn.align_ylabels()
+        drawing.align_ylabels()
     return figure
 
 
@@ -175,7 +171,7 @@ def _lap_falls(trial: Trial, runs: Runs) -> Claim:
         {c: bool((np.diff(m) < 0).all()) for c, m in means.items()},
         f"The mean torque at full speed changes from the first of {len(means[COMBINATIONS[0]])} laps to the last by "
         f"{percents(m[-1] / m[0] - 1.0 for m in means.values())}.",
-        {HOLDS: "It falls from each lap to the next: the belt warms more in a lap than it cools in a stop."},
+        {HOLDS: "The belt warms more in a lap than it cools in a stop."},
         {"lap_mean_nm": {c: m.tolist() for c, m in means.items()}},
         {
             "first lap": {c: f"{m[0]:.0f} Nm" for c, m in means.items()},
@@ -189,23 +185,22 @@ def _lap_settles(bench: Bench, trial: Trial, runs: Runs) -> Claim:
     long_run = trial.drive(bench.dt, times=LONG_RUN)
     ends = {c: float(held_means(simulate(bench.estimator(c), long_run))[-2]) for c in COMBINATIONS}  # the last may be cut short
     shrinking = {c: bool((np.diff(m[:-1], 2) > 0).all()) for c, m in means.items()}
-    done = {c: float((m[0] - m[-1]) / (m[0] - ends[c])) for c, m in means.items()}
+    outcomes = {c: float((m[0] - m[-1]) / (m[0] - ends[c])) for c, m in means.items()}
     return Claim(
         f"laps_{trial.speed_kmh:g}_settle",
         trial.where,
         "The torque gradually tends to a stable value.",
         shrinking,
-        f"Laps are driven on for {LONG_RUN * trial.duration_s:g} s to see what the torque tends to. Of the fall from the first "
-        f"lap to there, the {trial.duration_s:g} s of the record see {percents(done.values(), 0)}.",
+        f"Of the fall in {LONG_RUN * trial.duration_s:g} s of laps, the {trial.duration_s:g} s of the record have "
+        f"{percents(outcomes.values(), 0)}.",
         {
-            HOLDS: "The fall from lap to lap shrinks, which is tending to a stable value. How near the record comes to it, the "
-            "shares tell.",
+            HOLDS: "The fall from lap to lap shrinks: the belt comes to a balance of heat.",
             IN_PART: "The fall does not shrink from each lap to the next.",
         },
-        {"tends_to_nm": ends, "share_done": done},
+        {"tends_to_nm": ends, "share_done": outcomes},
         {
             "tends to": {c: f"{m:.0f} Nm" for c, m in ends.items()},
-            "share of the fall in the record": {c: percent(share, 0) for c, share in done.items()},
+            "share of the fall in the record": {c: percent(share, 0) for c, share in outcomes.items()},
         },
     )
 
@@ -219,7 +214,7 @@ def _straight_falls(trial: Trial, runs: Runs) -> Claim:
         "The simulated torque gradually decreases.",
         {c: bool((np.diff(m) < 0).all()) for c, m in torque.items()},
         f"From when full speed is reached to {trial.duration_s:g} s the torque changes by {percents(change.values())}.",
-        {HOLDS: "The belt warms all the way; the record ends long before it is in balance."},
+        {HOLDS: "The belt warms all the way; the record ends long before its balance of heat."},
         {"change": change},
         {
             "at full speed": {c: f"{m[0]:.0f} Nm" for c, m in torque.items()},
@@ -229,11 +224,12 @@ def _straight_falls(trial: Trial, runs: Runs) -> Claim:
 
 
 def _stated_error(bench: Bench, trial: Trial, runs: Runs) -> Claim:
+    # R² is 1 - mean square error / variance, and a root mean square error is at least the mean absolute one.
     least = trial.mae_nm / math.sqrt(1.0 - trial.r_square)
     series = runs[bench.shipped]
     drive, resistance = float(np.std(series["drive_torque_nm"])), float(np.std(series["resistance_torque_nm"]))
     if least <= resistance:
-        reading = "resistance alone varies as much"
+        reading = "Resistance alone varies as much"
     elif least <= drive:
         reading = "Only with the inertia of driving off and stopping does it vary so much"
     else:
@@ -244,11 +240,9 @@ def _stated_error(bench: Bench, trial: Trial, runs: Runs) -> Claim:
         f"Simulation and measurement agree to a mean absolute error of {trial.mae_nm:g} Nm and an R² of {trial.r_square:g} over "
         f"0-{trial.duration_s:g} s.",
         {},
-        "Neither the measurement nor the simulation is public. The two numbers do tell how much the measured torque varied. "
-        "R² is 1 - mean square error / variance, and the root mean square error is at least the mean absolute one. So its "
-        f"standard deviation was at least {trial.mae_nm:g} / √(1 - {trial.r_square:g}) = {least:.0f} Nm. On the profile above "
-        f"that of the program's resistance torque is {resistance:.0f} Nm. That of its drive torque, which includes the "
-        f"inertia as the paper's (32) does, is {drive:.0f} Nm ({bench.shipped.replace('/', ', ')}). {reading}.",
+        "The measurement is not public. Both numbers give its least standard deviation: "
+        f"{trial.mae_nm:g} / √(1 - {trial.r_square:g}) = {least:.0f} Nm. The program's resistance torque has {resistance:.0f} Nm "
+        f"({bench.shipped.replace('/', ', ')}), its drive torque with inertia {drive:.0f} Nm. {reading}.",
         {OPEN: ""},
         {"least_std_nm": least, "drive_std_nm": drive, "resistance_std_nm": resistance},
     )

@@ -20,7 +20,7 @@ from trackres_ros.effects.stepping import FIRST_OWN, effect_table, new_memory
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.kernels.compiler import compiled
+from trackres_ros.kernels.compiler import compile_text
 from trackres_ros.model.track import vehicle_constants
 from trackres_ros.tasks.main import cli
 from trackres_ros.tasks.vehicle import check_vehicle
@@ -40,8 +40,8 @@ CATALOGUE = catalogue()
 
 
 def conditions(**changed):
-    known = {"speed": 5.0, "accel": 0.2, "weight": 250e3, "ambient": 10.0, "yaw_rate": 0.1, "heading": 0.5, "distance": 900.0}
-    return known_conditions(vehicle_constants(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
+    facts = {"speed": 5.0, "accel": 0.2, "weight": 250e3, "ambient": 10.0, "yaw_rate": 0.1, "heading": 0.5, "distance": 900.0}
+    return known_conditions(vehicle_constants(load("xgd24d")), **{**facts, "drive_torque": 3000.0, "own": 12.0, **changed})
 
 
 def terms_of(effect, at, values=None):
@@ -79,7 +79,7 @@ def test_a_typical_effect_does_what_it_says_it_acts_on(name):
     # Away from the points where an effect is nothing by its definition.
     at = conditions(weight=310e3, speed=0.4 if name == "still_air" else 7.0)
     terms = terms_of(effect, at)
-    changed = {name for name in Terms._fields if not np.allclose(getattr(terms, name), getattr(Terms(), name), rtol=1e-12)}
+    term_names = {name for name in Terms._fields if not np.allclose(getattr(terms, name), getattr(Terms(), name), rtol=1e-12)}
     by_action = {
         "torque": {"torque", "drive_gain"},
         "heat": {"loss_factor", "softening"},
@@ -87,8 +87,8 @@ def test_a_typical_effect_does_what_it_says_it_acts_on(name):
         "sensor": {"speed_factor", "sensor_gain", "sensor_offset", "sensor_delay"},
     }
     assert effect.acts_on in ACTS_ON
-    assert changed
-    assert changed <= by_action[effect.acts_on]
+    assert term_names
+    assert term_names <= by_action[effect.acts_on]
 
 
 @pytest.mark.parametrize("name", sorted(set(NAMES) - OF_SENSORS))
@@ -99,8 +99,8 @@ def test_the_step_runs_what_the_file_says_as_machine_code(stepped, name):
         at = conditions(speed=speed)
         work = stepped([active], at, memory)
         lag = active.lag(at)
-        said = active.terms(at, 0.0 if lag is None else memory[FIRST_OWN])
-        assert same(Terms(*work[:10]), said)
+        expected = active.terms(at, 0.0 if lag is None else memory[FIRST_OWN])
+        assert same(Terms(*work[:10]), expected)
 
 
 OWN = """
@@ -137,11 +137,11 @@ def table_of(folder, constant=2.0, more="", function="cos", parameters="TORQUE, 
 
 @pytest.fixture
 def torque_by(stepped):
-    def by(table):
+    def torque_of_table(table):
         gc.collect()
         return stepped(table, conditions())[0]
 
-    return by
+    return torque_of_table
 
 
 def _air(at):
@@ -168,21 +168,21 @@ def test_editing_an_effect_file_changes_its_code(tmp_path, torque_by):
 @needs_compiler
 def test_an_effect_file_is_compiled_once_and_kept_for_us_alone(tmp_path, torque_by, monkeypatch):
     monkeypatch.setattr(calls, "cache_dir", lambda: tmp_path / "cache")
-    made = []
-    monkeypatch.setattr(calls, "compiled", lambda text: made.append(text) or compiled(text))
+    texts = []
+    monkeypatch.setattr(calls, "compile_text", lambda text: texts.append(text) or compile_text(text))
     for count, damage in ((1, None), (1, bytes), (2, lambda code: code[:-1]), (3, lambda _: b"")):
         (tmp_path / "cache").mkdir(exist_ok=True)
-        for kept in (tmp_path / "cache").rglob("*.code"):
-            kept.write_bytes(damage(kept.read_bytes()))
+        for code_path in (tmp_path / "cache").rglob("*.code"):
+            code_path.write_bytes(damage(code_path.read_bytes()))
         calls._library.cache_clear()  # as another process
         assert torque_by(table_of(tmp_path, 41.0)) == 410.0
-        assert len(made) == count
-    (kept,) = (tmp_path / "cache").rglob("*.code")
-    assert (kept.stat().st_mode | kept.parent.stat().st_mode) & 0o077 == 0
+        assert len(texts) == count
+    (code_path,) = (tmp_path / "cache").rglob("*.code")
+    assert (code_path.stat().st_mode | code_path.parent.stat().st_mode) & 0o077 == 0
 
 
 def test_an_untranslatable_effect_names_its_line_and_runs(tmp_path, torque_by, caplog):
-    calls._say.cache_clear()
+    calls._warn_of_python.cache_clear()
     tables = [table_of(tmp_path, float(i), " + len(type(self).text) - 8") for i in range(3)]
     assert [torque_by(table) for table in tables] == [1.0, 11.0, 21.0]
     line = 1 + next(i for i, text in enumerate((tmp_path / "own.py").read_text().split("\n")) if "return Terms" in text)
@@ -190,7 +190,7 @@ def test_an_untranslatable_effect_names_its_line_and_runs(tmp_path, torque_by, c
 
 
 def test_without_a_compiler_an_effect_runs_in_plain_python(tmp_path, torque_by, caplog, monkeypatch):
-    calls._say.cache_clear()
+    calls._warn_of_python.cache_clear()
     monkeypatch.setattr(calls, "compiler", lambda: None)
     (tmp_path / "own.py").write_text(OWN.format(constant=43.0, more="", function="cos", parameters="TORQUE, SHARE"))
     effect = catalogue(tmp_path)["own"]
@@ -218,10 +218,10 @@ def test_a_bearing_warms_until_it_gives_off_its_heat(stepped, air, rise, thinnin
 )
 def test_friction_turns_with_the_direction_and_vanishes_at_rest(name):
     effect = CATALOGUE[name]
-    forward, back = (terms_of(effect, conditions(speed=v, drive_torque=np.sign(v) * 3000.0)) for v in (4.0, -4.0))
-    still = terms_of(effect, conditions(speed=0.0))
-    assert float(forward.torque) == pytest.approx(-float(back.torque), rel=1e-9)
-    assert float(still.torque) == pytest.approx(0.0, abs=1e-9)
+    ahead, reverse = (terms_of(effect, conditions(speed=v, drive_torque=np.sign(v) * 3000.0)) for v in (4.0, -4.0))
+    rest_terms = terms_of(effect, conditions(speed=0.0))
+    assert float(ahead.torque) == pytest.approx(-float(reverse.torque), rel=1e-9)
+    assert float(rest_terms.torque) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("strain", [0.1, 1.0, 10.0])
@@ -240,13 +240,13 @@ def test_strain_dependent_loss_is_positive_with_a_bounded_slope(strain):
 
 
 def test_torques_add_factors_multiply_and_sinks_are_averaged():
-    both = together(
+    total = together(
         [
             Terms(torque=2.0, loss_factor=1.1, conductance=10.0, sink=0.0),
             Terms(torque=3.0, loss_factor=2.0, conductance=30.0, sink=40.0),
         ]
     )
-    assert (both.torque, both.loss_factor, float(both.conductance), float(both.sink)) == pytest.approx((5.0, 2.2, 40.0, 30.0))
+    assert (total.torque, total.loss_factor, float(total.conductance), float(total.sink)) == pytest.approx((5.0, 2.2, 40.0, 30.0))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -254,23 +254,23 @@ def test_torques_add_factors_multiply_and_sinks_are_averaged():
 def test_an_effect_acts_alike_from_a_later_first_start(name, before):
     """What a fit counts from the first recording, a replay and a live node count from their own start."""
     active = Active(catalogue()[name], catalogue()[name].values())
-    later = active.after(before)
+    late_effect = active.after(before)
     for distance in (0.0, 300.0, 5000.0):
-        both = (one.terms(conditions(distance=at)) for one, at in ((active, before + distance), (later, distance)))
-        whole, rest = (np.array(terms) for terms in both)
-        assert rest == pytest.approx(whole, abs=0.005)  # what is less has faded
-    assert later.does_nothing == (name == "mullins" and before > 20_000.0)
+        pairs = (effect.terms(conditions(distance=at)) for effect, at in ((active, before + distance), (late_effect, distance)))
+        early_terms, late_terms = (np.array(terms) for terms in pairs)
+        assert late_terms == pytest.approx(early_terms, abs=0.005)  # what is less has faded
+    assert late_effect.does_nothing == (name == "mullins" and before > 20_000.0)
 
 
 def test_values_of_a_vehicle_file_are_checked():
-    good = {"warmup": {"torque": 100.0, "time_constant": 200.0, "cooling": 5000.0}}
-    (active,) = check_effects(good, "vehicle.yaml: effects", CATALOGUE, "vehicle")
+    valid = {"warmup": {"torque": 100.0, "time_constant": 200.0, "cooling": 5000.0}}
+    (active,) = check_effects(valid, "vehicle.yaml: effects", CATALOGUE, "vehicle")
     assert isinstance(active, Active)
     assert not active.ranges
-    for bad, said in (
+    for faulty, words in (
         ({"warmpu": {}}, "did you mean warmup"),
         ({"warmup": {"torque": 1.0}}, "time_constant"),
-        ({"warmup": {**good["warmup"], "torque": -1.0}}, "0 to 2500 Nm"),
+        ({"warmup": {**valid["warmup"], "torque": -1.0}}, "0 to 2500 Nm"),
         ([], "a mapping"),
         (with_torque({"value": 100.0}), "range: "),
         (with_torque({"value": 100.0, "range": 50.0}), "two numbers"),
@@ -279,8 +279,8 @@ def test_values_of_a_vehicle_file_are_checked():
         (with_torque({"value": 100.0, "range": [50.0, 9e9]}), "from 0 to 2500 Nm"),
         (with_torque({"value": float("nan"), "range": [50.0, 150.0]}), "from 50 to 150 Nm"),
     ):
-        with pytest.raises(InputError, match=said):
-            check_effects(bad, "vehicle.yaml: effects", CATALOGUE, "vehicle")
+        with pytest.raises(InputError, match=words):
+            check_effects(faulty, "vehicle.yaml: effects", CATALOGUE, "vehicle")
 
 
 def with_torque(given):
@@ -291,8 +291,8 @@ def test_a_range_goes_with_its_value():
     (active,) = check_effects(with_torque({"value": 100.0, "range": [60.0, 140.0]}), "effects", CATALOGUE, "vehicle")
     assert active.values["torque"] == 100.0
     assert active.ranges == {"torque": (60.0, 140.0)}
-    (moved,) = active.shifted()
-    assert moved.values == {**active.values, "torque": 120.0}
+    (neighbour,) = active.shifted()
+    assert neighbour.values == {**active.values, "torque": 120.0}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -308,8 +308,8 @@ def test_what_belongs_elsewhere_is_refused_with_where_it_goes(name, place):
 
 
 def test_what_is_typical_grows_with_the_vehicle():
-    whole, half = (catalogue(size=size)["warmup"].parameters[0] for size in (REFERENCE_NM, 0.5 * REFERENCE_NM))
-    assert (half.low, half.start, half.high) == (0.5 * whole.low, 0.5 * whole.start, 0.5 * whole.high)
+    full, half = (catalogue(size=size)["warmup"].parameters[0] for size in (REFERENCE_NM, 0.5 * REFERENCE_NM))
+    assert (half.low, half.start, half.high) == (0.5 * full.low, 0.5 * full.start, 0.5 * full.high)
     assert catalogue(size=REFERENCE_NM)["warmup"].values() == CATALOGUE["warmup"].values()
     on_tyres = catalogue(size=4600.0, on_tyres=True)["roadwheel_tyres"].parameters[0]
     assert on_tyres.start == pytest.approx(46.0)
@@ -389,17 +389,17 @@ def test_an_own_effect_that_never_acts_is_refused_at_the_start(own, was, becomes
 
 def test_an_abstract_class_between_is_no_effect(own):
     squeak = own / "squeak.py"
-    between = "from abc import abstractmethod\n\nclass Between(Effect):\n    @abstractmethod\n    def extra(self): ...\n\n"
-    whole = squeak.read_text().replace("class Squeak(Effect)", f"{between}class Squeak(Between)")
-    squeak.write_text(f"{whole}\n    def extra(self): ...\n")
+    base_class = "from abc import abstractmethod\n\nclass Between(Effect):\n    @abstractmethod\n    def extra(self): ...\n\n"
+    source = squeak.read_text().replace("class Squeak(Effect)", f"{base_class}class Squeak(Between)")
+    squeak.write_text(f"{source}\n    def extra(self): ...\n")
     assert set(catalogue(own)) == {*NAMES, "squeak"}
 
 
 def test_the_command_lists_them():
-    done = CliRunner().invoke(cli, ["effects", "--json"])
-    listed = {e["name"]: e for e in json.loads(done.output)["effects"]}
-    assert sorted(listed) == sorted(NAMES)
-    assert listed["warmup"]["parameters"]["torque"]["unit"] == "Nm"
+    result = CliRunner().invoke(cli, ["effects", "--json"])
+    by_name = {e["name"]: e for e in json.loads(result.output)["effects"]}
+    assert sorted(by_name) == sorted(NAMES)
+    assert by_name["warmup"]["parameters"]["torque"]["unit"] == "Nm"
     assert "warmup (torque, of the vehicle)" in CliRunner().invoke(cli, ["effects"]).output
 
 

@@ -40,7 +40,7 @@ from trackres_ros.effects.learned import (
     Curve,
     Latch,
     SidedGain,
-    sized,
+    sized_effect,
 )
 from trackres_ros.effects.stepping import new_memory
 from trackres_ros.errors import InputError
@@ -122,11 +122,13 @@ def test_a_curve_is_linear_between_knots_and_constant_beyond(drawn, at):
 @pytest.mark.parametrize("speed", [-3.0, 0.0, 0.2, 6.0])
 def test_compiled_and_interpreted_give_the_same_bits(stepped, effect, speed):
     assert is_compiled(effect)
-    one = active(effect, [120.0, -80.0, 310.0][: effect.knots])
+    learned_effect = active(effect, [120.0, -80.0, 310.0][: effect.knots])
     of_machine, of_python = new_memory(1), new_memory(1)
     for accel, yaw_rate, belt in ((0.2, 0.1, 30.0), (-0.5, -0.1, 50.0), (-0.5, 0.2, 30.0), (0.0, 0.0, 10.0)):
         at = conditions(FACTS, speed, accel, 250e3, 10.0, yaw_rate, drive_torque=3000.0 if accel > 0.0 else -3000.0, belt=belt)
-        terms = [stepped([one], at, memory, machine, dt=7.0) for memory, machine in ((of_machine, True), (of_python, False))]
+        terms = [
+            stepped([learned_effect], at, memory, machine, dt=7.0) for memory, machine in ((of_machine, True), (of_python, False))
+        ]
         np.testing.assert_array_equal(*terms)
     np.testing.assert_array_equal(of_machine, of_python)
 
@@ -149,29 +151,32 @@ def test_corners_are_straight_from_their_threshold_to_the_end(belt, speed):
 
 
 def test_a_latch_holds_its_state_between_its_thresholds(stepped):
-    one, memory = active(Latch(SPEED, 0.0, 3.0, 6.0, 10.0), [400.0]), new_memory(1)
+    latch, memory = active(Latch(SPEED, 0.0, 3.0, 6.0, 10.0), [400.0]), new_memory(1)
     course = [(2.0, 0), (5.0, 0), (6.5, 1), (5.0, 1), (3.1, 1), (2.9, 0), (5.9, 0), (-7.0, 1), (-4.0, 1), (0.0, 0), (4.0, 0)]
-    for speed, there in course:
-        torque = stepped([one], conditions(FACTS, speed), memory, dt=0.02)[0]
-        assert torque == pytest.approx(400.0 * there * math.tanh(speed / STANDSTILL_MPS), abs=1e-6)
+    for speed, state in course:
+        torque = stepped([latch], conditions(FACTS, speed), memory, dt=0.02)[0]
+        assert torque == pytest.approx(400.0 * state * math.tanh(speed / STANDSTILL_MPS), abs=1e-6)
 
 
 @given(within((-2e4, 2e4)), within((-15.0, 15.0)), st.sampled_from([*SIDES]))
 def test_a_sided_gain_changes_one_sign_of_the_torque_only(drive, speed, side):
-    one = Active(SidedGain(side, 1e4), {**SidedGain(side, 1e4).values(), "gain": -0.3})
-    terms, along = one.terms(conditions(FACTS, speed, drive_torque=drive)), drive * math.tanh(speed / STANDSTILL_MPS)
+    gain_effect = Active(SidedGain(side, 1e4), {**SidedGain(side, 1e4).values(), "gain": -0.3})
+    terms, forward_torque = (
+        gain_effect.terms(conditions(FACTS, speed, drive_torque=drive)),
+        drive * math.tanh(speed / STANDSTILL_MPS),
+    )
     assert terms.torque == 0.0
-    if abs(along) > 500.0:
-        acts = drive < 0.0 if side == NEGATIVE else along * side > 0.0
-        there = abs(math.tanh(speed / STANDSTILL_MPS)) if acts else 0.0
-        assert terms.drive_gain == pytest.approx(1.0 - 0.3 * there, rel=1e-3)
+    if abs(forward_torque) > 500.0:
+        is_active = drive < 0.0 if side == NEGATIVE else forward_torque * side > 0.0
+        share = abs(math.tanh(speed / STANDSTILL_MPS)) if is_active else 0.0
+        assert terms.drive_gain == pytest.approx(1.0 - 0.3 * share, rel=1e-3)
 
 
 @pytest.mark.parametrize("effect", SOME, ids=lambda e: e.name)
 def test_at_rest_no_learned_effect_does_anything(effect):
-    one = active(effect, [400.0] * effect.knots)
-    for own in (0.0, 1.0):
-        terms = one.terms(conditions(FACTS, 0.0, 0.2, 250e3, 10.0, 0.1, drive_torque=3000.0, belt=50.0), own)
+    learned_effect = active(effect, [400.0] * effect.knots)
+    for state in (0.0, 1.0):
+        terms = learned_effect.terms(conditions(FACTS, 0.0, 0.2, 250e3, 10.0, 0.1, drive_torque=3000.0, belt=50.0), state)
         assert (terms.torque, terms.drive_gain) == (0.0, 1.0)
 
 
@@ -186,11 +191,13 @@ def test_every_name_is_that_of_one_form():
 
 
 def test_torques_grow_with_the_vehicle_and_knots_do_not():
-    whole = Curve(SPEED, [1.0, 5.0])
-    half = sized(whole, 0.5 * 97920.0)
-    for q, other in zip(whole.parameters, half.parameters, strict=True):
+    full = Curve(SPEED, [1.0, 5.0])
+    half = sized_effect(full, 0.5 * 97920.0)
+    for q, half_parameter in zip(full.parameters, half.parameters, strict=True):
         factor = 0.5 if q.name.startswith("y") else 1.0
-        assert (other.low, other.start, other.high) == pytest.approx((factor * q.low, factor * q.start, factor * q.high))
+        assert (half_parameter.low, half_parameter.start, half_parameter.high) == pytest.approx(
+            (factor * q.low, factor * q.start, factor * q.high)
+        )
 
 
 # Vehicle files
@@ -204,16 +211,16 @@ def written(tmp_path, one):
 
 @pytest.mark.parametrize("effect", SOME, ids=lambda e: e.name)
 def test_a_learned_effect_survives_writing_and_reading_its_file(effect, tmp_path):
-    one = active(effect, [123.456, -80.0, 310.0][: effect.knots])
-    path = written(tmp_path, one)
-    (again,) = load(path).effects
-    assert again.effect.name == effect.name
-    assert again.values == pytest.approx(one.values, rel=1e-5)
-    assert [q.name for q in again.effect.parameters] == [q.name for q in effect.parameters]
+    learned_effect = active(effect, [123.456, -80.0, 310.0][: effect.knots])
+    path = written(tmp_path, learned_effect)
+    (copy,) = load(path).effects
+    assert copy.effect.name == effect.name
+    assert copy.values == pytest.approx(learned_effect.values, rel=1e-5)
+    assert [q.name for q in copy.effect.parameters] == [q.name for q in effect.parameters]
     for speed, accel, yaw_rate in ((6.0, 0.1, 0.2), (2.0, -0.4, -0.2), (-4.0, 0.0, 0.1)):
         at = conditions(FACTS, speed, accel, 260e3, 10.0, yaw_rate, drive_torque=4e3, belt=30.0)
-        for own in (0.4, 0.6):
-            assert again.terms(at, own) == pytest.approx(one.terms(at, own), rel=1e-4)
+        for state in (0.4, 0.6):
+            assert copy.terms(at, state) == pytest.approx(learned_effect.terms(at, state), rel=1e-4)
 
 
 def test_commands_take_a_file_with_what_was_learned(tmp_path):
@@ -224,11 +231,11 @@ def test_commands_take_a_file_with_what_was_learned(tmp_path):
         ["vehicle", "check", path, "--points", 10],
         ["replay", tmp_path / "drive.csv", "--vehicle", path, "-o", tmp_path / "out.csv"],
     ):
-        done = CliRunner().invoke(cli, [str(word) for word in command])
-        assert done.exit_code == 0, done.exception
-    added = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)["effects_nm"]
-    assert added[50:95] == pytest.approx(425.0, rel=1e-4)
-    assert added[105:] == pytest.approx(0.0, abs=1e-6)
+        result = CliRunner().invoke(cli, [str(word) for word in command])
+        assert result.exit_code == 0, result.exception
+    effects_nm = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)["effects_nm"]
+    assert effects_nm[50:95] == pytest.approx(425.0, rel=1e-4)
+    assert effects_nm[105:] == pytest.approx(0.0, abs=1e-6)
 
 
 KNOTS = {"x1": 1.0, "x2": 3.0, "y1": 10.0, "y2": 20.0}

@@ -44,8 +44,8 @@ def test_many_measurements_pull_a_wrong_start_to_the_truth(reference):
     random = np.random.default_rng(3)
     for _ in range(120):
         truth_state, truth = reference.step(truth_state, inputs, 1.0)
-        measured = truth.belt_degc() + random.normal(0, 3.0, 4)
-        state, estimate = reference.step(state, reference.inputs(SPEED, ambient=15.0, belt_measured=measured), 1.0)
+        measured_degc = truth.belt_degc() + random.normal(0, 3.0, 4)
+        state, estimate = reference.step(state, reference.inputs(SPEED, ambient=15.0, belt_measured=measured_degc), 1.0)
     error = estimate.belt_degc() - truth.belt_degc()
     assert np.abs(error).max() < 2.0
     assert np.abs(error).max() < 4 * estimate.belt_std_k().max()
@@ -56,10 +56,10 @@ def test_a_surface_sensor_is_not_taken_for_the_mean():
     surface = Estimator(vehicle, Settings(belt_sensor="surface", belt_measured_std_k=0.5))
     inputs = surface.inputs(SPEED, ambient=15.0)
     state, estimate = surface.step(surface.cold_start(inputs, belt_degc=60.0, belt_std_k=5.0), inputs, 0.1)
-    shown = estimate["surface_degc/front_left"]
-    assert 15.0 < shown < 45.0 < estimate.belt_degc()[0]
-    state, corrected = surface.step(state, surface.inputs(SPEED, ambient=15.0, belt_measured=np.full(4, shown)), 1e-6)
-    assert corrected.belt_degc()[0] == pytest.approx(estimate.belt_degc()[0], abs=0.05)
+    surface_degc = estimate["surface_degc/front_left"]
+    assert 15.0 < surface_degc < 45.0 < estimate.belt_degc()[0]
+    state, estimate_2 = surface.step(state, surface.inputs(SPEED, ambient=15.0, belt_measured=np.full(4, surface_degc)), 1e-6)
+    assert estimate_2.belt_degc()[0] == pytest.approx(estimate.belt_degc()[0], abs=0.05)
 
 
 @pytest.mark.parametrize("sensor", ["mean", "surface"])
@@ -70,11 +70,11 @@ def test_two_nodes_are_corrected_together(sensor):
     state = estimator.cold_start(inputs)
     for _ in range(120):
         state, estimate = estimator.step(state, inputs, 1.0)
-    shown = estimate.belt_degc() if sensor == "mean" else np.full(4, estimate["surface_degc/front_left"])
-    _, corrected = estimator.step(state, estimator.inputs(SPEED, ambient=15.0, belt_measured=shown + 10.0), 1e-6)
-    assert corrected.belt_degc()[0] > estimate.belt_degc()[0] + 2.0
-    assert corrected["surface_degc/front_left"] > estimate["surface_degc/front_left"] + 2.0
-    assert (corrected.belt_std_k() < estimate.belt_std_k()).all()
+    sensor_degc = estimate.belt_degc() if sensor == "mean" else np.full(4, estimate["surface_degc/front_left"])
+    _, estimate_2 = estimator.step(state, estimator.inputs(SPEED, ambient=15.0, belt_measured=sensor_degc + 10.0), 1e-6)
+    assert estimate_2.belt_degc()[0] > estimate.belt_degc()[0] + 2.0
+    assert estimate_2["surface_degc/front_left"] > estimate["surface_degc/front_left"] + 2.0
+    assert (estimate_2.belt_std_k() < estimate.belt_std_k()).all()
 
 
 def test_a_sensor_far_off_is_left_out_and_reported(reference):

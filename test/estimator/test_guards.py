@@ -15,7 +15,7 @@ from trackres_ros.effects.stepping import EACH
 from trackres_ros.estimator.columns import REFUSALS, Belt, Count, Reason
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.snapshot import rested
+from trackres_ros.estimator.snapshot import rest_session
 from trackres_ros.vehicle import load_any
 
 START = 1_700_000_000_000_000_000
@@ -41,8 +41,8 @@ def steady(session, seconds=2.0, start=START, every=20 * MS):
     return start + count * every, estimate
 
 
-def count(session, which, name="speed"):
-    return int(session.memory.counters[session.channel(name), which])
+def count(session, counter, name="speed"):
+    return int(session.memory.counters[session.channel(name), counter])
 
 
 STAMPS = st.one_of(
@@ -77,11 +77,11 @@ def test_whatever_comes_counters_add_up_and_results_are_finite(reference, messag
 
 @pytest.mark.parametrize("jump", [3600 * S, -3600 * S])
 def test_a_clock_jump_accepted_after_three_keeps_the_temperature(session, jump):
-    now, before = steady(session, 60.0)
-    results = [send(session, now + jump + i * 20 * MS, arrival=now + i * 20 * MS) for i in range(4)]
+    time_ns, last_estimate = steady(session, 60.0)
+    results = [send(session, time_ns + jump + i * 20 * MS, arrival=time_ns + i * 20 * MS) for i in range(4)]
     assert results[:2] == [None, None]
     assert results[2].reasons & Reason.CLOCK_JUMPED
-    assert results[2].belt_degc()[0] == pytest.approx(before.belt_degc()[0], abs=0.05)
+    assert results[2].belt_degc()[0] == pytest.approx(last_estimate.belt_degc()[0], abs=0.05)
     assert count(session, Count.CLOCK_JUMP) == 1
     assert not results[3].reasons & Reason.CLOCK_JUMPED
 
@@ -91,20 +91,20 @@ def test_time_going_back_on_any_channel_is_reported_as_a_reset(session):
     steady(session, 60.0, START + 2)
     send(session, START + 60 * S, 300e3, "load")
     assert send(session, START, 280e3, "load") is None
-    again = send(session, START + MS)
-    assert again.reasons & Reason.TIME_RESET
-    assert again["weight_n"] == pytest.approx(280e3)
-    assert again.belt_degc()[0] == pytest.approx(15.0)
+    estimate = send(session, START + MS)
+    assert estimate.reasons & Reason.TIME_RESET
+    assert estimate["weight_n"] == pytest.approx(280e3)
+    assert estimate.belt_degc()[0] == pytest.approx(15.0)
     assert not send(session, START + 21 * MS).reasons & Reason.TIME_RESET
 
 
 def test_gaps_are_bridged_or_marked_unknown(session):
-    now, before = steady(session)
-    bridged = send(session, now + 10 * S)
-    assert bridged.reasons & Reason.GAP_BRIDGED
-    assert bridged.belt_degc()[0] > before.belt_degc()[0] + 0.3
-    unknown = send(session, now + 600 * S)
-    assert unknown.reasons & Reason.GAP_UNKNOWN
+    time_ns, last_estimate = steady(session)
+    short_gap = send(session, time_ns + 10 * S)
+    assert short_gap.reasons & Reason.GAP_BRIDGED
+    assert short_gap.belt_degc()[0] > last_estimate.belt_degc()[0] + 0.3
+    long_gap = send(session, time_ns + 600 * S)
+    assert long_gap.reasons & Reason.GAP_UNKNOWN
     assert count(session, Count.GAP) == 2
 
 
@@ -134,8 +134,8 @@ def warming(xgd24d, agri3t):
 RESTARTS = {
     "first": None,
     "back": Session.start_anew,
-    "standing": lambda session: session.start_cold(driving=False),
-    "driving": lambda session: session.start_cold(driving=True),
+    "standing": lambda session: session.start_cold(is_driving=False),
+    "driving": lambda session: session.start_cold(is_driving=True),
     "off": lambda session: session.begin(session.estimator.rest(session.state, None, 600.0)),
 }
 
@@ -144,9 +144,9 @@ RESTARTS = {
 @pytest.mark.parametrize("restart", RESTARTS.values(), ids=RESTARTS)
 @pytest.mark.parametrize("name", ["one", "two", "small", "wheels"])
 def test_a_start_is_in_the_first_ambient_whenever_it_comes(warming, name, restart, steps, speed, change):
-    late, known, never = (driven(warming[name], restart, steps, i, change, speed) for i in (steps, 0, -1))
-    assert abs(known - never).max() > 0.3 * abs(change)
-    assert late == pytest.approx(known, abs=0.01 * abs(known - never).max())
+    temperatures, expected, control = (driven(warming[name], restart, steps, i, change, speed) for i in (steps, 0, -1))
+    assert abs(expected - control).max() > 0.3 * abs(change)
+    assert temperatures == pytest.approx(expected, abs=0.01 * abs(expected - control).max())
 
 
 def drive_on(session, seconds, after=0):
@@ -157,34 +157,34 @@ def drive_on(session, seconds, after=0):
 
 def with_setting(session):
     """The session with another uncertainty of an assumed air."""
-    found = Estimator(session.estimator.vehicle, replace(session.estimator.settings, ambient_unknown_std_k=2.0)).session()
-    found.adopt(session)
-    return found
+    copy = Estimator(session.estimator.vehicle, replace(session.estimator.settings, ambient_unknown_std_k=2.0)).session()
+    copy.copy_from(session)
+    return copy
 
 
 DRIVEN = START + 120 * S
 UNHEARD = {  # a time without an ambient temperature [s], and the session after it
     "night on": (36_000, lambda session: session),
     "pause on": (300, lambda session: session),
-    "night off": (36_000, lambda session: rested(session, 36_000.0)),
-    "pause off": (300, lambda session: rested(session, 300.0)),
-    "off twice": (600, lambda session: rested(rested(session, 300.0), 300.0)),
+    "night off": (36_000, lambda session: rest_session(session, 36_000.0)),
+    "pause off": (300, lambda session: rest_session(session, 300.0)),
+    "off twice": (600, lambda session: rest_session(rest_session(session, 300.0), 300.0)),
     "driving": (600, lambda session: drive_on(session, 600)),
     "another setting": (600, lambda session: drive_on(with_setting(drive_on(session, 300)), 300, 300)),
-    "reset": (300, lambda session: (session.start_cold(driving=False), session)[1]),
+    "reset": (300, lambda session: (session.start_cold(is_driving=False), session)[1]),
 }
 
 
 def after_unheard(estimator, way, steps, ambient_at, change):
     """Belts' temperatures and an effect's state so many steps after such a time; at -1 its ambient temperature came before."""
-    session, before, (seconds, of) = estimator.session(), estimator.vehicle.chassis.ambient + 8.0, UNHEARD[way]
+    session, ambient, (seconds, change_session) = estimator.session(), estimator.vehicle.chassis.ambient + 8.0, UNHEARD[way]
     for i in range(241):
-        send(session, START + i * S // 2, before + (change if i == 240 and ambient_at < 0 else 0.0), "ambient")
+        send(session, START + i * S // 2, ambient + (change if i == 240 and ambient_at < 0 else 0.0), "ambient")
         send(session, START + i * S // 2, 2.0)
-    session = of(session)
+    session = change_session(session)
     for i in range(steps + 1):
         if i == ambient_at:
-            send(session, DRIVEN + seconds * S + i * S // 2, before + change, "ambient")
+            send(session, DRIVEN + seconds * S + i * S // 2, ambient + change, "ambient")
         send(session, DRIVEN + seconds * S + i * S // 2, 2.0)
     return np.append(session.belts[:, :, Belt.temperature], session.effects[-EACH])
 
@@ -193,10 +193,10 @@ def after_unheard(estimator, way, steps, ambient_at, change):
 @pytest.mark.parametrize("way", UNHEARD)
 @pytest.mark.parametrize("name", ["one", "two", "small", "wheels"])
 def test_a_time_in_an_assumed_air_was_in_the_one_that_comes(warming, name, way, steps, change):
-    late, known, never = (after_unheard(warming[name], way, steps, i, change) for i in (steps, -1, steps + 1))
-    assert late == pytest.approx(known, abs=0.03 * abs(known - never).max())
-    same = (after_unheard(warming[name], way, steps, i, 0.0) for i in (steps, -1, steps + 1))
-    assert len({one.tobytes() for one in same}) == 1
+    temperatures, expected, control = (after_unheard(warming[name], way, steps, i, change) for i in (steps, -1, steps + 1))
+    assert temperatures == pytest.approx(expected, abs=0.03 * abs(expected - control).max())
+    unchanged = (after_unheard(warming[name], way, steps, i, 0.0) for i in (steps, -1, steps + 1))
+    assert len({belts.tobytes() for belts in unchanged}) == 1
 
 
 @pytest.mark.parametrize("change", [-20.0, 10.0])
@@ -207,20 +207,22 @@ def test_no_belt_moves_by_more_than_its_air_is_corrected(warming, name, change):
     for i in range(3):
         send(session, START + i * S // 50, 2.0)
     session.belts[:, :, Belt.consider_ambient] *= 3.0
-    before = session.belts[:, :, Belt.temperature].copy()
+    old_temperatures = session.belts[:, :, Belt.temperature].copy()
     send(session, START + 3 * S // 50, air + change, "ambient")
     send(session, START + 3 * S // 50, 2.0)
-    assert session.belts[:, :, Belt.temperature] - before == pytest.approx(np.full_like(before, change), abs=0.05 * abs(change))
+    assert session.belts[:, :, Belt.temperature] - old_temperatures == pytest.approx(
+        np.full_like(old_temperatures, change), abs=0.05 * abs(change)
+    )
 
 
 def test_a_rest_in_a_given_air_stays_in_it(warming):
     session = warming["two"].session()
     send(session, START)
     session.begin(warming["two"].rest(session.state, 0.0, 600.0))
-    before = session.state.belts
+    old_belts = session.state.belts
     send(session, START + S, -20.0, "ambient")
     send(session, START + S)
-    assert session.belts == pytest.approx(before, abs=0.1)
+    assert session.belts == pytest.approx(old_belts, abs=0.1)
 
 
 def test_blocks_equal_single_messages_bit_for_bit(reference):
@@ -231,18 +233,21 @@ def test_blocks_equal_single_messages_bit_for_bit(reference):
     stamp[random.integers(0, n, 20)] = 0
     value = np.where(channel == 0, random.normal(8, 0.2, n), np.where(channel == 1, random.normal(272e3, 1e3, n), 20.0))
     value[random.integers(0, n, 20)] = np.nan
-    one, many = reference.session(), reference.session()
+    single_session, block_session = reference.session(), reference.session()
     singles = [
         e.row
-        for e in (one.handle(int(c), int(s), int(s) or 1, float(v)) for c, s, v in zip(channel, stamp, value, strict=True))
+        for e in (
+            single_session.handle(int(c), int(s), int(s) or 1, float(v)) for c, s, v in zip(channel, stamp, value, strict=True)
+        )
         if e
     ]
     arrival = np.where(stamp == 0, 1, stamp)
     halves = [
-        many.handle_block(channel[part], stamp[part], arrival[part], value[part]).rows for part in (slice(0, 777), slice(777, n))
+        block_session.handle_block(channel[part], stamp[part], arrival[part], value[part]).rows
+        for part in (slice(0, 777), slice(777, n))
     ]
     assert np.array_equal(np.array(singles), np.concatenate(halves), equal_nan=True)
-    assert np.array_equal(one.memory.counters, many.memory.counters)
+    assert np.array_equal(single_session.memory.counters, block_session.memory.counters)
 
 
 def test_reasons_are_counted_by_step(session):

@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import Count, Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.plausible import FRESH_LOAD_NS, LOAD_LASTS_NS, LOAD_SLACK
@@ -39,15 +39,15 @@ class Drive:
 
     @property
     def weight(self):
-        return self.last.row[at.Results.weight_n]
+        return self.last.row[layout.Results.weight_n]
 
     @property
     def fed(self):
-        return self.last.row[at.Results.feedforward_torque_nm]
+        return self.last.row[layout.Results.feedforward_torque_nm]
 
     @property
     def std(self):
-        return self.last.row[at.Results.resistance_std_nm]
+        return self.last.row[layout.Results.resistance_std_nm]
 
     @property
     def reasons(self):
@@ -60,17 +60,17 @@ class Drive:
 
 @pytest.mark.parametrize(("channel", "nominal"), [("load", NOMINAL), ("load/front", FRONT), ("passengers", 0.0)])
 def test_a_jump_while_driving_moves_no_torque_and_is_named(channel, nominal):
-    wrong = 1.8 * nominal or 400.0
-    drive, undisturbed = Drive(channel), Drive(channel)
-    for one, jumped in ((drive, wrong), (undisturbed, nominal)):
-        one.along(20, nominal)
-        one.along(0.2, jumped)
-        one.along(5, None)  # loads stop
-    assert drive.fed == undisturbed.fed
+    wrong_load = 1.8 * nominal or 400.0
+    drive, control = Drive(channel), Drive(channel)
+    for run, end_load in ((drive, wrong_load), (control, nominal)):
+        run.along(20, nominal)
+        run.along(0.2, end_load)
+        run.along(5, None)  # loads stop
+    assert drive.fed == control.fed
     assert drive.reasons & Reason.LOAD_DOUBTED
-    assert not undisturbed.reasons & Reason.LOAD_DOUBTED
+    assert not control.reasons & Reason.LOAD_DOUBTED
     assert drive.refused == 2
-    assert drive.std > 1.5 * undisturbed.std
+    assert drive.std > 1.5 * control.std
     drive.along(2, nominal)
     assert not drive.reasons & Reason.LOAD_DOUBTED
 
@@ -114,28 +114,28 @@ def test_the_first_load_of_a_vehicle_that_drives_counts_at_once():
 def test_noise_and_a_tank_that_fills_are_not_doubted():
     drive, random = Drive(), np.random.default_rng(1)
     for i in range(900):
-        filled = NOMINAL * (1.0 + 0.2 * i / 900.0)
-        drive.along(0.1, filled * (1.0 + 0.15 * random.uniform(-1.0, 1.0)))
+        tank_load = NOMINAL * (1.0 + 0.2 * i / 900.0)
+        drive.along(0.1, tank_load * (1.0 + 0.15 * random.uniform(-1.0, 1.0)))
     assert drive.refused == 0
 
 
 def test_a_held_load_grows_uncertain_and_then_a_warning():
-    drive, known = Drive(), Drive()
+    drive, control = Drive(), Drive()
     drive.along(20, NOMINAL)
-    known.along(20, NOMINAL)
-    more, reasons = [], []
+    control.along(20, NOMINAL)
+    shares, reasons = [], []
     for _ in range(70):
         drive.along(1.0, None)
-        known.along(1.0, NOMINAL)
-        row = known.last.row
-        rolling = row[at.Results.hysteresis_nm] + row[at.Results.bearing_nm]
-        more.append(np.sqrt(drive.std**2 - known.std**2) / rolling)
+        control.along(1.0, NOMINAL)
+        row = control.last.row
+        rolling = row[layout.Results.hysteresis_nm] + row[layout.Results.bearing_nm]
+        shares.append(np.sqrt(drive.std**2 - control.std**2) / rolling)
         reasons.append(drive.reasons)
-    age = int(FRESH_LOAD_NS / S) + 1
-    assert max(more[: age - 1]) == 0.0
-    assert all(np.diff(more[age:]) > -1e-9)
-    assert more[-1] == pytest.approx(LOAD_SLACK, rel=1e-6)
-    assert drive.fed == pytest.approx(known.fed, rel=1e-9)
+    age_s = int(FRESH_LOAD_NS / S) + 1
+    assert max(shares[: age_s - 1]) == 0.0
+    assert all(np.diff(shares[age_s:]) > -1e-9)
+    assert shares[-1] == pytest.approx(LOAD_SLACK, rel=1e-6)
+    assert drive.fed == pytest.approx(control.fed, rel=1e-9)
     assert not reasons[0] & Reason.LOAD_HELD
     assert reasons[10] & (Reason.LOAD_HELD | Reason.LOAD_OLD | Reason.LOAD_NOMINAL) == Reason.LOAD_HELD
     assert reasons[50] & Reason.LOAD_OLD
@@ -146,7 +146,7 @@ def test_without_any_load_the_uncertainty_is_as_before():
     drive = Drive()
     drive.along(20, None)
     assert drive.reasons & Reason.LOAD_NOMINAL
-    assert drive.session.memory.runs[at.LOAD].tolist() == pytest.approx([np.nan] * 2, nan_ok=True)
-    other = Drive()
-    other.along(20, NOMINAL)
-    assert drive.std == pytest.approx(other.std)
+    assert drive.session.memory.runs[layout.LOAD].tolist() == pytest.approx([np.nan] * 2, nan_ok=True)
+    nominal_drive = Drive()
+    nominal_drive.along(20, NOMINAL)
+    assert drive.std == pytest.approx(nominal_drive.std)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import Count, Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.plausible import LONGEST_RUN_NS
@@ -48,15 +48,17 @@ class Drive:
 
     @property
     def refused(self):
-        return int(self.session.memory.counters[at.SPEED, Count.IMPLAUSIBLE])
+        return int(self.session.memory.counters[layout.SPEED, Count.IMPLAUSIBLE])
 
     @property
     def fed(self):
         """The feed-forward as it is published now: it fades where the last accepted speed is old."""
-        when, last = self.estimates[-1]
-        of = self.session.estimator.settings
-        age = (self.now - when) * 1e-9
-        return last.feedforward_torque_nm * min(1.0, max(0.0, 1.0 - (age - of.speed_max_age_s) / of.feedforward_fade_s))
+        time_ns, estimate = self.estimates[-1]
+        limits = self.session.estimator.settings
+        age_s = (self.now - time_ns) * 1e-9
+        return estimate.feedforward_torque_nm * min(
+            1.0, max(0.0, 1.0 - (age_s - limits.speed_max_age_s) / limits.feedforward_fade_s)
+        )
 
     def held(self, reason):
         return any(estimate.reasons & reason for _, estimate in self.estimates)
@@ -83,7 +85,7 @@ def test_a_leap_with_a_jump_of_the_clock_waits_as_without(jump):
     assert len(drive.estimates) == 100
     assert drive.fed == 0.0
     drive.along([16.6] * 2)
-    assert drive.estimates[-1][1].row[at.Results.speed_mps] == 16.6
+    assert drive.estimates[-1][1].row[layout.Results.speed_mps] == 16.6
 
 
 @pytest.mark.parametrize("every", [1, 5])
@@ -95,7 +97,7 @@ def test_a_second_speed_of_another_clock_takes_nothing_over(every):
         drive.clock = 0
         if i % every == 0:
             drive.send(0.0, after=1)
-    assert all(estimate.row[at.Results.speed_mps] == 0.0 for _, estimate in drive.estimates)
+    assert all(estimate.row[layout.Results.speed_mps] == 0.0 for _, estimate in drive.estimates)
 
 
 @pytest.mark.parametrize("pair", [(5.0, 16.5), (5.0, -5.0), (0.0, 16.5), (5.0, 8.0)])
@@ -110,10 +112,10 @@ def test_two_speeds_in_turn_fade_the_feedforward(pair, each):
 
 
 def test_one_wrong_speed_costs_three_samples_and_no_feedforward():
-    good = Drive().along([8.0 + 0.01 * (i % 3) for i in range(200)])
+    control = Drive().along([8.0 + 0.01 * (i % 3) for i in range(200)])
     drive = Drive().along([8.0 + 0.01 * (i % 3) for i in range(190)]).along([16.0]).along([8.01] * 9)
     assert drive.refused == 3
-    assert drive.fed == pytest.approx(good.fed, rel=0.01)
+    assert drive.fed == pytest.approx(control.fed, rel=0.01)
     assert drive.estimates[190][1].reasons & Reason.SPEED_IMPLAUSIBLE
     assert drive.estimates[190][1].status == "warn"
     assert not drive.estimates[191][1].reasons & Reason.SPEED_IMPLAUSIBLE
@@ -121,10 +123,10 @@ def test_one_wrong_speed_costs_three_samples_and_no_feedforward():
 
 def test_the_limit_is_the_vehicle_files_and_one_g_without():
     assert replace(VEHICLE.chassis).max_acceleration == VEHICLE.parameters["chassis.max_acceleration"].value
-    slow = Estimator(load("xgd24d", {"chassis.max_acceleration": 4.0}))
+    slow_estimator = Estimator(load("xgd24d", {"chassis.max_acceleration": 4.0}))
     ramp = [5.5 * 0.02 * i for i in range(100)]
     assert Drive().along(ramp).refused == 0
-    assert Drive(slow).along(ramp).refused > 10
+    assert Drive(slow_estimator).along(ramp).refused > 10
 
 
 # Laws
@@ -141,17 +143,17 @@ def test_the_limit_is_the_vehicle_files_and_one_g_without():
 def test_what_a_vehicle_can_do_is_never_refused(quantum, every, repeats, jitter, seed):
     """Accelerating and braking by 0.8 of the limit, quantised, noisy, repeated by its bus, with stamps that jitter."""
     random = np.random.default_rng(seed)
-    drive, speed, shown, true_ns = Drive(), 0.0, 0.0, START
+    drive, speed, sensor_speed, true_ns = Drive(), 0.0, 0.0, START
     refresh = min(repeats, max(1, 100 * MS // every))
     for i in range(200):
         true_ns += every
         accel = 0.8 * A_MAX * math.sin(i * every * 1e-9 / 1.5 + 0.3)
         speed = min(16.0, max(-16.0, speed + accel * every * 1e-9))
         if i % refresh == 0:
-            shown = speed + float(np.clip(random.normal(0.0, 0.02), -0.06, 0.06))
-            shown = round(shown / quantum) * quantum if quantum else shown
+            sensor_speed = speed + float(np.clip(random.normal(0.0, 0.02), -0.06, 0.06))
+            sensor_speed = round(sensor_speed / quantum) * quantum if quantum else sensor_speed
         stamp = true_ns + int(random.integers(0, min(jitter * MS, every // 2) + 1))
-        drive.send(shown, after=stamp - drive.now)
+        drive.send(sensor_speed, after=stamp - drive.now)
     assert drive.refused == 0
 
 
@@ -165,18 +167,21 @@ def test_accepted_speeds_change_no_faster_than_the_vehicle(messages):
     drive = Drive()
     for pause, speed in messages:
         drive.send(speed, after=pause * MS)
-    for (before_ns, before), (now_ns, now) in itertools.pairwise(drive.estimates):
-        assert abs(now["speed_mps"] - before["speed_mps"]) <= A_MAX * (now_ns - before_ns) * 1e-9 + 2 * (SLACK + 1.0) + 1e-9
-    counted = drive.session.memory.counters[at.SPEED]
-    assert counted[Count.ACCEPTED] + counted[Count.IMPLAUSIBLE] == len(messages)
+    for (before_ns, last_estimate), (now_ns, estimate) in itertools.pairwise(drive.estimates):
+        assert (
+            abs(estimate["speed_mps"] - last_estimate["speed_mps"])
+            <= A_MAX * (now_ns - before_ns) * 1e-9 + 2 * (SLACK + 1.0) + 1e-9
+        )
+    counters = drive.session.memory.counters[layout.SPEED]
+    assert counters[Count.ACCEPTED] + counters[Count.IMPLAUSIBLE] == len(messages)
 
 
 @settings(max_examples=60)
 @given(st.lists(st.tuples(PAUSES, SPEEDS), max_size=40), st.floats(-20.0, 20.0), st.sampled_from([20, 100, 500]))
 def test_a_speed_that_stays_is_accepted_in_the_end(messages, speed, every):
     drive = Drive()
-    for pause, other in messages:
-        drive.send(other, after=pause * MS)
+    for pause, false_speed in messages:
+        drive.send(false_speed, after=pause * MS)
     longest_ns = LONGEST_RUN_NS + 40.0 / A_MAX * S + 4 * every * MS
     drive.along([speed] * math.ceil(longest_ns / (every * MS)), after=every * MS)
     assert drive.estimates[-1][0] == drive.now
@@ -213,9 +218,9 @@ def test_a_speed_beyond_all_wheel_speeds_is_not_fed_forward(speed, wheels, apart
     assert drive.held(Reason.SPEED_DISAGREES) == apart
     assert (drive.estimates[-1][1].feedforward_torque_nm == 0.0) == (apart or speed == 0.0)
     if apart:
-        first = next(when for when, estimate in drive.estimates if estimate.reasons & Reason.SPEED_DISAGREES)
-        assert (first - START) * 1e-9 == pytest.approx(max(Settings().speed_max_age_s, 0.02 * every), abs=0.05)
-        assert all(estimate.reasons & Reason.SPEED_DISAGREES for when, estimate in drive.estimates if when > first)
+        first_ns = next(time_ns for time_ns, estimate in drive.estimates if estimate.reasons & Reason.SPEED_DISAGREES)
+        assert (first_ns - START) * 1e-9 == pytest.approx(max(Settings().speed_max_age_s, 0.02 * every), abs=0.05)
+        assert all(estimate.reasons & Reason.SPEED_DISAGREES for time_ns, estimate in drive.estimates if time_ns > first_ns)
         drive.along([speed] * 32, after=S)  # no wheel speed for longer than a gap is bridged
         assert not drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES
 
@@ -242,13 +247,13 @@ def test_slow_wheels_agree_while_the_vehicle_changes_its_speed(change, lag):
 
 def test_wheels_disagree_after_a_jump_of_the_clock_too():
     drive = with_wheels(8.0, {"front_left": 0.0})
-    drive.clock, before = -30 * S, len(drive.estimates)
+    drive.clock, count = -30 * S, len(drive.estimates)
     for _ in range(100):
         drive.send(0.0, "wheel_speed/front_left", after=1)
         drive.send(8.0)
-    after = [estimate for _, estimate in drive.estimates[before:]]
-    assert len(after) > 90
-    assert all(estimate.reasons & Reason.SPEED_DISAGREES for estimate in after)
+    estimates = [estimate for _, estimate in drive.estimates[count:]]
+    assert len(estimates) > 90
+    assert all(estimate.reasons & Reason.SPEED_DISAGREES for estimate in estimates)
 
 
 @pytest.mark.parametrize("resolution", [0.0, 1.0, 100.0])
@@ -264,9 +269,9 @@ def test_a_speed_against_the_odometer_is_not_fed_forward(resolution, odometer, a
         if not 0 <= i - 60 * 5 < pause_s * 5:
             drive.send(math.floor(way / resolution) * resolution if resolution else way, "distance", after=1)
         drive.send(8.0, after=200 * MS)
-    last = drive.estimates[-1][1]
-    assert drive.held(Reason.SPEED_DISAGREES) == bool(last.reasons & Reason.SPEED_DISAGREES) == apart
-    assert (last.feedforward_torque_nm == 0.0) == apart
+    last_estimate = drive.estimates[-1][1]
+    assert drive.held(Reason.SPEED_DISAGREES) == bool(last_estimate.reasons & Reason.SPEED_DISAGREES) == apart
+    assert (last_estimate.feedforward_torque_nm == 0.0) == apart
     drive.along([8.0] * 32, after=S)  # no odometer for longer than a gap is bridged
     assert not drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES
 

@@ -28,5 +28,5 @@ def test_each_says_what_it_is_in_one_line(reference):
 
 
 def test_its_example_holds():
-    failed, tried = doctest.testmod(module)
-    assert (failed, tried) == (0, 7)
+    failures, examples = doctest.testmod(module)
+    assert (failures, examples) == (0, 7)

@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings, settings_for
@@ -20,27 +20,27 @@ ESTIMATOR = Estimator(VEHICLE)
 
 def driven(gaps, estimator=ESTIMATOR, speed=8.0):
     """The steps of a session with a speed after each gap [s]."""
-    session, now, found = estimator.session(), START, []
+    session, time_ns, estimates = estimator.session(), START, []
     for gap in gaps:
-        now += round(gap * S)
-        found.append(session.handle(at.SPEED, now, now, speed))
-    return session, found
+        time_ns += round(gap * S)
+        estimates.append(session.handle(layout.SPEED, time_ns, time_ns, speed))
+    return session, estimates
 
 
 def age_of(session):
-    return max(session.estimator.settings.speed_max_age_s, float(session.motion[at.Motion.longest_age]))
+    return max(session.estimator.settings.speed_max_age_s, float(session.motion[layout.Motion.longest_age]))
 
 
 @pytest.mark.parametrize(("hz", "age_s"), [(100.0, 0.5), (4.0, 0.5), (2.0, 0.75), (1.0, 1.5), (0.8, 1.5), (0.3, 1.5)])
 def test_the_age_follows_the_period_within_its_bound(hz, age_s):
-    session, found = driven([1.0 / hz] * 40)
+    session, estimates = driven([1.0 / hz] * 40)
     assert age_of(session) == pytest.approx(age_s)
-    assert bool(Reason(found[-1].reasons) & Reason.SPEED_SLOW) == (age_s > 0.5)
+    assert bool(Reason(estimates[-1].reasons) & Reason.SPEED_SLOW) == (age_s > 0.5)
 
 
 def test_a_speed_of_1_hz_is_fed_forward_without_a_saw():
-    _, found = driven([1.0] * 40)
-    torques = np.array([one.row[at.Results.feedforward_torque_nm] for one in found[10:]])
+    _, estimates = driven([1.0] * 40)
+    torques = np.array([estimate.row[layout.Results.feedforward_torque_nm] for estimate in estimates[10:]])
     assert torques.min() > 0.97 * torques.max()
 
 
@@ -64,22 +64,22 @@ def test_no_gaps_whatever_allow_more_than_the_bound():
 
 def test_a_slow_grade_is_used_until_the_next_one():
     estimator = Estimator(VEHICLE, Settings(feedforward_parts=("hysteresis", "grade")))
-    session, now = estimator.session(), START
-    known = []
+    session, time_ns = estimator.session(), START
+    has_grade = []
     for i in range(400):
-        now += S // 10
+        time_ns += S // 10
         if i % 10 == 0:
-            session.handle(at.GRADE, now, now, 0.05)
-        known.append(session.handle(at.SPEED, now, now, 8.0).row[at.Results.grade_nm] > 0.0)
-    assert all(known[100:])
+            session.handle(layout.GRADE, time_ns, time_ns, 0.05)
+        has_grade.append(session.handle(layout.SPEED, time_ns, time_ns, 8.0).row[layout.Results.grade_nm] > 0.0)
+    assert all(has_grade[100:])
     for _ in range(16):
-        now += S // 10
-        last = session.handle(at.SPEED, now, now, 8.0)
-    assert last.row[at.Results.grade_nm] == 0.0
+        time_ns += S // 10
+        last_estimate = session.handle(layout.SPEED, time_ns, time_ns, 8.0)
+    assert last_estimate.row[layout.Results.grade_nm] == 0.0
 
 
 def test_an_age_limit_of_a_topics_file_is_kept():
     line = {"topic": "/v", "type": "std_msgs/msg/Float64", "field": "data", "max_age_s": 0.3}
-    limited = settings_for(Settings(), Topics.parse({"speed": line}))
-    session, _ = driven([1.0] * 20, Estimator(VEHICLE, limited))
+    settings = settings_for(Settings(), Topics.parse({"speed": line}))
+    session, _ = driven([1.0] * 20, Estimator(VEHICLE, settings))
     assert age_of(session) == 0.3

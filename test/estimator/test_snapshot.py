@@ -51,25 +51,25 @@ def state(reference, tmp_path):
 
 @pytest.mark.parametrize("name", ["xgd24d", "ztbus_hess19"])
 def test_resumed_is_bit_equal_to_never_stopped(name, tmp_path):
-    given_, estimator = messages(3000), Estimator(load_any(name))
-    whole, first = estimator.session().handle_block(*given_), estimator.session()
-    before = first.handle_block(*(part[:1234] for part in given_))
-    snapshot.save(first, tmp_path / "state.json", saved_at=1.0)
-    after = snapshot.resume(estimator, tmp_path / "state.json").handle_block(*(part[1234:] for part in given_))
-    assert np.array_equal(whole.rows, np.concatenate([before.rows, after.rows]), equal_nan=True)
+    block, estimator = messages(3000), Estimator(load_any(name))
+    full_run, first_session = estimator.session().handle_block(*block), estimator.session()
+    first_part = first_session.handle_block(*(part[:1234] for part in block))
+    snapshot.save(first_session, tmp_path / "state.json", saved_at=1.0)
+    second_part = snapshot.resume(estimator, tmp_path / "state.json").handle_block(*(part[1234:] for part in block))
+    assert np.array_equal(full_run.rows, np.concatenate([first_part.rows, second_part.rows]), equal_nan=True)
 
 
 def test_a_resumed_replay_reports_its_own_messages_alone(tmp_path):
     lines = [f"{t},{60.0 if t % 3 else 5.0}" for t in range(90)]
     for name, rows in (("bad", lines), ("good", [f"{t},5.0" for t in range(90, 120)])):
         (tmp_path / f"{name}.csv").write_text("\n".join(["time_s,speed_mps", *rows]))
-    first = tr.replay(tmp_path / "bad.csv", "xgd24d", save_state=tmp_path / "state.json").as_dict()
-    after = tr.replay(tmp_path / "good.csv", "xgd24d", resume=tmp_path / "state.json").as_dict()
-    assert first["remarks"]
-    assert sum(first["counters"]["speed"].values()) >= first["messages"] == 90
-    assert after["counters"]["speed"]["accepted"] == after["messages"] == 30
-    assert not after["remarks"]
-    assert max(reason["steps"] for reason in after["reasons"]) == after["steps"] == 30
+    first_summary = tr.replay(tmp_path / "bad.csv", "xgd24d", save_state=tmp_path / "state.json").as_dict()
+    second_summary = tr.replay(tmp_path / "good.csv", "xgd24d", resume=tmp_path / "state.json").as_dict()
+    assert first_summary["remarks"]
+    assert sum(first_summary["counters"]["speed"].values()) >= first_summary["messages"] == 90
+    assert second_summary["counters"]["speed"]["accepted"] == second_summary["messages"] == 30
+    assert not second_summary["remarks"]
+    assert max(reason["steps"] for reason in second_summary["reasons"]) == second_summary["steps"] == 30
 
 
 @pytest.mark.parametrize(("stood", "off_s"), [("", 0.0), ("0", 0.0), ("1800", 1800.0)])
@@ -79,11 +79,11 @@ def test_times_that_begin_anew_are_after_the_recorded_time_off(reference, tmp_pa
     for name, part in (("first", rows), ("second", rows[:9]), ("on", [f"9{rows[-1]}"])):
         (tmp_path / f"{name}.csv").write_text("\n".join(["time_s,speed_mps,ambient_degc,stood_s", *part]))
     tr.replay(tmp_path / "first.csv", "xgd24d", save_state=state)
-    again = tr.replay(tmp_path / "second.csv", "xgd24d", resume=state)
-    off, _ = snapshot.after_time_off(reference, state, now=999.5 + off_s)
-    assert again["belt_degc/front_left"][0] == off.belts[0, 0, Belt.temperature] > 17.0
-    assert not again.as_dict()["remarks"]
-    assert f"after {off_s:g} s off" in again.notes[-1]
+    replay = tr.replay(tmp_path / "second.csv", "xgd24d", resume=state)
+    session, _ = snapshot.after_time_off(reference, state, wall_s=999.5 + off_s)
+    assert replay["belt_degc/front_left"][0] == session.belts[0, 0, Belt.temperature] > 17.0
+    assert not replay.as_dict()["remarks"]
+    assert f"after {off_s:g} s off" in replay.notes[-1]
     assert "s off" not in str(tr.replay(tmp_path / "on.csv", "xgd24d", resume=state).notes)
 
 
@@ -91,21 +91,21 @@ def test_time_off_cools_the_belt(reference, tmp_path):
     session = driven(reference, 60_000)
     warm = session.belts[0, 0, 0]
     snapshot.save(session, tmp_path / "state.json", saved_at=1000.0)
-    soon, off = snapshot.after_time_off(reference, tmp_path / "state.json", now=1600.0, ambient=0.0)
-    late, _ = snapshot.after_time_off(reference, tmp_path / "state.json", now=1000.0 + 86400, ambient=0.0)
-    assert off == 600.0
-    assert 0.0 < soon.belts[0, 0, 0] < warm
-    assert late.belts[0, 0, 0] == pytest.approx(0.0, abs=0.01)
-    estimate = soon.handle(0, START, START, 8.0)
-    assert estimate.belt_degc()[0] == pytest.approx(soon.belts[0, 0, 0], abs=1e-9)
+    soon_session, off_s = snapshot.after_time_off(reference, tmp_path / "state.json", wall_s=1600.0, ambient=0.0)
+    late_session, _ = snapshot.after_time_off(reference, tmp_path / "state.json", wall_s=1000.0 + 86400, ambient=0.0)
+    assert off_s == 600.0
+    assert 0.0 < soon_session.belts[0, 0, 0] < warm
+    assert late_session.belts[0, 0, 0] == pytest.approx(0.0, abs=0.01)
+    estimate = soon_session.handle(0, START, START, 8.0)
+    assert estimate.belt_degc()[0] == pytest.approx(soon_session.belts[0, 0, 0], abs=1e-9)
 
 
 def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
     session = driven(reference, 2000)
     snapshot.save(session, tmp_path / "state.json", saved_at=1000.0)
-    again, since = snapshot.after_time_off(reference, tmp_path / "state.json", now=10.0)
-    assert since == -990.0
-    assert again.belts[0, 0, 0] == pytest.approx(session.belts[0, 0, 0], abs=1e-9)
+    new_session, off_s = snapshot.after_time_off(reference, tmp_path / "state.json", wall_s=10.0)
+    assert off_s == -990.0
+    assert new_session.belts[0, 0, 0] == pytest.approx(session.belts[0, 0, 0], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_file_that_is_not_right_says_why_and_stays(reference, state, damage, s
         snapshot.resume(reference, state)
     assert "delete" not in str(refusal.value)
     with pytest.raises(InputError, match=said):
-        snapshot.after_time_off(reference, state, now=2.0)
+        snapshot.after_time_off(reference, state, wall_s=2.0)
 
 
 def test_a_state_of_another_vehicle_is_refused(carrier, state):
@@ -161,8 +161,8 @@ def test_a_state_of_another_vehicle_is_refused(carrier, state):
 def test_a_state_is_of_all_of_a_vehicle_file_that_acts(reference, tmp_path, repository, part, other, is_another):
     text = (repository / "config" / "xgd24d.yaml").read_text()
     assert text.count(part) == 1
-    edited = text.replace(part, other).replace("[10.0, 10.0]", "[10.0, 10.5]")
-    (tmp_path / "edited.yaml").write_text(edited.replace("rubber/", f"{repository}/config/rubber/"))
+    new_text = text.replace(part, other).replace("[10.0, 10.0]", "[10.0, 10.5]")
+    (tmp_path / "edited.yaml").write_text(new_text.replace("rubber/", f"{repository}/config/rubber/"))
     assert (snapshot.key(Estimator(load_any(tmp_path / "edited.yaml"))) != snapshot.key(reference)) is is_another
 
 
@@ -186,21 +186,21 @@ def taken(estimator, path, data):
 
 def mutated(data, random):
     """One to three bytes changed, cut out, doubled or put in, or the file cut."""
-    out = bytearray(data)
+    content = bytearray(data)
     for _ in range(random.integers(1, 4)):
-        at, length = int(random.integers(0, len(out))), int(random.integers(1, 30))
+        place, length = int(random.integers(0, len(content))), int(random.integers(1, 30))
         kind = random.integers(0, 5)
         if kind == 0:
-            out[at] = int(random.integers(0, 256))
+            content[place] = int(random.integers(0, 256))
         elif kind == 1:
-            del out[at : at + length]
+            del content[place : place + length]
         elif kind == 2:
-            out[at:at] = out[at : at + length]
+            content[place:place] = content[place : place + length]
         elif kind == 3:
-            out[at:at] = random.bytes(length)
+            content[place:place] = random.bytes(length)
         else:
-            del out[at + 1 :]
-    return bytes(out)
+            del content[place + 1 :]
+    return bytes(content)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -212,9 +212,9 @@ def test_a_mutated_file_is_refused_or_gives_the_same_state(reference, saved, tmp
 
 
 def test_states_of_two_versions_have_two_keys(reference, monkeypatch):
-    before = snapshot.key(reference)
+    old_key = snapshot.key(reference)
     monkeypatch.setattr(snapshot, "VERSION", snapshot.VERSION + 1)
-    assert snapshot.key(reference) != before
+    assert snapshot.key(reference) != old_key
 
 
 WRONG = [math.nan, math.inf, -1e300, 1e300, -(1 << 70), 1 << 70, "abc", None, True, [], {}, [[]], "0x1p+1000", "nan", "-0x1p+900"]
@@ -230,12 +230,12 @@ WRONG = [math.nan, math.inf, -1e300, 1e300, -(1 << 70), 1 << 70, "abc", None, Tr
 def test_an_impossible_number_is_refused_despite_a_valid_seal(reference, saved, name, place, wrong):
     content = json.loads(saved)
     if isinstance(content[name], list):
-        at = place % len(content[name])
+        index = place % len(content[name])
         at_first = {"followed": NOTHING_YET, "tracked": NOTHING_TRACKED}.get(name)
-        may_be_nan = name in ("effects", "values", "runs") or (at_first is not None and math.isnan(at_first[at]))
-        if content[name][at] == wrong or (may_be_nan and wrong == "nan"):
+        may_be_nan = name in ("effects", "values", "runs") or (at_first is not None and math.isnan(at_first[index]))
+        if content[name][index] == wrong or (may_be_nan and wrong == "nan"):
             return
-        content[name][at] = wrong
+        content[name][index] = wrong
     else:
         content[name] = wrong
         if name == "started" and wrong is True:
@@ -308,12 +308,12 @@ def test_the_cli_refuses_each_file_in_one_line_without_waiting(tmp_path, trackre
     for name in ("pipe", "deep", "bytes", "missing"):
         if name == "pipe":  # a process of its own, as it might wait for a writer
             command = [sys.executable, "-m", "trackres_ros", *base, str(tmp_path / name)]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+            process = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         else:
-            done = trackres(*base, tmp_path / name)
-        assert done.returncode == 2, done.stderr
-        assert done.stderr.count("\n") == 1
-        assert name in done.stderr
+            process = trackres(*base, tmp_path / name)
+        assert process.returncode == 2, process.stderr
+        assert process.stderr.count("\n") == 1
+        assert name in process.stderr
 
 
 def test_a_missing_file_is_named(reference, tmp_path):
@@ -322,14 +322,14 @@ def test_a_missing_file_is_named(reference, tmp_path):
 
 
 def test_a_save_that_fails_leaves_the_old_file_whole(reference, state, monkeypatch):
-    before = state.read_bytes()
+    old_content = state.read_bytes()
 
-    def full(*_):
+    def raise_full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", full)
+    monkeypatch.setattr("os.fsync", raise_full)
     with pytest.raises(OSError, match="No space"):
         snapshot.save(driven(reference, 200), state, saved_at=2.0)
-    assert state.read_bytes() == before
+    assert state.read_bytes() == old_content
     assert [p.name for p in state.parent.iterdir()] == ["state.json"]
-    assert json.loads(before)["saved_at"] == 1.0
+    assert json.loads(old_content)["saved_at"] == 1.0

@@ -40,11 +40,11 @@ def test_step_leaves_its_state_as_it_was(reference):
     inputs = reference.inputs(SPEED, ambient=15.0)
     state = reference.cold_start(inputs)
     belts, motion = state.belts.copy(), state.motion.copy()
-    first = reference.step(state, inputs, 1.0)
-    second = reference.step(state, inputs, 1.0)
+    step_1 = reference.step(state, inputs, 1.0)
+    step_2 = reference.step(state, inputs, 1.0)
     assert np.array_equal(state.belts, belts)
     assert np.array_equal(state.motion, motion)
-    assert np.array_equal(first[1].row, second[1].row, equal_nan=True)
+    assert np.array_equal(step_1[1].row, step_2[1].row, equal_nan=True)
 
 
 def test_step_by_step_equals_the_run_along_a_series(reference):
@@ -60,8 +60,8 @@ def test_step_by_step_equals_the_run_along_a_series(reference):
 
 def test_rows_have_the_terms_of_the_torque_in_their_order():
     """Topics, settings, tables and reports read them from one table; the rows of kernels name them once more."""
-    first = Results.names.index("hysteresis_nm")
-    assert Results.names[first : first + len(TORQUE_COLUMNS)] == tuple(TORQUE_COLUMNS.values())
+    place = Results.names.index("hysteresis_nm")
+    assert Results.names[place : place + len(TORQUE_COLUMNS)] == tuple(TORQUE_COLUMNS.values())
     assert Part.names[: len(TORQUE_TERMS)] == TORQUE_TERMS
 
 
@@ -109,10 +109,10 @@ def test_effects_are_shared_by_load_at_each_own_radius(of_two_radii):
         inputs = estimator.inputs(SPEED, ambient=15.0, load=loads, yaw_rate=0.2)
         rows.append(estimator.step(estimator.cold_start(inputs), inputs, 0.0)[1])
     names = of_two_radii[0].assemblies
-    without, with_effect = (np.array([row[f"resistance_torque_nm/{name}"] for name in names]) for row in rows)
+    bare_torques, with_effect = (np.array([row[f"resistance_torque_nm/{name}"] for name in names]) for row in rows)
     radii = of_two_radii[0].vehicle.sprocket_radii
     assert len(set(radii)) == 2
-    shares = (with_effect - without) / rows[1]["effects_nm"]
+    shares = (with_effect - bare_torques) / rows[1]["effects_nm"]
     assert shares == pytest.approx(loads * radii / (loads @ radii), rel=1e-9)
     assert rows[1]["effects_nm"] > 100.0
 
@@ -150,8 +150,8 @@ def test_inertia_is_fed_forward_only_with_measured_acceleration():
     given_one = estimator.inputs(SPEED, ambient=15.0, acceleration=0.3)
     _, estimate = estimator.step(estimator.cold_start(given_one), given_one, 0.1)
     assert estimate.feedforward_torque_nm == pytest.approx(estimate["bearing_nm"] + estimate["inertia_nm"])
-    without = estimator.inputs(SPEED, ambient=15.0)
-    state = estimator.cold_start(without)
+    inputs_0 = estimator.inputs(SPEED, ambient=15.0)
+    state = estimator.cold_start(inputs_0)
     for i in range(40):  # the speed rises, so the filter sees an acceleration; the feed-forward must not
         inputs = estimator.inputs(SPEED + 0.03 * i, ambient=15.0)
         state, estimate = estimator.step(state, inputs, 0.1)
@@ -163,14 +163,14 @@ def test_feedforward_is_limited_in_rate_and_size():
     estimator = Estimator(load("xgd24d"), Settings(feedforward_rate=1000.0, feedforward_share=0.02))
     inputs = estimator.inputs(SPEED, ambient=15.0)
     state = estimator.cold_start(inputs)
-    before = 0.0
+    last_torque = 0.0
     limit = 0.02 * 272e3 * 0.36
     for _ in range(60):
         state, estimate = estimator.step(state, inputs, 0.05)
-        assert abs(estimate.feedforward_torque_nm - before) <= 1000.0 * 0.05 + 1e-9
+        assert abs(estimate.feedforward_torque_nm - last_torque) <= 1000.0 * 0.05 + 1e-9
         assert abs(estimate.feedforward_torque_nm) <= limit + 1e-9
-        before = estimate.feedforward_torque_nm
-    assert before == pytest.approx(limit)
+        last_torque = estimate.feedforward_torque_nm
+    assert last_torque == pytest.approx(limit)
     assert estimate.reasons & Reason.FEEDFORWARD_CLAMPED
     assert estimate.status == "warn"
 
@@ -179,15 +179,15 @@ def test_long_gap_lies_between_rest_and_driving_on_and_says_so(reference):
     inputs = reference.inputs(SPEED, ambient=15.0)
     state = reference.cold_start(inputs, belt_degc=30.0, belt_std_k=0.1)
     state, _ = reference.step(state, inputs, 0.0)
-    driven = state
+    drive_state = state
     for _ in range(600):
-        driven, on = reference.step(driven, inputs, 1.0)
-    rested = reference.rest(state, 15.0, 600.0)
+        drive_state, drive_estimate = reference.step(drive_state, inputs, 1.0)
+    rest_state = reference.rest(state, 15.0, 600.0)
     _, estimate = reference.step(state, inputs, 600.0)
     assert estimate.reasons & Reason.GAP_UNKNOWN
-    middle = (rested.belts[0, 0, 0] + on.belt_degc()[0]) / 2
-    assert estimate.belt_degc()[0] == pytest.approx(middle, abs=0.3)
-    assert estimate.belt_std_k()[0] > abs(on.belt_degc()[0] - rested.belts[0, 0, 0]) / 12**0.5
+    mean = (rest_state.belts[0, 0, 0] + drive_estimate.belt_degc()[0]) / 2
+    assert estimate.belt_degc()[0] == pytest.approx(mean, abs=0.3)
+    assert estimate.belt_std_k()[0] > abs(drive_estimate.belt_degc()[0] - rest_state.belts[0, 0, 0]) / 12**0.5
 
 
 TIMES = 60
@@ -210,18 +210,18 @@ def test_arrays_of_assemblies_have_one_value_for_each(reference, name, shape):
 
 def test_step_rest_run_and_session_refuse_another_vehicle(reference, carrier):
     road = Estimator(load_any("bmw_i3"))
-    for mine, other in permutations((reference, carrier, road), 2):
-        inputs, its = mine.inputs(5.0), other.inputs(5.0)
-        state, strange = mine.cold_start(inputs), other.cold_start(its)
-        for refused in (
-            lambda mine=mine, strange=strange, inputs=inputs: mine.step(strange, inputs, 0.1),
-            lambda mine=mine, state=state, its=its: mine.step(state, its, 0.1),
-            lambda mine=mine, strange=strange: mine.rest(strange, 15.0, 60.0),
-            lambda mine=mine, strange=strange: a_run(mine, state=strange),
-            lambda mine=mine, strange=strange: mine.session().begin(strange),
+    for estimator, other_estimator in permutations((reference, carrier, road), 2):
+        inputs, other_inputs = estimator.inputs(5.0), other_estimator.inputs(5.0)
+        state, other_state = estimator.cold_start(inputs), other_estimator.cold_start(other_inputs)
+        for call in (
+            lambda estimator=estimator, other_state=other_state, inputs=inputs: estimator.step(other_state, inputs, 0.1),
+            lambda estimator=estimator, state=state, other_inputs=other_inputs: estimator.step(state, other_inputs, 0.1),
+            lambda estimator=estimator, other_state=other_state: estimator.rest(other_state, 15.0, 60.0),
+            lambda estimator=estimator, other_state=other_state: a_run(estimator, state=other_state),
+            lambda estimator=estimator, other_state=other_state: estimator.session().begin(other_state),
         ):
             with pytest.raises(InputError, match="shape"):
-                refused()
+                call()
     effects = np.append(state.effects, 0.0)
     with pytest.raises(InputError, match=r"^state"):
         road.step(state._replace(effects=effects), inputs, 0.1)
@@ -229,9 +229,9 @@ def test_step_rest_run_and_session_refuse_another_vehicle(reference, carrier):
 
 @pytest.mark.parametrize("name", SERIES)
 def test_a_run_refuses_dates_and_other_lengths(reference, name):
-    for wrong in (DATES, DATES - DATES[0], list(DATES.tolist()), np.ones(TIMES - 1), np.ones((TIMES, 1)), "noon"):
+    for values in (DATES, DATES - DATES[0], list(DATES.tolist()), np.ones(TIMES - 1), np.ones((TIMES, 1)), "noon"):
         with pytest.raises(InputError, match=name):
-            a_run(reference, **{name: wrong})
+            a_run(reference, **{name: values})
 
 
 @pytest.mark.parametrize("at", range(len(GroundSeries._fields)))
@@ -243,9 +243,9 @@ def test_a_run_refuses_ground_of_another_length(reference, at):
 
 @pytest.mark.parametrize("name", POSITIONS)
 def test_positions_along_a_route_have_the_length_of_its_times(reference, name):
-    for wrong in (DATES, np.ones(TIMES - 1), np.ones(1)):
+    for values in (DATES, np.ones(TIMES - 1), np.ones(1)):
         with pytest.raises(InputError, match=r"shape|numbers"):
-            reference.along_route(**{one: np.arange(TIMES) for one in POSITIONS} | {name: wrong})
+            reference.along_route(**{position: np.arange(TIMES) for position in POSITIONS} | {name: values})
 
 
 NO_NUMBERS = (np.inf, -np.inf, 1e300, 10**400, "5", b"5", True, 5j, object(), DATES[0], DATES[1] - DATES[0], [5.0, 5.0])
@@ -267,55 +267,63 @@ def test_a_value_that_is_no_finite_number_is_refused(reference, name):
         ways += [lambda value: reference.rest(state, value, 1.0)]
     for i, way in enumerate(ways):
         nominal = (name == "ambient" and i in (0, len(ways) - 1)) or (name == "weight" and i == 0)  # None is allowed
-        for wrong in (*NO_NUMBERS, *(one for one in UNKNOWN if name in KNOWN and not (one is None and nominal))):
+        for bad_value in (
+            *NO_NUMBERS,
+            *(unknown_value for unknown_value in UNKNOWN if name in KNOWN and not (unknown_value is None and nominal)),
+        ):
             with pytest.raises(InputError, match=name):
-                way(wrong)
+                way(bad_value)
 
 
 @given(st.lists(st.floats(), min_size=8, max_size=8), st.lists(st.floats(), min_size=4, max_size=4))
 def test_accepted_inputs_give_a_finite_estimate_and_the_next(reference, values, of_assemblies):
     inputs = reference.inputs(5.0)
     one_by_one = [{name: value} for name, value in zip(("speed", "ambient", *OTHERS), values, strict=True)]
-    for changed in (*one_by_one, {"weight": values[0]}, {"load": of_assemblies}, {"belt_measured": of_assemblies}):
+    for changes in (*one_by_one, {"weight": values[0]}, {"load": of_assemblies}, {"belt_measured": of_assemblies}):
         try:
-            state, estimate = reference.step(reference.cold_start(inputs), reference.inputs(**({"speed": 5.0} | changed)), 0.1)
+            state, estimate = reference.step(reference.cold_start(inputs), reference.inputs(**({"speed": 5.0} | changes)), 0.1)
         except InputError:
             continue
-        for one in (estimate, reference.step(state, inputs, 0.1)[1]):
+        for next_estimate in (estimate, reference.step(state, inputs, 0.1)[1]):
             assert np.isfinite(
-                [one.resistance_torque_nm, one.resistance_std_nm, one.feedforward_torque_nm, *one.belt_degc()]
+                [
+                    next_estimate.resistance_torque_nm,
+                    next_estimate.resistance_std_nm,
+                    next_estimate.feedforward_torque_nm,
+                    *next_estimate.belt_degc(),
+                ]
             ).all()
 
 
 def test_loads_are_not_negative_and_not_all_zero(reference):
     inputs = reference.inputs(5.0)
     state = reference.cold_start(inputs)
-    for wrong in (np.zeros(4), [-1.0, 68e3, 68e3, 68e3], [np.nan, 68e3, 68e3, 68e3], np.ma.array([68e3] * 4, mask=[1, 0, 0, 0])):
+    for loads in (np.zeros(4), [-1.0, 68e3, 68e3, 68e3], [np.nan, 68e3, 68e3, 68e3], np.ma.array([68e3] * 4, mask=[1, 0, 0, 0])):
         for way in (lambda load: reference.inputs(5.0, load=load), lambda load: reference.inputs(5.0, weight=2e5, load=load)):
             with pytest.raises(InputError, match="load"):
-                way(wrong)
+                way(loads)
         with pytest.raises(InputError, match="load"):
-            reference.step(state, inputs._replace(load=wrong), 0.1)
-    for wrong in (0.0, -1.0):
+            reference.step(state, inputs._replace(load=loads), 0.1)
+    for loads in (0.0, -1.0):
         for way in (lambda weight: reference.inputs(5.0, weight=weight), lambda weight: a_run(reference, weight=weight)):
             with pytest.raises(InputError, match="weight"):
-                way(wrong)
+                way(loads)
 
 
 def test_a_cold_start_has_one_temperature_of_all_belts(reference):
     inputs = reference.inputs(5.0)
-    for wrong in ({"belt_degc": [10.0, 60.0]}, {"belt_degc": np.nan}, {"belt_std_k": -1.0}, {"belt_std_k": [1.0, 2.0]}):
-        with pytest.raises(InputError, match=next(iter(wrong))):
-            reference.cold_start(inputs, **wrong)
+    for arguments in ({"belt_degc": [10.0, 60.0]}, {"belt_degc": np.nan}, {"belt_std_k": -1.0}, {"belt_std_k": [1.0, 2.0]}):
+        with pytest.raises(InputError, match=next(iter(arguments))):
+            reference.cold_start(inputs, **arguments)
 
 
 def test_a_masked_value_is_unknown(reference):
     nan = np.array([np.nan, 20.0, 20.0, 20.0])
-    masked = np.ma.array([1.0, 20.0, 20.0, 20.0], mask=[True, False, False, False])
-    found = [reference.inputs(5.0, belt_measured=given) for given in (nan, masked)]
-    found += [reference.inputs(5.0)._replace(belt_measured=masked)]
-    state = reference.cold_start(found[0])
-    rows = [reference.step(state, inputs, 0.1)[1].row for inputs in found]
+    masked_degc = np.ma.array([1.0, 20.0, 20.0, 20.0], mask=[True, False, False, False])
+    all_inputs = [reference.inputs(5.0, belt_measured=degc) for degc in (nan, masked_degc)]
+    all_inputs += [reference.inputs(5.0)._replace(belt_measured=masked_degc)]
+    state = reference.cold_start(all_inputs[0])
+    rows = [reference.step(state, inputs, 0.1)[1].row for inputs in all_inputs]
     assert all(np.array_equal(row, rows[0], equal_nan=True) for row in rows)
     grades = np.ma.array(np.full(TIMES, 0.1), mask=np.arange(TIMES) > 5)
     assert np.array_equal(a_run(reference, grade=grades)[1], a_run(reference, grade=grades.filled(np.nan))[1], equal_nan=True)
@@ -323,10 +331,10 @@ def test_a_masked_value_is_unknown(reference):
 
 def strange_arrays(given):
     """The same numbers in arrays of other types and of other places in memory."""
-    fixed = np.repeat(given, 3)[::3]
-    fixed.setflags(write=False)
+    read_only = np.repeat(given, 3)[::3]
+    read_only.setflags(write=False)
     return (
-        fixed,
+        read_only,
         given[::-1].copy()[::-1],
         given.tolist(),
         given.astype(">f8"),
@@ -350,14 +358,16 @@ def test_arrays_of_any_kind_and_layout_give_the_same(reference):
         reference.along_route(array(times), array(np.full(4, 5.0)), array(np.zeros(4)), array(np.zeros(4)))
         session = reference.session()
         steps = session.handle_block(array(np.zeros(4)), array(stamps), array(stamps), array(np.full(4, 5.0))).rows
-        last = session.handle(number(0), number(2**29), number(2**29), number(5.0)).row
-        return row, rows, steps, last
+        last_row = session.handle(number(0), number(2**29), number(2**29), number(5.0)).row
+        return row, rows, steps, last_row
 
-    plain = work(lambda array: array, lambda value: value)
+    base_results = work(lambda array: array, lambda value: value)
     for i in range(7):
         for number in (np.float32, np.int64, np.array):
-            again = work(lambda array, i=i: strange_arrays(array)[i], number)
-            assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(again, plain, strict=True))
+            results = work(lambda array, i=i: strange_arrays(array)[i], number)
+            assert all(
+                np.array_equal(result, expected, equal_nan=True) for result, expected in zip(results, base_results, strict=True)
+            )
 
 
 def test_inputs_do_not_share_the_arrays_they_are_made_of(reference):
@@ -370,28 +380,33 @@ def test_inputs_do_not_share_the_arrays_they_are_made_of(reference):
 
 def test_a_session_refuses_what_is_no_channel_and_no_number(reference):
     session, stamp = reference.session(), 10**18
-    before = session.memory.counters.copy()
+    old_counters = session.memory.counters.copy()
     for channel in (-1, len(reference.channels), 200_000, 2**70, None, "speed", np.nan, [0]):
         with pytest.raises(InputError, match="channel"):
             session.handle(channel, stamp, stamp, 5.0)
         with pytest.raises(InputError, match="channel"):
             session.handle_block([0, channel], [stamp] * 2, [stamp] * 2, [5.0] * 2)
-    for wrong in (None, "1", np.nan, 2**63, 2**70, np.datetime64(stamp, "ns")):
+    for value in (None, "1", np.nan, 2**63, 2**70, np.datetime64(stamp, "ns")):
         with pytest.raises(InputError, match="stamp_ns"):
-            session.handle(0, wrong, stamp, 5.0)
+            session.handle(0, value, stamp, 5.0)
         with pytest.raises(InputError, match="arrival_ns"):
-            session.handle(0, stamp, wrong, 5.0)
-    for wrong in ("1", True, 5j, 10**400):
+            session.handle(0, stamp, value, 5.0)
+    for value in ("1", True, 5j, 10**400):
         with pytest.raises(InputError, match="value"):
-            session.handle(0, stamp, stamp, wrong)
-    assert np.array_equal(session.memory.counters, before)
+            session.handle(0, stamp, stamp, value)
+    assert np.array_equal(session.memory.counters, old_counters)
 
 
 def test_an_estimator_takes_the_name_of_a_vehicle(reference, tmp_path):
     assert repr(Estimator("bmw_i3", cache=str(tmp_path))) == repr(Estimator(load_any("bmw_i3")))
-    for wrong in ({"vehicle": None}, {"vehicle": 3}, {"vehicle": "agri3t", "settings": {}}, {"vehicle": "agri3t", "cache": 3}):
+    for arguments in (
+        {"vehicle": None},
+        {"vehicle": 3},
+        {"vehicle": "agri3t", "settings": {}},
+        {"vehicle": "agri3t", "cache": 3},
+    ):
         with pytest.raises(InputError):
-            Estimator(**wrong)
+            Estimator(**arguments)
     for call in (
         lambda: reference.step(None, reference.inputs(5.0), 0.1),
         lambda: reference.rest(3, 15.0, 1.0),
@@ -400,8 +415,11 @@ def test_an_estimator_takes_the_name_of_a_vehicle(reference, tmp_path):
         with pytest.raises(InputError, match="state"):
             call()
     state = reference.cold_start(reference.inputs(5.0))
-    for wrong in (None, 3, tuple(reference.inputs(5.0))):
-        for call in (lambda wrong=wrong: reference.step(state, wrong, 0.1), lambda wrong=wrong: reference.cold_start(wrong)):
+    for arguments in (None, 3, tuple(reference.inputs(5.0))):
+        for call in (
+            lambda arguments=arguments: reference.step(state, arguments, 0.1),
+            lambda arguments=arguments: reference.cold_start(arguments),
+        ):
             with pytest.raises(InputError, match="inputs"):
                 call()
 
@@ -410,9 +428,9 @@ def test_an_estimator_takes_the_name_of_a_vehicle(reference, tmp_path):
 def test_time_goes_on_in_seconds(reference, wrong):
     inputs = reference.inputs(5.0)
     state = reference.cold_start(inputs)
-    for refused in (lambda: reference.step(state, inputs, wrong), lambda: reference.rest(state, 15.0, wrong)):
+    for call in (lambda: reference.step(state, inputs, wrong), lambda: reference.rest(state, 15.0, wrong)):
         with pytest.raises(InputError, match="seconds"):
-            refused()
+            call()
     if not isinstance(wrong, np.timedelta64):
         with pytest.raises(InputError, match=r"time_s\[7\]"):
             a_run(reference, time_s=np.append(np.arange(7.0), np.full(TIMES - 7, wrong)))
@@ -420,9 +438,9 @@ def test_time_goes_on_in_seconds(reference, wrong):
 
 def test_a_block_of_messages_has_as_many_of_each_part(reference):
     stamps = np.arange(3) * 10**9
-    for short in range(4):
+    for place in range(4):
         parts = [np.zeros(3, dtype=np.int16), stamps, stamps, np.ones(3)]
-        parts[short] = parts[short][:2]
+        parts[place] = parts[place][:2]
         with pytest.raises(InputError, match="one length"):
             reference.session().handle_block(*parts)
 
@@ -430,11 +448,11 @@ def test_a_block_of_messages_has_as_many_of_each_part(reference):
 @pytest.mark.parametrize(("name", "effect"), [("bmw_i3", "warmup"), ("agri3t", "viscous_bearing"), ("agri3t", "roadwheel_tyres")])
 def test_effects_pass_a_long_gap_between_rest_and_drive(name, effect):
     vehicle = load_any(config_dir() / f"{name}.yaml")
-    known = catalogue(size=vehicle.size, on_tyres=name == "bmw_i3")[effect]
-    estimator = Estimator(replace(vehicle, effects=(Active(known, known.values()),)))
-    fast, hour, ambient = estimator.inputs(0.5 * vehicle.chassis.max_speed), 3600.0, vehicle.chassis.ambient
+    typical = catalogue(size=vehicle.size, on_tyres=name == "bmw_i3")[effect]
+    estimator = Estimator(replace(vehicle, effects=(Active(typical, typical.values()),)))
+    fast_inputs, hour, ambient = estimator.inputs(0.5 * vehicle.chassis.max_speed), 3600.0, vehicle.chassis.ambient
 
-    def own(state):
+    def effect_state(state):
         return float(np.nanmax(state.effects[FIRST_OWN::EACH]))
 
     def drive(state, inputs, steps, dt):
@@ -442,11 +460,11 @@ def test_effects_pass_a_long_gap_between_rest_and_drive(name, effect):
             state, _ = estimator.step(state, inputs, dt)
         return state
 
-    warm = drive(estimator.cold_start(fast), fast, 60, 30.0)
-    rested = own(estimator.rest(warm, ambient, hour))
-    driven = own(drive(warm, fast, 120, 30.0))
-    assert own(drive(warm, fast, 1, hour)) == pytest.approx(0.5 * (rested + driven), rel=1e-3)
-    standing = drive(warm, estimator.inputs(0.0), 3, 1.0)
-    rested = own(estimator.rest(standing, ambient, hour))
-    assert own(drive(standing, estimator.inputs(0.0), 1, hour)) == pytest.approx(rested, rel=1e-6)
-    assert abs(rested - own(standing)) > 0.02 * abs(own(standing))
+    warm = drive(estimator.cold_start(fast_inputs), fast_inputs, 60, 30.0)
+    rest_value = effect_state(estimator.rest(warm, ambient, hour))
+    drive_value = effect_state(drive(warm, fast_inputs, 120, 30.0))
+    assert effect_state(drive(warm, fast_inputs, 1, hour)) == pytest.approx(0.5 * (rest_value + drive_value), rel=1e-3)
+    stop_state = drive(warm, estimator.inputs(0.0), 3, 1.0)
+    rest_value = effect_state(estimator.rest(stop_state, ambient, hour))
+    assert effect_state(drive(stop_state, estimator.inputs(0.0), 1, hour)) == pytest.approx(rest_value, rel=1e-6)
+    assert abs(rest_value - effect_state(stop_state)) > 0.02 * abs(effect_state(stop_state))

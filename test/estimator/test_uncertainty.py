@@ -43,42 +43,44 @@ def cache(tmp_path_factory):
 
 def with_open_ranges(vehicle, paths):
     """The vehicle with every quantity certain but those named."""
-    certain = {
+    fixed_quantities = {
         path: q if path in paths or isinstance(q.value, tuple) else replace(q, low=q.value, high=q.value)
         for path, q in vehicle.parameters.items()
     }
-    return replace(vehicle, parameters=certain)
+    return replace(vehicle, parameters=fixed_quantities)
 
 
 def drive(vehicle, cache, speed, config=CERTAIN, ambient=15.0):
     """Columns of a drive at constant speed from belts at the ambient temperature."""
-    one = Estimator(vehicle, config, cache)
-    begun = one.cold_start(one.inputs(speed, ambient=ambient))
-    _, rows = one.run(begun, TIME_S, np.full_like(TIME_S, speed), vehicle.weight, ambient, 0.0)
-    return {name: rows[:, i] for name, i in one.column_index.items()}
+    estimator = Estimator(vehicle, config, cache)
+    start = estimator.cold_start(estimator.inputs(speed, ambient=ambient))
+    _, rows = estimator.run(start, TIME_S, np.full_like(TIME_S, speed), vehicle.weight, ambient, 0.0)
+    return {name: rows[:, i] for name, i in estimator.column_index.items()}
 
 
 @pytest.fixture(scope="module")
 def ends(cache):
     """The drives with a quantity moved up and down, each made once."""
-    made = {}
+    cache_of = {}
 
-    def of(vehicle, path):
-        if (vehicle.thermal, path) not in made:
-            quantity, make = vehicle.parameters[path], variants(vehicle)
-            moved = [make({path: quantity.value + sign * STEP * quantity.standard_deviation}) for sign in (1, -1)]
-            made[vehicle.thermal, path] = [drive(with_open_ranges(one, []), cache, reference_speed(vehicle)) for one in moved]
-        return made[vehicle.thermal, path]
+    def end_drives(vehicle, path):
+        if (vehicle.thermal, path) not in cache_of:
+            quantity, build = vehicle.parameters[path], variants(vehicle)
+            variants_of = [build({path: quantity.value + sign * STEP * quantity.standard_deviation}) for sign in (1, -1)]
+            cache_of[vehicle.thermal, path] = [
+                drive(with_open_ranges(variant, []), cache, reference_speed(vehicle)) for variant in variants_of
+            ]
+        return cache_of[vehicle.thermal, path]
 
-    return of
+    return end_drives
 
 
 def by_differences(vehicle, ends, paths, column):
     """Standard deviation of a column: root of the sum of squares over the quantities, each by a central difference."""
     squares = np.zeros_like(TIME_S)
     for path in paths:
-        up, down = (end[column] for end in ends(vehicle, path))
-        squares += ((up - down) / (2 * STEP)) ** 2
+        high_end, low_end = (end[column] for end in ends(vehicle, path))
+        squares += ((high_end - low_end) / (2 * STEP)) ** 2
     return np.sqrt(squares)
 
 
@@ -102,10 +104,10 @@ def reference_speed(vehicle):
     ],
 )
 def test_uncertainty_of_one_quantity_is_the_change_it_makes(xgd24d, cache, ends, path, tolerance):
-    carried = drive(with_open_ranges(xgd24d, [path]), cache, reference_speed(xgd24d))
-    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
-        expected = at_least(by_differences(xgd24d, ends, [path], column), carried, ours)
-        assert carried[ours] == pytest.approx(expected, rel=tolerance, abs=0.003 * expected.max() + 0.01)
+    rows = drive(with_open_ranges(xgd24d, [path]), cache, reference_speed(xgd24d))
+    for std_column, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+        expected = at_least(by_differences(xgd24d, ends, [path], column), rows, std_column)
+        assert rows[std_column] == pytest.approx(expected, rel=tolerance, abs=0.003 * expected.max() + 0.01)
         assert expected.max() > 0.1
 
 
@@ -113,37 +115,37 @@ def test_uncertainty_of_one_quantity_is_the_change_it_makes(xgd24d, cache, ends,
 @pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
 def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d, cache, ends, thermal):
     vehicle = with_methods(xgd24d, thermal=thermal)
-    carried = drive(with_open_ranges(vehicle, ALL), cache, reference_speed(vehicle))
-    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
-        expected = at_least(by_differences(vehicle, ends, ALL, column), carried, ours)
-        assert carried[ours] == pytest.approx(expected, rel=0.04, abs=0.02 * expected.max())
+    rows = drive(with_open_ranges(vehicle, ALL), cache, reference_speed(vehicle))
+    for std_column, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+        expected = at_least(by_differences(vehicle, ends, ALL, column), rows, std_column)
+        assert rows[std_column] == pytest.approx(expected, rel=0.04, abs=0.02 * expected.max())
 
 
 def test_a_certain_vehicle_is_certain(xgd24d, cache):
-    certain = drive(with_open_ranges(xgd24d, []), cache, 10.0)
-    assert certain["belt_std_k/front_left"].max() < 1e-3
-    assert certain["resistance_std_nm"] == pytest.approx(LEAST_STD_SHARE * certain["resistance_torque_nm"], rel=1e-6)
-    rested = drive(with_open_ranges(xgd24d, []), cache, 0.0)
-    assert rested["resistance_std_nm"][0] == pytest.approx(certain["resistance_std_nm"][0], rel=0.5)  # friction has a size
+    rows = drive(with_open_ranges(xgd24d, []), cache, 10.0)
+    assert rows["belt_std_k/front_left"].max() < 1e-3
+    assert rows["resistance_std_nm"] == pytest.approx(LEAST_STD_SHARE * rows["resistance_torque_nm"], rel=1e-6)
+    rest_rows = drive(with_open_ranges(xgd24d, []), cache, 0.0)
+    assert rest_rows["resistance_std_nm"][0] == pytest.approx(rows["resistance_std_nm"][0], rel=0.5)  # friction has a size
 
 
 def test_the_uncertainty_of_the_ambient_temperature(xgd24d, cache):
     """An offset of the ambient temperature that was there from the start."""
     offset = 0.5
-    uncertain = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, ambient_std_k=offset))
+    rows = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, ambient_std_k=offset))
     ends = [drive(xgd24d, cache, 10.0, ambient=15.0 + sign * offset) for sign in (1, -1)]
-    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
-        assert uncertain[ours] == pytest.approx(
-            at_least(np.abs(ends[0][column] - ends[1][column]) / 2, uncertain, ours), rel=0.01, abs=1e-3
+    for std_column, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+        assert rows[std_column] == pytest.approx(
+            at_least(np.abs(ends[0][column] - ends[1][column]) / 2, rows, std_column), rel=0.01, abs=1e-3
         )
 
 
 def test_uncertainty_of_the_start_fades(xgd24d, cache):
     """A belt 5 K warmer or colder is forgotten during the drive; random departures stay bounded."""
-    started = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, initial_belt_std_k=5.0))["belt_std_k/front_left"]
-    assert started[0] == pytest.approx(5.0, rel=1e-3)
-    assert (np.diff(started) < 0.0).all()
-    assert started[-1] < 0.1
+    stds = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, initial_belt_std_k=5.0))["belt_std_k/front_left"]
+    assert stds[0] == pytest.approx(5.0, rel=1e-3)
+    assert (np.diff(stds) < 0.0).all()
+    assert stds[-1] < 0.1
     walk = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, process_noise_k=0.02))["belt_std_k/front_left"]
     assert (np.diff(walk) > -1e-9).all()
     assert walk[-1] == pytest.approx(walk[-600], rel=0.02)
@@ -158,19 +160,23 @@ def test_uncertainty_of_the_start_fades(xgd24d, cache):
 )  # fmt: skip
 def test_uncertainty_of_an_effect_is_the_change_it_makes(xgd24d, cache, name, tolerance):
     """Of a warm belt, whose heat it changes; all its ranges add in squares."""
-    effect, certain, speed = catalogue()[name], with_open_ranges(xgd24d, []), 0.8 * xgd24d.chassis.max_speed
+    effect, fixed_vehicle, speed = catalogue()[name], with_open_ranges(xgd24d, []), 0.8 * xgd24d.chassis.max_speed
     values, width = effect.values(), {q.name: 0.1 * (q.high - q.low) for q in effect.parameters if q.off is not None}
 
-    def driven(changes, ranges):
-        return drive(replace(certain, effects=(Active(effect, {**values, **changes}, ranges),)), cache, speed)
+    def drive_with(changes, ranges):
+        return drive(replace(fixed_vehicle, effects=(Active(effect, {**values, **changes}, ranges),)), cache, speed)
 
-    carried = driven({}, {one: (values[one] - width[one], values[one] + width[one]) for one in width})
-    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+    rows = drive_with(
+        {}, {parameter: (values[parameter] - width[parameter], values[parameter] + width[parameter]) for parameter in width}
+    )
+    for std_column, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
         squares = 0.0
-        for one, wide in width.items():
-            up, down = (driven({one: values[one] + sign * STEP * wide / 2.0}, {})[column][-1] for sign in (1, -1))
-            squares += ((up - down) / (2.0 * STEP)) ** 2
-        assert carried[ours][-1] == pytest.approx(squares**0.5, rel=tolerance)
+        for parameter, span in width.items():
+            high_end, low_end = (
+                drive_with({parameter: values[parameter] + sign * STEP * span / 2.0}, {})[column][-1] for sign in (1, -1)
+            )
+            squares += ((high_end - low_end) / (2.0 * STEP)) ** 2
+        assert rows[std_column][-1] == pytest.approx(squares**0.5, rel=tolerance)
         assert squares**0.5 > 0.1
 
 
@@ -190,8 +196,8 @@ def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d, cache):
 @pytest.mark.parametrize("hysteresis", ["spectral", "rainflow"])
 def test_an_uncertain_loss_is_that_of_the_vehicles_method(xgd24d, hysteresis):
     vehicle, belts = with_methods(xgd24d, hysteresis=hysteresis), np.array([10.0, 60.0])
-    exact = track_model(vehicle, "triangular").loss.loss_force(8.0, belts, load_range(vehicle, "triangular").nominal).total
-    assert np.exp(logarithms_at(vehicle, "triangular", 8.0, belts, vehicle)[:2]) == pytest.approx(exact, rel=0.01)
+    exact_loss = track_model(vehicle, "triangular").loss.loss_force(8.0, belts, load_range(vehicle, "triangular").nominal).total
+    assert np.exp(logarithms_at(vehicle, "triangular", 8.0, belts, vehicle)[:2]) == pytest.approx(exact_loss, rel=0.01)
 
 
 @pytest.mark.parametrize("path", ["chassis.bearing_friction", "chassis.drag_coefficient"])
@@ -201,11 +207,11 @@ def test_a_value_of_0_is_as_uncertain_as_one_next_to_it(path):
         inputs = estimator.inputs(8.0, acceleration=0.0)
         return float(estimator.step(estimator.cold_start(inputs), inputs, 0.0)[1].resistance_std_nm)
 
-    make = variants(load("agri3t"))
-    known = make({path: 0.0})
-    certain = replace(known.parameters[path], low=0.0, high=0.0)
-    assert std(known) == pytest.approx(std(make({path: 1e-9})), rel=1e-6)
-    assert std(known) > std(replace(known, parameters={**known.parameters, path: certain}))
+    build = variants(load("agri3t"))
+    zero_vehicle = build({path: 0.0})
+    fixed = replace(zero_vehicle.parameters[path], low=0.0, high=0.0)
+    assert std(zero_vehicle) == pytest.approx(std(build({path: 1e-9})), rel=1e-6)
+    assert std(zero_vehicle) > std(replace(zero_vehicle, parameters={**zero_vehicle.parameters, path: fixed}))
 
 
 def test_every_range_of_the_shipped_file_counts(vehicle, cache):
@@ -213,6 +219,6 @@ def test_every_range_of_the_shipped_file_counts(vehicle, cache):
     name = next(iter(vehicle.tracks))
     paths = [path for path in vehicle.parameters if path.startswith(("rubber.", "tracks."))]
     parts = [spread(with_open_ranges(vehicle, half), name, cache).factor for half in (paths[::2], paths[1::2])]
-    whole = spread(vehicle, name, cache).factor
-    assert whole @ whole.T == pytest.approx(sum(part @ part.T for part in parts), rel=1e-6, abs=1e-9)
-    assert (np.diag(whole) > 0.03).all()
+    total = spread(vehicle, name, cache).factor
+    assert total @ total.T == pytest.approx(sum(part @ part.T for part in parts), rel=1e-6, abs=1e-9)
+    assert (np.diag(total) > 0.03).all()

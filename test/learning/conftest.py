@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.learning.columns import LearningColumns
 from trackres_ros.learning.learner import Learner
 from trackres_ros.units import GRAVITY
@@ -23,9 +23,9 @@ class Road:
 
     def __init__(self, estimator, mode="watch", true=None, seed=1, slope=None, altitude=None, tilt=None):
         self.true = estimator.session()
-        self.true.learned[at.Learned.on] = 1.0
-        for which, departure in (true or {}).items():
-            at.Learned(self.true.learned).departures[which] = departure
+        self.true.learned[layout.Learned.on] = 1.0
+        for index, departure in (true or {}).items():
+            layout.Learned(self.true.learned).departures[index] = departure
         self.session, self.learner = estimator.session(), Learner(estimator, mode)
         self.columns = LearningColumns(self.learner)
         self.random, self.steps, self.rows = np.random.default_rng(seed), 0, []
@@ -38,30 +38,33 @@ class Road:
         for i in range(round(minutes * 600.0)):
             stamp, time = START_NS + self.steps * STEP_NS, self.steps * 0.1
             self.steps += 1
-            now, slope = float(speed(time)), float(self.slope(self.way)) if self.slope else 0.0  # others are converted slowly
-            self.way += 0.1 * now
-            self.height += 0.1 * now * slope
+            speed_now, slope = (
+                float(speed(time)),
+                float(self.slope(self.way)) if self.slope else 0.0,
+            )  # others are converted slowly
+            self.way += 0.1 * speed_now
+            self.height += 0.1 * speed_now * slope
             if self.slope:
-                self.true.handle(at.GRADE, stamp, stamp, slope)
-            truth = self.true.handle(at.SPEED, stamp, stamp, now)
+                self.true.handle(layout.GRADE, stamp, stamp, slope)
+            truth = self.true.handle(layout.SPEED, stamp, stamp, speed_now)
             arrival, stamp = stamp, stamp + self.ahead_ns
             torque = shown(truth["drive_torque_nm"], i)
             if torque is not None:
-                self.session.handle(at.TORQUE, stamp, arrival, float(torque + self.random.normal(0.0, noise)))
+                self.session.handle(layout.TORQUE, stamp, arrival, float(torque + self.random.normal(0.0, noise)))
             if self.altitude is not None and self.steps % 10 == 0:
-                self.session.handle(at.ALTITUDE, stamp, arrival, float(self.height + self.random.normal(0.0, self.altitude)))
+                self.session.handle(layout.ALTITUDE, stamp, arrival, float(self.height + self.random.normal(0.0, self.altitude)))
             if self.tilt is not None:
-                felt = GRAVITY * (slope + self.tilt) + truth["accel_mps2"] + self.random.normal(0.0, 0.3)
-                self.session.handle(at.SPECIFIC_FORCE, stamp, arrival, float(felt))
-            estimate = self.session.handle(at.SPEED, stamp, arrival, now)
+                specific_force = GRAVITY * (slope + self.tilt) + truth["accel_mps2"] + self.random.normal(0.0, 0.3)
+                self.session.handle(layout.SPECIFIC_FORCE, stamp, arrival, float(specific_force))
+            estimate = self.session.handle(layout.SPEED, stamp, arrival, speed_now)
             if estimate is None:  # until a jump of the clock is confirmed
                 continue
             row = estimate.row.tolist()
             self.learner.take(stamp, row, self.session)
-            learned = self.columns.of(row, self.session)[0]
-            self.rows.append((truth["resistance_torque_nm"], estimate["resistance_torque_nm"], learned))
-            if self.learner.frozen:
-                self.said.add(self.learner.frozen.split(":")[0])
+            torque_with = self.columns.row_values(row, self.session)[0]
+            self.rows.append((truth["resistance_torque_nm"], estimate["resistance_torque_nm"], torque_with))
+            if self.learner.freeze_reason:
+                self.said.add(self.learner.freeze_reason.split(":")[0])
         return self
 
     def errors(self, minutes):

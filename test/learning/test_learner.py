@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.columns import HELD, lines, shown
+from trackres_ros.learning.columns import HELD, learning_values, lines
 from trackres_ros.learning.gate import UNSURE
 from trackres_ros.learning.learner import Learner, apply_departures, target_departures
 from trackres_ros.learning.parameters import (
@@ -26,7 +26,7 @@ from trackres_ros.learning.parameters import (
     STATES,
     STEP,
     VEHICLES_OWN,
-    corrected,
+    correct_estimate,
     learnables,
     limits_of,
     make_prior,
@@ -41,83 +41,83 @@ from trackres_ros.vehicle.writing.vehicle_file import open_document
 @pytest.fixture(scope="module")
 def learned(road):
     """A vehicle whose belts lose a fifth more than its file says, after twenty minutes."""
-    return road("watch", {at.OF_LOSS: 0.2}).drive(20.0)
+    return road("watch", {layout.OF_LOSS: 0.2}).drive(20.0)
 
 
 @pytest.fixture(scope="module")
 def driven_before(road):
     """A copy of a vehicle that has been driven for sixteen minutes, by mode and departure of its losses."""
-    made = {}
+    drives = {}
 
-    def given(mode, departure=0.1):
+    def copy_of(mode, departure=0.1):
         key = mode, departure
-        if key not in made:
-            made[key] = road(mode, {at.OF_LOSS: departure}).drive(16.0)
-        estimator = made[key].session.estimator
-        return copy.deepcopy(made[key], {id(estimator): estimator})
+        if key not in drives:
+            drives[key] = road(mode, {layout.OF_LOSS: departure}).drive(16.0)
+        estimator = drives[key].session.estimator
+        return copy.deepcopy(drives[key], {id(estimator): estimator})
 
-    return given
+    return copy_of
 
 
 def test_fifteen_minutes_suffice_to_learn_a_20_percent_error(learned):
-    file, with_it = learned.errors(5.0)
+    file, learned_error = learned.errors(5.0)
     assert file > 0.08
-    assert with_it < 0.02
-    assert learned.learner.acts
-    assert learned.learner.counted[at.OF_LOSS]
+    assert learned_error < 0.02
+    assert learned.learner.is_active
+    assert learned.learner.has_evidence[layout.OF_LOSS]
 
 
 def test_on_and_watching_learn_the_same(learned, road):
-    on = road("on", {at.OF_LOSS: 0.2}).drive(20.0)
-    own = list(VEHICLES_OWN)
-    assert on.learner.learned.mean[own] == pytest.approx(learned.learner.learned.mean[own], abs=2e-3)
-    assert on.errors(5.0)[0] < 0.02
+    active_drive = road("on", {layout.OF_LOSS: 0.2}).drive(20.0)
+    states = list(VEHICLES_OWN)
+    assert active_drive.learner.learned.mean[states] == pytest.approx(learned.learner.learned.mean[states], abs=2e-3)
+    assert active_drive.errors(5.0)[0] < 0.02
 
 
 def test_in_reverse_it_learns_as_ahead(road):
-    ahead, back = (
-        road("on", {at.OF_LOSS: 0.2}).drive(1.0, speed=lambda t, way=way: way * (8.0 + 6.0 * math.sin(t / 10.0)), noise=0.0)
+    ahead, reverse = (
+        road("on", {layout.OF_LOSS: 0.2}).drive(1.0, speed=lambda t, way=way: way * (8.0 + 6.0 * math.sin(t / 10.0)), noise=0.0)
         for way in (1.0, -1.0)
     )
-    assert back.learner.learned.seconds == ahead.learner.learned.seconds > 20.0
-    alike = [*range(at.LEARNABLE), SLOW, STEP]  # against travel
-    assert back.learner.learned.mean[alike] == pytest.approx(ahead.learner.learned.mean[alike], rel=1e-6, abs=1e-9)
+    assert reverse.learner.learned.seconds == ahead.learner.learned.seconds > 20.0
+    states = [*range(layout.LEARNABLE), SLOW, STEP]  # against travel
+    assert reverse.learner.learned.mean[states] == pytest.approx(ahead.learner.learned.mean[states], rel=1e-6, abs=1e-9)
 
 
 def test_where_no_torque_is_measured_nothing_changes(road):
-    driven = road("on", {at.OF_LOSS: 0.2}).drive(6.0, lambda _torque, _i: None)
-    assert not driven.session.learned[: at.Learned.sensitivities.start].any()
-    assert driven.learner.learned.seconds == 0.0
+    drive = road("on", {layout.OF_LOSS: 0.2}).drive(6.0, lambda _torque, _i: None)
+    assert not drive.session.learned[: layout.Learned.sensitivities.start].any()
+    assert drive.learner.learned.seconds == 0.0
 
 
 def test_a_file_that_is_right_stays_right(driven_before):
-    driven = driven_before("on", 0.0)
-    assert driven.errors(5.0)[1] < 0.01
+    drive = driven_before("on", 0.0)
+    assert drive.errors(5.0)[1] < 0.01
 
 
 def test_one_corner_is_not_the_whole(road):
-    driven = road("on", {at.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
-    assert not any(driven.learner.counted[state] for state in VEHICLES_OWN)
-    assert driven.session.learned[at.Learned.on] == 0.0
+    drive = road("on", {layout.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
+    assert not any(drive.learner.has_evidence[state] for state in VEHICLES_OWN)
+    assert drive.session.learned[layout.Learned.on] == 0.0
 
 
 @pytest.mark.parametrize("share", [0.07, -0.07])
 def test_another_sensor_is_a_step_and_not_the_rubber(driven_before, share):
-    driven = driven_before("watch")
-    before = driven.learner.learned.applied.copy()
-    driven.drive(4.0, lambda torque, _i: (1.0 + share) * torque)
-    assert any(text.startswith("a disturbance of") for text in driven.said)
-    assert driven.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(before[VEHICLES_OWN,], abs=0.03)
-    frozen = driven.learner.learned.mean[VEHICLES_OWN,].copy()
-    driven.drive(0.1, lambda torque, _i: (1.0 + share) * torque)
-    assert driven.learner.frozen
-    assert driven.learner.learned.mean[VEHICLES_OWN,] == pytest.approx(frozen, abs=1e-12)
+    drive = driven_before("watch")
+    old_departures = drive.learner.learned.applied.copy()
+    drive.drive(4.0, lambda torque, _i: (1.0 + share) * torque)
+    assert any(text.startswith("a disturbance of") for text in drive.said)
+    assert drive.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(old_departures[VEHICLES_OWN,], abs=0.03)
+    frozen_mean = drive.learner.learned.mean[VEHICLES_OWN,].copy()
+    drive.drive(0.1, lambda torque, _i: (1.0 + share) * torque)
+    assert drive.learner.freeze_reason
+    assert drive.learner.learned.mean[VEHICLES_OWN,] == pytest.approx(frozen_mean, abs=1e-12)
 
 
 def test_a_pump_goes_as_it_came(driven_before):
-    driven = driven_before("on")
-    driven.drive(3.0, lambda torque, _i: torque + 300.0).drive(14.0)
-    assert driven.errors(4.0)[1] < 0.025
+    drive = driven_before("on")
+    drive.drive(3.0, lambda torque, _i: torque + 300.0).drive(14.0)
+    assert drive.errors(4.0)[1] < 0.025
 
 
 @pytest.mark.parametrize(("gain", "words"), [(46.0, "46 Nm better"), (-8.0, "8 Nm worse")])
@@ -128,17 +128,17 @@ def test_the_status_says_if_used_values_fit_better_or_worse(driven_before, monke
 
 
 def test_a_torque_from_outside_is_reported_while_it_lasts(driven_before):
-    driven = driven_before("watch")
-    assert driven.learner.disturbance == ""
-    less_than_a_step = 0.025 * driven.learner.learned.rolling
-    driven.drive(1.4, lambda torque, _i: torque + less_than_a_step)
-    assert driven.learner.disturbance.startswith("a disturbance of +")
-    assert driven.learner.disturbance in driven.learner.text
-    before = driven.learner.disturbance
-    parks = lambda t, begins=0.1 * driven.steps: max(8.0 + 6.0 * math.sin(begins / 60.0) - t + begins, 0.0)  # noqa: E731
-    assert driven.drive(3.0, speed=parks).learner.disturbance in ("", before)  # a parked vehicle adds nothing
-    driven.drive(10.0, speed=lambda t, begins=0.1 * driven.steps: 8.0 - 8.0 * math.cos((t - begins) / 60.0))
-    assert driven.learner.disturbance == ""
+    drive = driven_before("watch")
+    assert drive.learner.disturbance == ""
+    less_than_a_step = 0.025 * drive.learner.learned.rolling
+    drive.drive(1.4, lambda torque, _i: torque + less_than_a_step)
+    assert drive.learner.disturbance.startswith("a disturbance of +")
+    assert drive.learner.disturbance in drive.learner.text
+    old_text = drive.learner.disturbance
+    parks = lambda t, begins=0.1 * drive.steps: max(8.0 + 6.0 * math.sin(begins / 60.0) - t + begins, 0.0)  # noqa: E731
+    assert drive.drive(3.0, speed=parks).learner.disturbance in ("", old_text)  # a parked vehicle adds nothing
+    drive.drive(10.0, speed=lambda t, begins=0.1 * drive.steps: 8.0 - 8.0 * math.cos((t - begins) / 60.0))
+    assert drive.learner.disturbance == ""
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -151,10 +151,10 @@ def test_a_disturbance_ends_at_its_change_of_sign(reference, way):
         s.block = ResidualBlock(BLOCK_S, 1.0, way * torque, 0.0, way)
         close_block(s)
         if learner.disturbance:
-            since = number - math.floor(number / 16.0 / math.pi) * math.pi * 16.0  # the torque crossed zero
+            blocks = number - math.floor(number / 16.0 / math.pi) * math.pi * 16.0  # the torque crossed zero
             nm, seconds = re.match(r"a disturbance of ([+-]\d+) Nm for (\d+) s", learner.disturbance).groups()
-            assert int(seconds) <= BLOCK_S * (since + 1.0)
-            assert float(nm) * torque > 0.0 or since <= LATE
+            assert int(seconds) <= BLOCK_S * (blocks + 1.0)
+            assert float(nm) * torque > 0.0 or blocks <= LATE
     assert s.disturbed_s > 0.0
 
 
@@ -170,21 +170,21 @@ def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
             return torque + level[0]
 
         learner = road("watch").drive(20.0, shown).learner
-        past = learner.learned.past
-        shares.append(past.slow / (past.slow + past.white))
+        levels = learner.learned.past
+        shares.append(levels.slow / (levels.slow + levels.white))
     assert shares[0] < 0.2
     assert shares[1] > 0.5
 
 
 def test_of_a_disturbance_no_more_is_fed_than_its_bound(driven_before):
-    driven, watching = (driven_before(mode).drive(5.0, lambda torque, _i: torque + 400.0) for mode in ("on", "watch"))
-    assert watching.rows[-1][1] + 200.0 < watching.rows[-1][2] == pytest.approx(driven.rows[-1][1], rel=0.003)
-    state = driven.learner.learned
-    assert state.mean[[SLOW, STEP]].sum() == pytest.approx(watching.learner.learned.mean[[SLOW, STEP]].sum(), rel=0.02)
+    drive, watch_drive = (driven_before(mode).drive(5.0, lambda torque, _i: torque + 400.0) for mode in ("on", "watch"))
+    assert watch_drive.rows[-1][1] + 200.0 < watch_drive.rows[-1][2] == pytest.approx(drive.rows[-1][1], rel=0.003)
+    state = drive.learner.learned
+    assert state.mean[[SLOW, STEP]].sum() == pytest.approx(watch_drive.learner.learned.mean[[SLOW, STEP]].sum(), rel=0.02)
     assert abs(state.lasting_nm) <= LASTING_SHARE * state.rolling * 1.01
     lasting = abs(state.lasting_nm)
-    driven.drive(0.15, lambda _torque, _i: None)
-    assert abs(driven.learner.learned.lasting_nm) < 0.05 * lasting + 0.1
+    drive.drive(0.15, lambda _torque, _i: None)
+    assert abs(drive.learner.learned.lasting_nm) < 0.05 * lasting + 0.1
 
 
 @pytest.mark.parametrize(
@@ -197,223 +197,238 @@ def test_of_a_disturbance_no_more_is_fed_than_its_bound(driven_before):
     ],
 )
 def test_what_is_wrong_with_the_torque_is_told_and_not_learned(driven_before, shown, words):
-    driven = driven_before("on")
-    assert driven.learner.left_out == ""
-    before, seconds = driven.learner.learned.applied.copy(), driven.learner.learned.seconds
-    driven.drive(2.0, shown, noise=0.0)
-    assert driven.learner.left_out.startswith(f"{words} in ")
-    assert driven.learner.text.endswith(driven.learner.left_out)
+    drive = driven_before("on")
+    assert drive.learner.left_out == ""
+    old_departures, seconds = drive.learner.learned.applied.copy(), drive.learner.learned.seconds
+    drive.drive(2.0, shown, noise=0.0)
+    assert drive.learner.left_out.startswith(f"{words} in ")
+    assert drive.learner.text.endswith(drive.learner.left_out)
     if "stuck" in words or "sign" in words:
-        assert driven.learner.learned.seconds < seconds + 15.0
-        assert driven.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(before[VEHICLES_OWN,], abs=0.03)
-    driven.drive(6.0)
-    assert driven.learner.left_out == ""
+        assert drive.learner.learned.seconds < seconds + 15.0
+        assert drive.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(old_departures[VEHICLES_OWN,], abs=0.03)
+    drive.drive(6.0)
+    assert drive.learner.left_out == ""
 
 
 def test_nothing_is_learned_from_a_doubtful_estimate(road):
-    driven = road("watch").drive(0.05)
-    gate, memory = driven.learner.gate, driven.session.memory
-    now, speed = int(memory.times[at.SPEED, at.Times.last_arrival]), float(memory.values[at.SPEED])
-    for reason in (at.Reason.NONE, *(one for one in at.REASON_TEXT if one & UNSURE)):
-        now += 10**8
-        row, before = driven.session.handle(at.SPEED, now, now, speed).row, gate.second.taken
-        changed = [at.Results.measured_torque_nm, at.Results.residual_nm, at.Results.reasons]
-        row[changed] = row[at.Results.drive_torque_nm], 0.0, reason
-        gate.take(now, row.tolist(), driven.session)
-        assert gate.second.taken - before == (not reason)
+    drive = road("watch").drive(0.05)
+    gate, memory = drive.learner.gate, drive.session.memory
+    time_ns, speed = int(memory.times[layout.SPEED, layout.Times.last_arrival]), float(memory.values[layout.SPEED])
+    for reason in (layout.Reason.NONE, *(unsure_reason for unsure_reason in layout.REASON_TEXT if unsure_reason & UNSURE)):
+        time_ns += 10**8
+        row, old_count = drive.session.handle(layout.SPEED, time_ns, time_ns, speed).row, gate.second.taken
+        columns = [layout.Results.measured_torque_nm, layout.Results.residual_nm, layout.Results.reasons]
+        row[columns] = row[layout.Results.drive_torque_nm], 0.0, reason
+        gate.take(time_ns, row.tolist(), drive.session)
+        assert gate.second.taken - old_count == (not reason)
 
 
 def test_a_yaw_rate_that_died_in_a_bend_stops_no_learning(road):
-    driven = road("watch")
-    driven.session.handle(at.YAW_RATE, 1, 1, 1.0)
-    assert driven.drive(2.0).learner.learned.seconds > 90.0
+    drive = road("watch")
+    drive.session.handle(layout.YAW_RATE, 1, 1, 1.0)
+    assert drive.drive(2.0).learner.learned.seconds > 90.0
 
 
 def test_nothing_is_wrong_with_a_torque_while_it_stands(road):
-    driven = road("watch").drive(2.0, lambda _torque, _i: 0.0, speed=lambda _t: 0.0, noise=0.0)
-    assert driven.learner.left_out == ""
+    drive = road("watch").drive(2.0, lambda _torque, _i: 0.0, speed=lambda _t: 0.0, noise=0.0)
+    assert drive.learner.left_out == ""
 
 
 def test_outliers_freeze_it(road):
-    driven = road("on", {at.OF_LOSS: 0.1})
+    drive = road("on", {layout.OF_LOSS: 0.1})
     random = np.random.default_rng(5)
-    driven.drive(10.0, lambda torque, _i: torque + (3000.0 if random.random() < 0.3 else 0.0))
-    assert any("disagree" in text for text in driven.said)
-    assert driven.errors(2.0)[1] < 1.02 * driven.errors(2.0)[0] + 0.02
+    drive.drive(10.0, lambda torque, _i: torque + (3000.0 if random.random() < 0.3 else 0.0))
+    assert any("disagree" in text for text in drive.said)
+    assert drive.errors(2.0)[1] < 1.02 * drive.errors(2.0)[0] + 0.02
 
 
 def test_what_wanders_is_not_taken_for_the_vehicle(road):
     """Unknown hills of one in a hundred."""
-    driven = road("on", {at.OF_LOSS: -0.05})
-    driven.drive(25.0, lambda torque, i: torque + 980.0 * np.sin(2.0 * np.pi * i / 1500.0))
-    file, with_it = driven.errors(10.0)
-    assert with_it < file + 0.02
+    drive = road("on", {layout.OF_LOSS: -0.05})
+    drive.drive(25.0, lambda torque, i: torque + 980.0 * np.sin(2.0 * np.pi * i / 1500.0))
+    file, learned_error = drive.errors(10.0)
+    assert learned_error < file + 0.02
 
 
 def test_nothing_leaves_the_ranges_of_the_file(road):
-    driven = road("on").drive(15.0, lambda torque, _i: 3.0 * torque)
-    learner = driven.learner
+    drive = road("on").drive(15.0, lambda torque, _i: 3.0 * torque)
+    learner = drive.learner
     assert (learner.learned.mean <= learner.prior.high).all()
     assert (learner.learned.mean >= learner.prior.low).all()
-    assert (learner.learned.applied <= learner.prior.high[: at.LEARNABLE]).all()
+    assert (learner.learned.applied <= learner.prior.high[: layout.LEARNABLE]).all()
     for state in VEHICLES_OWN:  # nor where none but this one is accepted
-        alone = target_departures(learner.learned, learner.prior, np.arange(at.LEARNABLE) == state)[state]
-        assert learner.prior.low[state] <= alone <= learner.prior.high[state]
+        departure = target_departures(learner.learned, learner.prior, np.arange(layout.LEARNABLE) == state)[state]
+        assert learner.prior.low[state] <= departure <= learner.prior.high[state]
 
 
 def test_acting_values_are_as_uncertain_as_they_lag_and_wander(reference):
-    s, learned = Learner(reference).learned, np.zeros(at.Learned.columns)
-    s.mean[: at.LEARNABLE], s.applied[:] = 0.03, 0.01
+    s, learned = Learner(reference).learned, np.zeros(layout.Learned.columns)
+    s.mean[: layout.LEARNABLE], s.applied[:] = 0.03, 0.01
     s.mean[STEP], s.lasting_nm, s.step_s, s.past.white = 90.0, 40.0, 1.0, (0.1 * s.rolling) ** 2
     apply_departures(s, True, learned, s.second, 0.0)
-    factor = at.Learned(learned).factor.reshape(at.LEARNABLE, at.LEARNABLE)
-    assert factor @ factor.T == pytest.approx(s.covariance[: at.LEARNABLE, : at.LEARNABLE] + 0.02**2, abs=1e-9)
-    assert at.Learned(learned).slow ** 2 == pytest.approx(s.slow_std**2 + s.hills_variance + 50.0**2)
+    factor = layout.Learned(learned).factor.reshape(layout.LEARNABLE, layout.LEARNABLE)
+    assert factor @ factor.T == pytest.approx(s.covariance[: layout.LEARNABLE, : layout.LEARNABLE] + 0.02**2, abs=1e-9)
+    assert layout.Learned(learned).slow ** 2 == pytest.approx(s.slow_std**2 + s.hills_variance + 50.0**2)
     assert min(s.slow_std, s.hills_variance) > 0.0
 
 
 def test_a_value_at_its_bound_is_neither_learned_nor_written(driven_before, tmp_path):
-    driven = driven_before("on")
-    learner = driven.learner
-    assert HELD not in shown(learner)
-    learner.learned.mean[at.OF_LOSS] = learner.prior.high[at.OF_LOSS]
-    refused = write_learned(learner, driven.session.estimator.vehicle, tmp_path / "v.yaml")
-    assert (refused.written, refused.why_not) == ((), learner.text)
+    drive = driven_before("on")
+    learner = drive.learner
+    assert HELD not in learning_values(learner)
+    learner.learned.mean[layout.OF_LOSS] = learner.prior.high[layout.OF_LOSS]
+    file = write_learned(learner, drive.session.estimator.vehicle, tmp_path / "v.yaml")
+    assert (file.written, file.why_not) == ((), learner.text)
     assert learner.text.endswith("with an unknown error: loss_modulus_scale")
-    assert HELD in shown(learner)
+    assert HELD in learning_values(learner)
 
 
 def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
-    before, rises, most = learned.learner.learned, [], learned.learner.prior.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5
+    old_state, rises, prior_std = (
+        learned.learner.learned,
+        [],
+        learned.learner.prior.covariance[layout.OF_LOSS, layout.OF_LOSS] ** 0.5,
+    )
     for pieces, days in ((1, 10.0), (1, 30.0), (30, 1.0), (1, 1e4)):
         learner = copy.deepcopy(learned.learner)
         for _ in range(pieces):
-            learner.age(days * 86400.0)
-        after = learner.learned
-        rises.append(after.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5 - before.covariance[at.OF_LOSS, at.OF_LOSS] ** 0.5)
-        assert after.mean[SLOW] == 0.0
-        assert after.mean[at.OF_LOSS] == before.mean[at.OF_LOSS]
-        assert np.linalg.eigvalsh(after.covariance).min() > -1e-9 * after.covariance.max()
-    assert rises[0] == pytest.approx(0.5 * most * 10.0 / 365.0)
+            learner.age_values(days * 86400.0)
+        new_state = learner.learned
+        rises.append(
+            new_state.covariance[layout.OF_LOSS, layout.OF_LOSS] ** 0.5
+            - old_state.covariance[layout.OF_LOSS, layout.OF_LOSS] ** 0.5
+        )
+        assert new_state.mean[SLOW] == 0.0
+        assert new_state.mean[layout.OF_LOSS] == old_state.mean[layout.OF_LOSS]
+        assert np.linalg.eigvalsh(new_state.covariance).min() > -1e-9 * new_state.covariance.max()
+    assert rises[0] == pytest.approx(0.5 * prior_std * 10.0 / 365.0)
     assert rises[1:3] == pytest.approx([3.0 * rises[0]] * 2)  # however the time is divided
-    assert after.covariance[at.OF_LOSS, at.OF_LOSS] == pytest.approx(most**2)
+    assert new_state.covariance[layout.OF_LOSS, layout.OF_LOSS] == pytest.approx(prior_std**2)
 
 
 @pytest.mark.parametrize("days", [300, -300])
 def test_a_jump_of_the_clock_is_no_time_off_and_stops_nothing(driven_before, days):
-    driven = driven_before("watch")
-    before = driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS]
-    stuck = driven.drive(0.1, lambda _torque, _i: 2500.0, noise=0.0).learner.learned.seconds
-    driven.ahead_ns = days * 86400 * 10**9
-    seconds = driven.drive(0.1, lambda _torque, _i: 2500.0, noise=0.0).learner.learned.seconds
-    assert seconds <= stuck + 3.0
-    assert driven.drive(0.2).learner.learned.seconds >= seconds + 11.0
-    now_ns = int(driven.session.memory.times[at.SPEED, at.Times.last_stamp])
-    assert 0 <= now_ns // 10**9 - driven.learner.learned.second <= 1
-    assert driven.learner.learned.covariance[at.OF_LOSS, at.OF_LOSS] <= before * 1.001
+    drive = driven_before("watch")
+    old_variance = drive.learner.learned.covariance[layout.OF_LOSS, layout.OF_LOSS]
+    old_seconds = drive.drive(0.1, lambda _torque, _i: 2500.0, noise=0.0).learner.learned.seconds
+    drive.ahead_ns = days * 86400 * 10**9
+    seconds = drive.drive(0.1, lambda _torque, _i: 2500.0, noise=0.0).learner.learned.seconds
+    assert seconds <= old_seconds + 3.0
+    assert drive.drive(0.2).learner.learned.seconds >= seconds + 11.0
+    now_ns = int(drive.session.memory.times[layout.SPEED, layout.Times.last_stamp])
+    assert 0 <= now_ns // 10**9 - drive.learner.learned.second <= 1
+    assert drive.learner.learned.covariance[layout.OF_LOSS, layout.OF_LOSS] <= old_variance * 1.001
 
 
 def test_belts_that_move_to_known_air_are_learned_anew(road):
-    late = road("on").drive(0.01)
-    for session, minutes in ((late.true, 15.0), (late.session, 2.0)):
-        now = int(session.memory.times[at.SPEED, at.Times.last_arrival])
-        session.handle(at.AMBIENT, now, now, -10.0)
-        late.drive(minutes)
-    assert late.errors(1.0)[0] < 0.03
+    drive = road("on").drive(0.01)
+    for session, minutes in ((drive.true, 15.0), (drive.session, 2.0)):
+        time_ns = int(session.memory.times[layout.SPEED, layout.Times.last_arrival])
+        session.handle(layout.AMBIENT, time_ns, time_ns, -10.0)
+        drive.drive(minutes)
+    assert drive.errors(1.0)[0] < 0.03
 
 
 def test_air_that_is_as_assumed_changes_nothing_learned(driven_before):
-    driven = driven_before("on")
-    before, now = driven.learner.learned.mean.copy(), int(driven.session.memory.times[at.SPEED, at.Times.last_arrival])
-    driven.session.handle(at.AMBIENT, now, now, driven.session.motion[at.Motion.air])
-    driven.drive(0.02)
-    assert before[at.OF_BELT] != 0.0
-    assert driven.learner.learned.mean == pytest.approx(before, rel=0.1)
+    drive = driven_before("on")
+    old_mean, time_ns = (
+        drive.learner.learned.mean.copy(),
+        int(drive.session.memory.times[layout.SPEED, layout.Times.last_arrival]),
+    )
+    drive.session.handle(layout.AMBIENT, time_ns, time_ns, drive.session.motion[layout.Motion.air])
+    drive.drive(0.02)
+    assert old_mean[layout.OF_BELT] != 0.0
+    assert drive.learner.learned.mean == pytest.approx(old_mean, rel=0.1)
 
 
 def rest(driven, how):
     """Two hours, with the node off or on."""
     driven.steps += 72_000
     if how == "off":
-        driven.learner.age(7200.0)
+        driven.learner.age_values(7200.0)
 
 
 @pytest.mark.parametrize("how", ["off", "on"])
 def test_a_vehicle_repaired_at_rest_has_its_file_in_a_minute(driven_before, how):
-    driven = driven_before("on")
-    rest(driven, how)
-    at.Learned(driven.true.learned).departures[at.OF_LOSS] = 0.0
-    assert driven.learner.acts
-    driven.drive(1.2)
-    assert not driven.learner.acts
+    drive = driven_before("on")
+    rest(drive, how)
+    layout.Learned(drive.true.learned).departures[layout.OF_LOSS] = 0.0
+    assert drive.learner.is_active
+    drive.drive(1.2)
+    assert not drive.learner.is_active
 
 
 @pytest.mark.parametrize("how", ["off", "on"])
 def test_a_rest_alone_takes_nothing_learned_away(driven_before, how):
-    driven = driven_before("on")
-    rest(driven, how)
-    driven.drive(3.0)
-    assert driven.learner.acts
-    assert driven.errors(3.0)[1] < 0.01
+    drive = driven_before("on")
+    rest(drive, how)
+    drive.drive(3.0)
+    assert drive.learner.is_active
+    assert drive.errors(3.0)[1] < 0.01
 
 
 @pytest.mark.parametrize("how", ["silent", "parked", "stopped", "frozen"])
 def test_unrenewed_belt_departures_fade_but_not_the_vehicles(driven_before, how):
-    driven = driven_before("on")
-    s, begins_s = driven.learner.learned, 0.1 * driven.steps
+    drive = driven_before("on")
+    s, begins_s = drive.learner.learned, 0.1 * drive.steps
     sensor, speed = (lambda torque, _i: torque), (lambda t: 8.0 + 6.0 * math.sin(t / 60.0))
     if how == "parked":
         speed = lambda t: max(8.0 + 6.0 * math.sin(begins_s / 60.0) - (t - begins_s), 0.0)  # noqa: E731
     elif how != "stopped":
         sensor = lambda torque, i: None if how == "silent" else torque * (3.0 if i % 3 == 0 else 1.0)  # noqa: E731
-        driven.drive(1.0, sensor, speed)
-    s.applied[at.OF_BELT], s.seconds = 10.0, 1.0
+        drive.drive(1.0, sensor, speed)
+    s.applied[layout.OF_BELT], s.seconds = 10.0, 1.0
     s.aim[:] = s.applied
-    before = s.applied.copy()
-    driven.steps += 9000 if how == "stopped" else 0
-    driven.drive(0.02 if how == "stopped" else 15.0, sensor, speed)
-    assert bool(driven.learner.frozen) is (how == "frozen")
-    acting = at.Learned(driven.session.learned).departures
-    assert acting[at.OF_BELT] == pytest.approx(10.0 * math.exp(-1.0), rel=0.05)
-    assert np.delete(acting, at.OF_BELT) == pytest.approx(np.delete(before, at.OF_BELT), abs=1e-12)
-    said = {name: dict(known)["acts"] == "true" for name, _, known in lines(driven.learner, shown(driven.learner))}
-    assert said == {one.name: one.state in VEHICLES_OWN and before[one.state] != 0.0 for one in driven.learner.learnables}
+    old_departures = s.applied.copy()
+    drive.steps += 9000 if how == "stopped" else 0
+    drive.drive(0.02 if how == "stopped" else 15.0, sensor, speed)
+    assert bool(drive.learner.freeze_reason) is (how == "frozen")
+    departures = layout.Learned(drive.session.learned).departures
+    assert departures[layout.OF_BELT] == pytest.approx(10.0 * math.exp(-1.0), rel=0.05)
+    assert np.delete(departures, layout.OF_BELT) == pytest.approx(np.delete(old_departures, layout.OF_BELT), abs=1e-12)
+    acts_by_name = {
+        name: dict(facts)["acts"] == "true" for name, _, facts in lines(drive.learner, learning_values(drive.learner))
+    }
+    assert acts_by_name == {
+        learnable.name: learnable.state in VEHICLES_OWN and old_departures[learnable.state] != 0.0
+        for learnable in drive.learner.learnables
+    }
 
 
 class Sure(Learner):
     """A learner that accepts whatever it has of the vehicle."""
 
-    acts, held = True, np.zeros(at.LEARNABLE, dtype=bool)
+    is_active, is_at_bound = True, np.zeros(layout.LEARNABLE, dtype=bool)
 
     @property
-    def counted(self):
-        return np.isin(np.arange(at.LEARNABLE), self.own)
+    def has_evidence(self):
+        return np.isin(np.arange(layout.LEARNABLE), self.own)
 
 
 @pytest.fixture(scope="module", params=["xgd24d", "bmw_i3", "husky"])
 def sure(request, tmp_path_factory):
     """A learner of each vehicle of a kind, by what its values are in the file."""
-    folder, made = tmp_path_factory.mktemp("sure"), {}
+    folder, learners = tmp_path_factory.mktemp("sure"), {}
 
-    def by(end):
-        if end not in made:
-            described = tr.load_vehicle(request.param)
-            document = open_document(described.source)
-            if not isinstance(described, RoadVehicle):
-                document.set(("rubber", "file"), str(described.rubber_source))
-            paths = {path for one in learnables(described) for path in one.paths}
+    def learner_of(end):
+        if end not in learners:
+            source = tr.load_vehicle(request.param)
+            document = open_document(source.source)
+            if not isinstance(source, RoadVehicle):
+                document.set(("rubber", "file"), str(source.rubber_source))
+            paths = {path for learnable in learnables(source) for path in learnable.paths}
             for path in (path for path in paths if path.startswith(("chassis", "road_load"))):  # no belt burns
                 limits = limits_of(path)
                 low = 0.0 if path.endswith("rolling_rise") else limits.low  # from a coefficient of 0 it may not fall
-                value = {"file": described.parameters[path].value, "low": low, "high": limits.high}[end]
+                value = {"file": source.parameters[path].value, "low": low, "high": limits.high}[end]
                 document.set((*path.split("."), "value"), value)
                 document.set((*path.split("."), "range"), [limits.low, limits.high])
             (folder / f"{end}.yaml").write_text(document.text())
             vehicle = tr.load_vehicle(folder / f"{end}.yaml")
-            made[end] = vehicle, Sure(Estimator(vehicle))
-        return made[end]
+            learners[end] = vehicle, Sure(Estimator(vehicle))
+        return learners[end]
 
-    return by
+    return learner_of
 
 
 @settings(max_examples=10)
@@ -426,30 +441,37 @@ def test_a_written_file_has_each_learned_value_within_its_range(sure, tmp_path_f
         low, high = learner.prior.low[state], learner.prior.high[state]
         assert low <= 0.0 <= high
         s.mean[state] = low + share * (high - low)
-    found = target_departures(s, learner.prior, learner.counted)
+    departures = target_departures(s, learner.prior, learner.has_evidence)
     write_learned(learner, vehicle, file)
-    written = tr.load_vehicle(file).parameters
+    quantities = tr.load_vehicle(file).parameters
     stds = learner.stds(s.covariance, learner.own)
-    for one in learner.learnables:
-        for path in one.paths:
-            old, new = vehicle.parameters[path], written[path]
-            rounding = 1e-5 * max(abs(new.value), abs(new.low), abs(new.high))  # a file has six figures of each
-            if path == one.paths[0] and old.value:  # as uncertain as published, and the file's range is plausible
-                limits, off = limits_of(path), one.factor * REACH_STD * stds[one.state] * old.value
-                assert new.low <= max(new.value - abs(off), limits.low) + rounding
-                assert new.high >= min(new.value + abs(off), limits.high) - rounding
-                ends = sorted(old.value * (1.0 + one.factor * end[one.state]) for end in (learner.prior.low, learner.prior.high))
-                assert ends[0] <= max(old.low, (1.0 + one.factor * (LEAST_FACTOR - 1.0)) * old.value) + 1e-9
-                assert ends[1] >= old.high - 1e-9
-            if path != one.paths[0] and old.value:  # only scaled with the first: known no better than before
-                limits, scale = limits_of(path), new.value / old.value
-                assert new.low <= max(old.low * scale, limits.low) + rounding
-                assert new.high >= min(old.high * scale, limits.high) - rounding
-            acts_live = old.value * (1.0 + one.factor * found[one.state])  # at last
-            assert new.value == pytest.approx(acts_live, rel=1e-5)
-            assert new.low <= new.value <= new.high
-            assert new.high > new.low
-            assert new == old or old.value
+    for learnable in learner.learnables:
+        for path in learnable.paths:
+            old_quantity, new_quantity = vehicle.parameters[path], quantities[path]
+            rounding = 1e-5 * max(
+                abs(new_quantity.value), abs(new_quantity.low), abs(new_quantity.high)
+            )  # a file has six figures of each
+            if path == learnable.paths[0] and old_quantity.value:  # as uncertain as published, and the file's range is plausible
+                limits, deviation = limits_of(path), learnable.factor * REACH_STD * stds[learnable.state] * old_quantity.value
+                assert new_quantity.low <= max(new_quantity.value - abs(deviation), limits.low) + rounding
+                assert new_quantity.high >= min(new_quantity.value + abs(deviation), limits.high) - rounding
+                ends = sorted(
+                    old_quantity.value * (1.0 + learnable.factor * end[learnable.state])
+                    for end in (learner.prior.low, learner.prior.high)
+                )
+                assert (
+                    ends[0] <= max(old_quantity.low, (1.0 + learnable.factor * (LEAST_FACTOR - 1.0)) * old_quantity.value) + 1e-9
+                )
+                assert ends[1] >= old_quantity.high - 1e-9
+            if path != learnable.paths[0] and old_quantity.value:  # only scaled with the first: known no better than before
+                limits, scale = limits_of(path), new_quantity.value / old_quantity.value
+                assert new_quantity.low <= max(old_quantity.low * scale, limits.low) + rounding
+                assert new_quantity.high >= min(old_quantity.high * scale, limits.high) - rounding
+            acts_live = old_quantity.value * (1.0 + learnable.factor * departures[learnable.state])  # at last
+            assert new_quantity.value == pytest.approx(acts_live, rel=1e-5)
+            assert new_quantity.low <= new_quantity.value <= new_quantity.high
+            assert new_quantity.high > new_quantity.low
+            assert new_quantity == old_quantity or old_quantity.value
 
 
 @pytest.mark.parametrize(("slowest", "fastest"), [(0.05, 0.78), (0.05, 0.4), (0.5, 0.78)])
@@ -457,27 +479,27 @@ def test_an_error_of_the_rise_is_in_the_stated_stds(slowest, fastest):
     """Coefficient and drag take up a rise that is off by one standard deviation of its range."""
     vehicle = tr.load_vehicle("bmw_i3")
     learner = Learner(Estimator(vehicle))
-    random, rolling, noise = np.random.default_rng(7), (at.OF_BEARING, at.OF_DRAG), 5.0
+    random, rolling, noise = np.random.default_rng(7), (layout.OF_BEARING, layout.OF_DRAG), 5.0
     mean, covariance = np.zeros(STATES), learner.prior.covariance.copy()
     learner.learned.noise = noise**2
     for speed in random.uniform(slowest, fastest, 900) * vehicle.chassis.max_speed:
-        of_rolling, of_drag, off = rise_torques(vehicle, np.array([speed]))[:, 0]
-        looks = np.zeros(STATES)
-        looks[list(rolling)] = of_rolling, of_drag
-        measured = off + random.normal(0.0, noise)
-        corrected(mean, covariance, looks, measured - mean @ looks, noise**2, np.ones(STATES, dtype=bool))
+        of_rolling, of_drag, rise_torque = rise_torques(vehicle, np.array([speed]))[:, 0]
+        sensitivities = np.zeros(STATES)
+        sensitivities[list(rolling)] = of_rolling, of_drag
+        residual = rise_torque + random.normal(0.0, noise)
+        correct_estimate(mean, covariance, sensitivities, residual - mean @ sensitivities, noise**2, np.ones(STATES, dtype=bool))
         learner.buckets.count(speed, 20.0, vehicle.weight, 0.0)
-    stated, known = learner.stds(covariance, learner.own), np.sqrt(np.diag(covariance))
+    stds, own_stds = learner.stds(covariance, learner.own), np.sqrt(np.diag(covariance))
     for state in rolling:
-        assert abs(mean[state]) == pytest.approx(np.sqrt(stated[state] ** 2 - known[state] ** 2), rel=0.3)
+        assert abs(mean[state]) == pytest.approx(np.sqrt(stds[state] ** 2 - own_stds[state] ** 2), rel=0.3)
 
 
 def test_a_value_of_0_cannot_depart_by_a_share_of_itself():
     car, path = tr.load_vehicle("bmw_i3"), "road_load.drag_area"
 
     def prior(high):
-        known = {**car.parameters, path: replace(car.parameters[path], value=0.0, low=0.0, high=high)}
-        return make_prior(Estimator(replace(car, values={**car.values, "drag_area": 0.0}, parameters=known))).covariance
+        parameters = {**car.parameters, path: replace(car.parameters[path], value=0.0, low=0.0, high=high)}
+        return make_prior(Estimator(replace(car, values={**car.values, "drag_area": 0.0}, parameters=parameters))).covariance
 
     assert np.array_equal(prior(0.5), prior(0.0))
 
@@ -488,9 +510,9 @@ def test_one_drive_against_learned_values_does_not_outweigh_all(reference):
 
     def drive(gain, blocks):
         state.require_evidence()
-        for one in rng.normal(gain, 8.0, blocks):
-            state.contest.add(one)
-            state.fresh.add(one)
+        for block_gain in rng.normal(gain, 8.0, blocks):
+            state.contest.add(block_gain)
+            state.fresh.add(block_gain)
         return state.fresh.better
 
     assert drive(10.0, 60)

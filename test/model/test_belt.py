@@ -50,9 +50,9 @@ def printed_15(section, modulus, tooth_height, l, q, g):  # noqa: E741
 def test_equation_15_as_printed_pushes_the_belt(mass, half_span, stiffness, share):
     assume(stretch_share(mass, half_span, stiffness) < 0.5 * share)
     sag = share * half_span
-    printed = printed_15(0.02, stiffness / 0.02, 2.0 * sag, half_span, mass, b.GRAVITY)
-    assert printed < 0.0
-    assert -printed == pytest.approx(b.least_tension_for_sag(sag, mass, half_span, stiffness), rel=1e-6)
+    paper_tension = printed_15(0.02, stiffness / 0.02, 2.0 * sag, half_span, mass, b.GRAVITY)
+    assert paper_tension < 0.0
+    assert -paper_tension == pytest.approx(b.least_tension_for_sag(sag, mass, half_span, stiffness), rel=1e-6)
 
 
 def printed_14(tension, mass, half_span, stiffness, gravity, tooth_height):
@@ -100,10 +100,10 @@ def test_a_belt_that_stretches_past_its_sag_is_refused():
 @given(pretension=st.floats(0.0, 1e5))
 def test_the_tension_is_the_greater_of_spring_and_sag(triangular, xgd24d, pretension):
     belt, modulus = replace(triangular.belt, pretension=pretension), 12e6
-    needed = b.least_tension_for_sag(
+    least_tension = b.least_tension_for_sag(
         belt.tooth_height / 2, mass_per_length(belt, xgd24d.rubber), belt.sag_half_span, float(b.axial_stiffness(belt, modulus))
     )
-    assert b.belt_tension(belt, xgd24d.rubber, modulus) == pytest.approx(max(pretension, needed), rel=1e-6)
+    assert b.belt_tension(belt, xgd24d.rubber, modulus) == pytest.approx(max(pretension, least_tension), rel=1e-6)
 
 
 def test_a_real_pretension_is_well_above_what_the_sag_needs(vehicle, track):
@@ -137,12 +137,12 @@ def test_the_printed_cord_modulus_changes_the_loss_by_little(xgd24d, triangular)
 def test_a_steady_tension_dissipates_nothing(triangular, xgd24d, steady, height):
     """Equations (16) to (18): it moves the means of the cycles, not their ranges, and no harmonic but the constant."""
     count = RainflowCount(triangular, track_model(xgd24d, "triangular").rubber)
-    plain, pulled = count.along_cycles(height, 1e-4), count.along_cycles(height, 1e-4, steady)
-    assert [c.cycle.range for c in pulled] == pytest.approx([c.cycle.range for c in plain], abs=3e-12)
-    assert [c.cycle.mean for c in pulled] == pytest.approx([c.cycle.mean + steady for c in plain], abs=3e-12)
-    at = np.arange(4096) / 4096 * triangular.belt.loop_length
+    free_cycles, tension_cycles = count.along_cycles(height, 1e-4), count.along_cycles(height, 1e-4, steady)
+    assert [c.cycle.range for c in tension_cycles] == pytest.approx([c.cycle.range for c in free_cycles], abs=3e-12)
+    assert [c.cycle.mean for c in tension_cycles] == pytest.approx([c.cycle.mean + steady for c in free_cycles], abs=3e-12)
+    positions = np.arange(4096) / 4096 * triangular.belt.loop_length
     loop = build_loop(triangular)
-    harmonics = [np.fft.rfft(along_belt(loop, height, at, tension, 1e-4))[1:] for tension in (0.0, steady)]
+    harmonics = [np.fft.rfft(along_belt(loop, height, positions, tension, 1e-4))[1:] for tension in (0.0, steady)]
     assert np.abs(harmonics[1] - harmonics[0]).max() < 1e-11
 
 
@@ -180,8 +180,8 @@ def test_equation_21_bending_stress_is_zero_at_the_cord(triangular):
     for order in range(4):
         integral, _ = quad(lambda h, n=order: (h - belt.cord_height) ** n, 0.0, belt.thickness)
         assert b.bending_moment_of_height(belt, order) == pytest.approx(integral, rel=1e-10)
-    second = ((belt.thickness - belt.cord_height) ** 3 + belt.cord_height**3) / 3.0
-    assert b.bending_moment_of_height(belt, 2) == pytest.approx(second)
+    second_moment = ((belt.thickness - belt.cord_height) ** 3 + belt.cord_height**3) / 3.0
+    assert b.bending_moment_of_height(belt, 2) == pytest.approx(second_moment)
 
 
 def test_mass_and_heat_capacity_of_the_reference_belt(xgd24d, triangular):

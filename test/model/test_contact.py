@@ -48,10 +48,10 @@ def test_the_force_goes_as_the_cube_of_small_half_lengths(share):
 def test_force_and_half_length_rise_together(first, second):
     low, high = sorted((first, second))
     forces = contact.contact_force(np.array([low, high]) * R, FIGURE_6_MODULUS, R, LENGTH, H)
-    back = contact.half_length_for_force(forces, FIGURE_6_MODULUS, R, LENGTH, H)
+    half_lengths = contact.half_length_for_force(forces, FIGURE_6_MODULUS, R, LENGTH, H)
     if high > low * (1 + 1e-9):
         assert forces[0] < forces[1]
-        assert back[0] < back[1]
+        assert half_lengths[0] < half_lengths[1]
 
 
 def test_an_excessive_load_gives_the_largest_contact():
@@ -100,18 +100,18 @@ def test_the_search_of_equation_11_steps_over_the_load(j, between):
 
 @given(share=st.floats(0.152, 0.95))
 def test_the_search_of_equation_11_ends_above_j_150(share):
-    found = search_as_printed(float(contact.contact_force(share * R, FIGURE_6_MODULUS, R, LENGTH, H)), FIGURE_6_MODULUS)
-    assert found is not None
-    assert found == pytest.approx(1000 * share, abs=3.0 + 0.004 * 1000 * share)
+    place = search_as_printed(float(contact.contact_force(share * R, FIGURE_6_MODULUS, R, LENGTH, H)), FIGURE_6_MODULUS)
+    assert place is not None
+    assert place == pytest.approx(1000 * share, abs=3.0 + 0.004 * 1000 * share)
 
 
 def test_the_search_of_equation_11_does_not_end_within_figure_6():
     """Wheel loads 1 to 5 kN on 40 MPa, the figure's own: at 3 kN no step is within 1 %."""
-    found = [search_as_printed(load, FIGURE_6_MODULUS) for load in (1e3, 2e3, 3e3, 4e3, 5e3)]
-    ours = contact.half_length_for_force(np.array([1e3, 2e3, 3e3, 4e3, 5e3]), FIGURE_6_MODULUS, R, LENGTH, H) / R * 1000
-    assert found[2] is None
-    assert [abs(j - exact) < 1.0 for j, exact in zip(found, ours, strict=True) if j is not None] == [True] * 4
-    assert (np.diff(ours) > 0).all()  # the figure's trend: contact length and strain grow with the load
+    places = [search_as_printed(load, FIGURE_6_MODULUS) for load in (1e3, 2e3, 3e3, 4e3, 5e3)]
+    exact_places = contact.half_length_for_force(np.array([1e3, 2e3, 3e3, 4e3, 5e3]), FIGURE_6_MODULUS, R, LENGTH, H) / R * 1000
+    assert places[2] is None
+    assert [abs(j - place) < 1.0 for j, place in zip(places, exact_places, strict=True) if j is not None] == [True] * 4
+    assert (np.diff(exact_places) > 0).all()  # the figure's trend: contact length and strain grow with the load
 
 
 @given(data=st.data())

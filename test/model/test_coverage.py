@@ -37,8 +37,8 @@ from trackres_ros.vehicle import load, load_any
 def cut(vehicle, low, high):
     """The same vehicle with a sweep that begins and ends elsewhere."""
     rubber = vehicle.rubber
-    kept = (rubber.sweep_degc >= low) & (rubber.sweep_degc <= high)
-    parts = (rubber.sweep_degc[kept], rubber.storage_pa[kept], rubber.loss_pa[kept])
+    is_inside = (rubber.sweep_degc >= low) & (rubber.sweep_degc <= high)
+    parts = (rubber.sweep_degc[is_inside], rubber.storage_pa[is_inside], rubber.loss_pa[is_inside])
     return replace(vehicle, rubber=replace(rubber, sweep_degc=parts[0], storage_pa=parts[1], loss_pa=parts[2]))
 
 
@@ -48,11 +48,11 @@ def test_colder_or_faster_than_the_data_leaves_the_sweep(xgd24d, low, share, fac
     vehicle = cut(xgd24d, low, 120)
     name, speed = next(iter(vehicle.tracks)), share * xgd24d.chassis.max_speed
     rubber, model, load_n = RubberModel(vehicle.rubber), track_model(vehicle, name), load_range(vehicle, name).nominal
-    coldest = coverage(vehicle, name).coldest(rubber, speed)
+    end_degc = coverage(vehicle, name).coldest(rubber, speed)
 
     def equivalent(v):
-        frequency = model.loss.contacts(v, coldest, load_n).frequency.mean()
-        return float(rubber.equivalent_temperature(rubber.reduced(frequency, coldest)))
+        frequency = model.loss.contacts(v, end_degc, load_n).frequency.mean()
+        return float(rubber.equivalent_temperature(rubber.reduced_frequency(frequency, end_degc)))
 
     assert equivalent(speed / factor) > low  # slower it is within the sweep
     assert equivalent(speed * factor) == pytest.approx(low)  # faster it is held at the end
@@ -71,8 +71,8 @@ def short(tmp_path_factory):
     folder = tmp_path_factory.mktemp("short")
     (folder / "rubber").mkdir()
     header, *rows = (config_dir() / "rubber" / "nr_sbr_10hz.csv").read_text(encoding="utf-8").splitlines()
-    kept = [row for row in rows if 0 <= float(row.split(",")[0]) <= 60]
-    (folder / "rubber" / "nr_sbr_10hz.csv").write_text("\n".join([header, *kept]), encoding="utf-8")
+    inner_rows = [row for row in rows if 0 <= float(row.split(",")[0]) <= 60]
+    (folder / "rubber" / "nr_sbr_10hz.csv").write_text("\n".join([header, *inner_rows]), encoding="utf-8")
     (folder / "mine.yaml").write_text((config_dir() / "xgd24d.yaml").read_text(encoding="utf-8"), encoding="utf-8")
     return folder / "mine.yaml"
 
@@ -86,22 +86,22 @@ def short_estimator(short):
 @given(speed=st.floats(-16.0, 16.0), belt=st.floats(-50.0, 110.0))
 def test_the_status_says_where_the_data_end(short_estimator, speed, belt):
     vehicle = short_estimator.vehicle
-    covered, rubber = coverage(vehicle, "triangular"), RubberModel(vehicle.rubber)
+    limits, rubber = coverage(vehicle, "triangular"), RubberModel(vehicle.rubber)
     inputs = short_estimator.inputs(speed, ambient=15.0)
     _, estimate = short_estimator.step(short_estimator.cold_start(inputs, belt), inputs, 0.0)
-    coldest = covered.coldest(rubber, max(abs(speed), 1e-6))
-    if abs(belt - coldest) < 0.01 or abs(belt - covered.hottest) < 0.01:
+    end_degc = limits.coldest(rubber, max(abs(speed), 1e-6))
+    if abs(belt - end_degc) < 0.01 or abs(belt - limits.hottest) < 0.01:
         return
-    assert bool(estimate.reasons & Reason.OUTSIDE_TABLE) == (belt < coldest or belt > covered.hottest)
+    assert bool(estimate.reasons & Reason.OUTSIDE_TABLE) == (belt < end_degc or belt > limits.hottest)
 
 
 def test_shipped_vehicles_stay_in_their_data_from_minus_50_degc(reference, carrier):
     for estimator in (reference, carrier):
-        most = estimator.vehicle.chassis.max_speed
+        max_speed = estimator.vehicle.chassis.max_speed
         name = next(iter(estimator.vehicle.tracks))
-        settles = balance_degc(estimator.vehicle, name, loss_table(estimator.vehicle, name), most, 45.0)
-        for speed in (0.0, 0.3 * most, most):
-            for belt in (-50.0, 0.0, settles):
+        balance = balance_degc(estimator.vehicle, name, loss_table(estimator.vehicle, name), max_speed, 45.0)
+        for speed in (0.0, 0.3 * max_speed, max_speed):
+            for belt in (-50.0, 0.0, balance):
                 inputs = estimator.inputs(speed, ambient=15.0)
                 _, estimate = estimator.step(estimator.cold_start(inputs, belt), inputs, 0.0)
                 assert not estimate.reasons & Reason.OUTSIDE_TABLE
@@ -128,17 +128,17 @@ def test_the_balance_is_where_a_long_drive_ends(xgd24d, thermal, resistance):
 def changed(tmp_path, change):
     content = yaml.safe_load((config_dir() / "xgd24d.yaml").read_text(encoding="utf-8"))
     for path, value in change.items():
-        at = content
+        section = content
         for key in path.split("."):
-            at = at[key]
-        at.update(value=value, range=[min(value, at["range"][0]), max(value, at["range"][1])])
+            section = section[key]
+        section.update(value=value, range=[min(value, section["range"][0]), max(value, section["range"][1])])
     (tmp_path / "mine.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     return tmp_path / "mine.yaml"
 
 
 def test_a_fitted_resistance_in_a_belt_refuses_no_vehicle():
-    hot = parted(load("xgd24d", {"chassis.ambient": 45.0}), "core_surface", 0.01)
-    assert check_heat(hot, "triangular", loss_table(hot, "triangular")) > DESTROYED_DEGC
+    vehicle = parted(load("xgd24d", {"chassis.ambient": 45.0}), "core_surface", 0.01)
+    assert check_heat(vehicle, "triangular", loss_table(vehicle, "triangular")) > DESTROYED_DEGC
 
 
 BURNS = {
@@ -155,10 +155,10 @@ def test_a_vehicle_that_overheats_is_refused_with_temperature(tmp_path, trackres
         check_heat(vehicle, "triangular", loss_table(vehicle, "triangular"))
     assert balance_degc(vehicle, "triangular", loss_table(vehicle, "triangular"), 16.7, 15.0) > DESTROYED_DEGC
     for arguments in (("vehicle", "check", path), ("simulate", "--vehicle", path, "--speed-kmh", 50, "-o", tmp_path / "out.csv")):
-        done = trackres(*arguments)
-        assert done.returncode == 2
-        assert "settles at" in done.stderr
-        assert done.stderr.strip().splitlines()[-1].startswith("trackres: error: ")
+        answer = trackres(*arguments)
+        assert answer.returncode == 2
+        assert "settles at" in answer.stderr
+        assert answer.stderr.strip().splitlines()[-1].startswith("trackres: error: ")
 
 
 def test_vehicle_check_says_what_the_data_cover(short, good):
@@ -188,9 +188,18 @@ def test_a_mirrored_drive_reverses_the_sign_of_every_torque(request, which, spee
             inputs = estimator.inputs(sign * speed * vehicle.chassis.max_speed, ambient=ambient, grade=sign * grade)
             session, estimate = estimator.step(session, inputs, 0.5)
         rows.append(estimate)
-    odd = ("resistance_torque", "hysteresis", "bearing", "wind", "grade", "inertia", "drive_torque", "feedforward_torque")
+    signed_names = (
+        "resistance_torque",
+        "hysteresis",
+        "bearing",
+        "wind",
+        "grade",
+        "inertia",
+        "drive_torque",
+        "feedforward_torque",
+    )
     scale = 1e-9 + 10.0 * share  # 10: the table's share is of a torque of 0.15 of the load, a hard brake has more
-    for column in (f"{name}_nm" for name in odd):
+    for column in (f"{name}_nm" for name in signed_names):
         assert rows[1][column] == pytest.approx(-rows[0][column], rel=scale, abs=1e-6 + scale * abs(rows[0]["hysteresis_nm"]))
     assert rows[1].belt_degc() == pytest.approx(rows[0].belt_degc(), rel=scale, abs=1e-9)
     assert rows[1].reasons == rows[0].reasons
@@ -212,27 +221,29 @@ def test_remarks_and_status_name_the_same_belts(short_estimator, speed, belt, sh
 def test_commands_say_that_they_extrapolate(short, good, tmp_path):
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh,belt_degc\n0,0,40\n10,36,40\n60,36,40\n")
     (tmp_path / "hot.csv").write_text("time_s,speed_kmh,belt_degc\n0,10,90\n10,20,90\n60,20,90\n")
-    said = "The torque is extrapolated, and the status shows OUTSIDE_TABLE"
-    explained = "explain", "--vehicle", short, "--speed-kmh", "50", "--belt-degc"
-    assert f"a belt is at 90 degC at 50 km/h, but the rubber data end at 60 degC. {said}" in good(*explained, "90")
-    assert "a belt is at -20 degC at 50 km/h, but the rubber data end at" in good(*explained, "-20")
-    assert "extrapolated" not in good(*explained, "40")
-    assert json.loads(good(*explained, "90", "--json"))["remarks"]
-    simulated = "simulate", "--vehicle", short, "--speed-kmh", "30", "--duration-s", "60", "-o", tmp_path / "out.csv"
-    assert "but the rubber data end at 60 degC (above that: 100% of the samples)" in good(*simulated, "--initial-degc", "90")
-    assert json.loads(good(*simulated, "--initial-degc", "90", "--json"))["remarks"]
-    assert "extrapolated" not in good(*simulated, "--initial-degc", "40")
-    assert "carries 7.5 kN, but the table ends at" in good(*simulated, "--initial-degc", "40", "--weight-kn", "30")
-    replayed = "replay", "--vehicle", short, "-o", tmp_path / "replayed.csv"
-    assert said in good(*replayed, tmp_path / "hot.csv")
-    assert json.loads(good(*replayed, tmp_path / "hot.csv", "--json"))["remarks"]
-    assert said not in good(*replayed, tmp_path / "drive.csv")
+    remark = "The torque is extrapolated, and the status shows OUTSIDE_TABLE"
+    explain_command = "explain", "--vehicle", short, "--speed-kmh", "50", "--belt-degc"
+    assert f"a belt is at 90 degC at 50 km/h, but the rubber data end at 60 degC. {remark}" in good(*explain_command, "90")
+    assert "a belt is at -20 degC at 50 km/h, but the rubber data end at" in good(*explain_command, "-20")
+    assert "extrapolated" not in good(*explain_command, "40")
+    assert json.loads(good(*explain_command, "90", "--json"))["remarks"]
+    simulate_command = "simulate", "--vehicle", short, "--speed-kmh", "30", "--duration-s", "60", "-o", tmp_path / "out.csv"
+    assert "but the rubber data end at 60 degC (above that: 100% of the samples)" in good(
+        *simulate_command, "--initial-degc", "90"
+    )
+    assert json.loads(good(*simulate_command, "--initial-degc", "90", "--json"))["remarks"]
+    assert "extrapolated" not in good(*simulate_command, "--initial-degc", "40")
+    assert "carries 7.5 kN, but the table ends at" in good(*simulate_command, "--initial-degc", "40", "--weight-kn", "30")
+    replay_command = "replay", "--vehicle", short, "-o", tmp_path / "replayed.csv"
+    assert remark in good(*replay_command, tmp_path / "hot.csv")
+    assert json.loads(good(*replay_command, tmp_path / "hot.csv", "--json"))["remarks"]
+    assert remark not in good(*replay_command, tmp_path / "drive.csv")
 
 
 @pytest.mark.parametrize("name", [*shipped_vehicles(), *shipped_road_vehicles()])
 def test_a_refused_speed_is_above_the_limit_that_is_shown(name):
     vehicle = load_any(name)
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as refusal:
         check_speed(vehicle, 1.001 * OVERSPEED * vehicle.chassis.max_speed)
-    limit = refused.value.allowed.partition("max_speed, ")[2]
-    assert float(refused.value.given.split()[0]) > float(limit.split()[0])
+    limit = refusal.value.allowed.partition("max_speed, ")[2]
+    assert float(refusal.value.given.split()[0]) > float(limit.split()[0])

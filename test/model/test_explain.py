@@ -75,9 +75,9 @@ def test_parts_add_up(xgd24d, method, speed, belt_degc, weight):
 @few
 @given(speed=st.floats(0.0, 16.0), belt_degc=temperatures)
 def test_reverse_turns_the_torque_and_keeps_the_heat(xgd24d, speed, belt_degc):
-    forward, reverse = (explain(xgd24d, v, belt_degc) for v in (speed, -speed))
-    assert reverse["heat_w"] == pytest.approx(forward["heat_w"], rel=1e-6)
-    for part, torque in forward["torque_nm"].items():
+    ahead, reverse = (explain(xgd24d, v, belt_degc) for v in (speed, -speed))
+    assert reverse["heat_w"] == pytest.approx(ahead["heat_w"], rel=1e-6)
+    for part, torque in ahead["torque_nm"].items():
         assert -reverse["torque_nm"][part] == pytest.approx(torque, rel=1e-6, abs=1e-9)
 
 
@@ -94,11 +94,11 @@ def test_standing_there_is_neither_heat_nor_torque(vehicle):
 def test_the_exact_point_is_what_the_estimator_shows(name, method):
     """Within the error of its table: torque by part, heat and cooling of a belt at 40 degC."""
     vehicle = with_methods(load(name), hysteresis=method)
-    speed, one = 0.8 * vehicle.chassis.max_speed, Estimator(vehicle)
-    inputs = one.inputs(speed, ambient=15.0, acceleration=0.0)
-    state = one.cold_start(inputs, belt_degc=40.0)
+    speed, estimator = 0.8 * vehicle.chassis.max_speed, Estimator(vehicle)
+    inputs = estimator.inputs(speed, ambient=15.0, acceleration=0.0)
+    state = estimator.cold_start(inputs, belt_degc=40.0)
     for _ in range(5):
-        state, estimate = one.step(state, inputs, 1e-6)
+        state, estimate = estimator.step(state, inputs, 1e-6)
     point = explain(vehicle, speed, 40.0, 15.0)
     for part, torque in point["torque_nm"].items():
         assert estimate[f"{part}_torque_nm" if part == "resistance" else f"{part}_nm"] == pytest.approx(torque, rel=0.003)
@@ -120,17 +120,17 @@ def test_contacts_carry_their_wheel_loads(xgd24d):
 def test_the_rainflow_matrix_of_the_reference_point(xgd24d):
     """Equation (25): four contacts, and three wraps that bend the outer face by (H - h0)/(R + h0), about the steady strain."""
     point, track = explain(xgd24d, FULL_SPEED, 15.0), xgd24d.tracks["triangular"]
-    through = [row for row in point["rainflow"] if row[3] == "through"]
-    assert sum(row[2] for row in through) == 4.0
-    assert {round(row[0], 9) for row in through} == {round(contact["max_strain"], 9) for contact in point["contact"]}
-    along = [row for row in point["rainflow"] if row[3] == "along" and row[0] > 1e-3]
-    outer = track.belt.thickness - track.belt.cord_height
-    expected = sorted(outer / (w.radius + track.belt.cord_height) for w in track.wrapped_wheels)
-    assert sum(row[2] for row in along) == 3.0
-    counted = np.repeat([row[0] for row in along], [round(2 * row[2]) for row in along])
-    assert sorted(counted) == pytest.approx(np.repeat(expected, 2), rel=0.01)  # the drive adds its little
-    steady = point["tension_n"] / (track.belt.cord_modulus * track.belt.cord_section)
-    assert min(row[1] - row[0] / 2 for row in along) == pytest.approx(steady, rel=0.5)
+    cycles_through = [row for row in point["rainflow"] if row[3] == "through"]
+    assert sum(row[2] for row in cycles_through) == 4.0
+    assert {round(row[0], 9) for row in cycles_through} == {round(contact["max_strain"], 9) for contact in point["contact"]}
+    cycles_along = [row for row in point["rainflow"] if row[3] == "along" and row[0] > 1e-3]
+    face = track.belt.thickness - track.belt.cord_height
+    expected = sorted(face / (w.radius + track.belt.cord_height) for w in track.wrapped_wheels)
+    assert sum(row[2] for row in cycles_along) == 3.0
+    ranges = np.repeat([row[0] for row in cycles_along], [round(2 * row[2]) for row in cycles_along])
+    assert sorted(ranges) == pytest.approx(np.repeat(expected, 2), rel=0.01)  # the drive adds its little
+    steady_strain = point["tension_n"] / (track.belt.cord_modulus * track.belt.cord_section)
+    assert min(row[1] - row[0] / 2 for row in cycles_along) == pytest.approx(steady_strain, rel=0.5)
 
 
 class Odd(Effect):
@@ -140,23 +140,23 @@ class Odd(Effect):
     parameters = (Parameter("size", "1", -1e9, 1e9, 1.0, "torque over that of the limit", off=0.0),)
 
     def terms(self, at, p):
-        most = MOST_TORQUE * at.facts.weight * at.facts.radius
-        return Terms(torque=most / p.size) if p.size < 1e3 else Terms(heat=p.size)
+        largest_torque = MOST_TORQUE * at.facts.weight * at.facts.radius
+        return Terms(torque=largest_torque / p.size) if p.size < 1e3 else Terms(heat=p.size)
 
 
 @pytest.mark.parametrize("name", ["agri3t", "bmw_i3"])
 @pytest.mark.parametrize(("size", "acts"), [(1.01, True), (0.99, False), (0.0, False), (math.nan, False), (1e6, False)])
 def test_a_point_leaves_out_what_the_step_refuses(name, size, acts):
-    plain = load_any(name)
-    vehicle = replace(plain, effects=(Active(Odd(), {"size": size}),))
+    bare_vehicle = load_any(name)
+    vehicle = replace(bare_vehicle, effects=(Active(Odd(), {"size": size}),))
 
-    def point(of):
-        return explain(of, 2.0, 20.0) if isinstance(of, Vehicle) else explain_road(of, 2.0)
+    def point(subject):
+        return explain(subject, 2.0, 20.0) if isinstance(subject, Vehicle) else explain_road(subject, 2.0)
 
-    found = point(vehicle)
-    assert found["effects_left_out"] == ([] if acts else ["odd"])
-    assert left_out_at(vehicle, 2.0, 20.0) == found["effects_left_out"]
-    assert (found["torque_nm"] == point(plain)["torque_nm"]) == (not acts)
+    content = point(vehicle)
+    assert content["effects_left_out"] == ([] if acts else ["odd"])
+    assert left_out_at(vehicle, 2.0, 20.0) == content["effects_left_out"]
+    assert (content["torque_nm"] == point(bare_vehicle)["torque_nm"]) == (not acts)
     estimator = Estimator(vehicle, entries=INTERPRETED)
     inputs = estimator.inputs(2.0)
     reasons = estimator.step(estimator.cold_start(inputs), inputs, 0.1)[1].reasons
@@ -165,7 +165,9 @@ def test_a_point_leaves_out_what_the_step_refuses(name, size, acts):
 
 @pytest.mark.parametrize("name", ["agri3t", "bmw_i3"])
 def test_a_point_has_no_place_and_leaves_out_the_route(name):
-    one = np.zeros(1)
-    vehicle = replace(load_any(name), route=(RouteMap(SLOPE, one, one, one, np.zeros((1, 2)), np.ones((1, 2)), np.ones(1, int)),))
-    found = explain(vehicle, 2.0, 20.0) if isinstance(vehicle, Vehicle) else explain_road(vehicle, 2.0)
-    assert found["effects_left_out"] == left_out_at(vehicle, 2.0, 20.0) == ["route"]
+    zeros = np.zeros(1)
+    vehicle = replace(
+        load_any(name), route=(RouteMap(SLOPE, zeros, zeros, zeros, np.zeros((1, 2)), np.ones((1, 2)), np.ones(1, int)),)
+    )
+    content = explain(vehicle, 2.0, 20.0) if isinstance(vehicle, Vehicle) else explain_road(vehicle, 2.0)
+    assert content["effects_left_out"] == left_out_at(vehicle, 2.0, 20.0) == ["route"]

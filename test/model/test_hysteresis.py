@@ -24,7 +24,7 @@ from trackres_ros.model.belt import (
 )
 from trackres_ros.model.hysteresis import HARMONICS, METHODS, RainflowCount, Spectral
 from trackres_ros.model.loss_table import HARMONICS_EACH, TABLE_HARMONICS, log_speeds
-from trackres_ros.model.rubber import RubberModel, thinned
+from trackres_ros.model.rubber import RubberModel, thinned_numbers
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.belt_bulk import wrapped_radius
@@ -72,10 +72,10 @@ def test_the_factors_quoted_for_one_wheel():
 @given(load=st.floats(2000.0, 20000.0), speed=st.floats(0.1, 20.0), belt_degc=temperatures)
 def test_rainflow_is_16_over_pi_squared_low_on_an_isolated_pulse(triangular, flat_rubber, load, speed, belt_degc):
     track = single_wheel(triangular)
-    counted, exact = (
+    counted_loss, exact_loss = (
         method(track, flat_rubber).loss_force(speed, belt_degc, load).indentation for method in (RainflowCount, Spectral)
     )
-    assert float(exact / counted) == pytest.approx(16.0 / math.pi**2, rel=0.004)
+    assert float(exact_loss / counted_loss) == pytest.approx(16.0 / math.pi**2, rel=0.004)
 
 
 @given(load=st.floats(2000.0, 8000.0))
@@ -91,20 +91,20 @@ def test_counted_bending_in_closed_form(triangular, flat_rubber, radius, cord, l
     wheels = tuple(replace(w, radius=radius if w.kind != "sprocket" else w.radius) for w in triangular.wrapped_wheels)
     track = replace(triangular, wrapped_wheels=wheels, belt=replace(triangular.belt, cord_height=cord, loop_length=7.0))
     rubber = RubberModel(replace(flat_rubber.rubber, loss_modulus_scale=loss))
-    counted = float(RainflowCount(track, rubber).loss_force(speed, 20.0, 68e3).bending)
-    assert counted == pytest.approx(bending_by_hand(track, loss * FLAT_LOSS), rel=1e-8)
+    counted_loss = float(RainflowCount(track, rubber).loss_force(speed, 20.0, 68e3).bending)
+    assert counted_loss == pytest.approx(bending_by_hand(track, loss * FLAT_LOSS), rel=1e-8)
 
 
 def test_counting_is_low_by_about_three_on_a_bending_plateau(triangular, flat_rubber):
-    exact = float(Spectral(triangular, flat_rubber).loss_force(5.0, 20.0, 68e3).bending)
-    assert 2.5 < exact / bending_by_hand(triangular, FLAT_LOSS) < 4.0
+    exact_loss = float(Spectral(triangular, flat_rubber).loss_force(5.0, 20.0, 68e3).bending)
+    assert 2.5 < exact_loss / bending_by_hand(triangular, FLAT_LOSS) < 4.0
 
 
 def test_spectral_loss_of_a_sine(triangular, compound, monkeypatch):
     """Equation (28): a strain amplitude e at m cycles a loop loses pi m e^2 E''(m v/L) in a loop and unit volume."""
     rubber, length, cycles, amplitude, speed, belt_degc = RubberModel(compound), triangular.belt.loop_length, 7, 3.0, 4.0, 25.0
-    at = np.arange(2000) / 2000 * length
-    sine = Profile(at, amplitude * np.sin(2 * np.pi * cycles * at / length + 0.4), length)
+    positions = np.arange(2000) / 2000 * length
+    sine = Profile(positions, amplitude * np.sin(2 * np.pi * cycles * positions / length + 0.4), length)
     monkeypatch.setattr(hysteresis, "build_loop", lambda track: replace(build_loop(track), curvature=sine))
     loss = float(Spectral(triangular, rubber).loss_force(speed, belt_degc, 68e3).bending)
     per_volume = math.pi * cycles * amplitude**2 * float(rubber.loss_modulus(cycles * speed / length, belt_degc))
@@ -114,16 +114,16 @@ def test_spectral_loss_of_a_sine(triangular, compound, monkeypatch):
 def test_a_counted_sine_loses_a_quarter_of_printed_equation_29(triangular, flat_rubber, monkeypatch):
     """Equation (29) has the range where (28) has the amplitude; with the amplitude, counting a sine is exact."""
     length, cycles, amplitude = triangular.belt.loop_length, 5, 2.0
-    at = np.arange(2000) / 2000 * length
-    sine = Profile(at, amplitude * np.sin(2 * np.pi * cycles * at / length), length)
+    positions = np.arange(2000) / 2000 * length
+    sine = Profile(positions, amplitude * np.sin(2 * np.pi * cycles * positions / length), length)
     monkeypatch.setattr(hysteresis, "build_loop", lambda track: replace(build_loop(track), curvature=sine))
-    counted, exact = (
+    counted_loss, exact_loss = (
         float(method(triangular, flat_rubber).loss_force(5.0, 20.0, 68e3).bending) for method in (RainflowCount, Spectral)
     )
-    assert counted == pytest.approx(exact, rel=1e-3)
+    assert counted_loss == pytest.approx(exact_loss, rel=1e-3)
     section = triangular.belt.width * bending_moment_of_height(triangular.belt, 2)
-    printed = math.pi * cycles * (2 * amplitude) ** 2 * FLAT_LOSS * section  # with the integral over the section it leaves out
-    assert printed / counted == pytest.approx(4.0, rel=1e-3)
+    paper_loss = math.pi * cycles * (2 * amplitude) ** 2 * FLAT_LOSS * section  # with the integral over the section it leaves out
+    assert paper_loss / counted_loss == pytest.approx(4.0, rel=1e-3)
 
 
 class Maxwell(RubberModel):
@@ -145,9 +145,9 @@ def maxwell_work(profile, speed):
     def once_round(stress):
         work = 0.0
         for t, rate in zip(times, rates, strict=True):
-            settled = modulus * rate * tau
-            work += rate * (settled * t + (stress - settled) * tau * -math.expm1(-t / tau))
-            stress = settled + (stress - settled) * math.exp(-t / tau)
+            end_stress = modulus * rate * tau
+            work += rate * (end_stress * t + (stress - end_stress) * tau * -math.expm1(-t / tau))
+            stress = end_stress + (stress - end_stress) * math.exp(-t / tau)
         return stress, work
 
     at_zero, at_one = once_round(0.0)[0], once_round(1.0)[0]
@@ -158,8 +158,8 @@ def maxwell_work(profile, speed):
 def test_spectral_loss_is_the_work_of_the_stress(track, compound, speed):
     """No frequency domain: integrate stress over strain round the loop, for a material whose stress is known in closed form."""
     rubber = Maxwell(compound)
-    exact = maxwell_work(build_loop(track).curvature, speed) * track.belt.width * bending_moment_of_height(track.belt, 2)
-    assert float(Spectral(track, rubber).loss_force(speed, 20.0, 30e3).bending) == pytest.approx(exact, rel=1e-4)
+    work = maxwell_work(build_loop(track).curvature, speed) * track.belt.width * bending_moment_of_height(track.belt, 2)
+    assert float(Spectral(track, rubber).loss_force(speed, 20.0, 30e3).bending) == pytest.approx(work, rel=1e-4)
 
 
 def work_along(model, speed, torque):
@@ -178,14 +178,14 @@ def work_along(model, speed, torque):
 def test_spectral_loss_of_bending_and_drive_is_the_stress_work(track, compound, torque):
     """Equations (21) and (24): the stress of both strains at once; the torques are such that the drive counts."""
     model, speed = Spectral(track, Maxwell(compound)), 3.0
-    pulled, pushed = (model.loss_force(speed, 20.0, 30e3, sign * torque) for sign in (1, -1))
-    exact = [work_along(model, speed, sign * torque) for sign in (1, -1)]
-    assert [float(loss.bending + loss.drive) for loss in (pulled, pushed)] == pytest.approx(exact, rel=1e-4)
+    pull_loss, push_loss = (model.loss_force(speed, 20.0, 30e3, sign * torque) for sign in (1, -1))
+    work = [work_along(model, speed, sign * torque) for sign in (1, -1)]
+    assert [float(loss.bending + loss.drive) for loss in (pull_loss, push_loss)] == pytest.approx(work, rel=1e-4)
     # what changes its sign with the torque is the product with bending; a track that is its own mirror image has none
-    coupling, exact_coupling = float(pulled.drive - pushed.drive) / 2, (exact[0] - exact[1]) / 2
-    assert coupling == pytest.approx(exact_coupling, rel=1e-3, abs=1e-7 * exact[0])
+    coupling, exact_coupling = float(pull_loss.drive - push_loss.drive) / 2, (work[0] - work[1]) / 2
+    assert coupling == pytest.approx(exact_coupling, rel=1e-3, abs=1e-7 * work[0])
     if track.name == "low":
-        assert abs(coupling) > 1e-4 * exact[0]
+        assert abs(coupling) > 1e-4 * work[0]
 
 
 def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle, track):
@@ -195,31 +195,31 @@ def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle, track):
     radius, length, n = track.road_wheels.radius, track.belt.loop_length, model.harmonics
     nodes, weights = np.polynomial.legendre.leggauss(500)
     strain = contact.indentation(nodes * half, half, radius) / track.belt.thickness
-    exact = 2.0 / length * half * np.cos(2 * np.pi / length * np.outer(n, nodes * half)) @ (weights * strain)
-    ours = indentation_amplitudes(half, radius, track.belt.thickness, length, n)
-    assert float((n * ours**2).sum() / (n * exact**2).sum()) == pytest.approx(1.0, abs=1e-3)
+    circle = 2.0 / length * half * np.cos(2 * np.pi / length * np.outer(n, nodes * half)) @ (weights * strain)
+    parabola = indentation_amplitudes(half, radius, track.belt.thickness, length, n)
+    assert float((n * parabola**2).sum() / (n * circle**2).sum()) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle, track):
     random, points, rubber = np.random.default_rng(1), 80, RubberModel(vehicle.rubber)
     loads = load_range(vehicle, track.name)
-    at = (
+    point = (
         random.uniform(0.01, vehicle.chassis.max_speed, points),
         random.uniform(-60.0, 120.0, points),
         random.uniform(loads.low, loads.high, points),
     )
-    shipped, doubled = (Spectral(track, rubber, count).loss_force(*at) for count in (HARMONICS, 2 * HARMONICS))
-    assert np.abs(doubled.total / shipped.total - 1.0).max() < 1e-3
-    assert np.abs(doubled.bending / shipped.bending - 1.0).max() < 1e-3
+    loss, double_loss = (Spectral(track, rubber, count).loss_force(*point) for count in (HARMONICS, 2 * HARMONICS))
+    assert np.abs(double_loss.total / loss.total - 1.0).max() < 1e-3
+    assert np.abs(double_loss.bending / loss.bending - 1.0).max() < 1e-3
 
 
 def test_a_thinned_table_method_has_the_loss_of_all_harmonics(vehicle, track):
     random, rubber, loads = np.random.default_rng(2), RubberModel(vehicle.rubber), load_range(vehicle, track.name)
     speed = 10.0 ** (random.uniform(*log_speeds(rubber), 100) - rubber.log_shift(20.0))
-    at, nodes = (speed, 20.0, random.uniform(loads.low, loads.high, 100)), thinned(TABLE_HARMONICS, HARMONICS_EACH)
-    few, every = (Spectral(track, rubber, TABLE_HARMONICS, some).loss_force(*at) for some in (nodes, None))
+    point, nodes = (speed, 20.0, random.uniform(loads.low, loads.high, 100)), thinned_numbers(TABLE_HARMONICS, HARMONICS_EACH)
+    thin_loss, full_loss = (Spectral(track, rubber, TABLE_HARMONICS, harmonics).loss_force(*point) for harmonics in (nodes, None))
     assert len(nodes) < TABLE_HARMONICS / 5
-    assert np.abs(few.total / every.total - 1.0).max() < 2e-5
+    assert np.abs(thin_loss.total / full_loss.total - 1.0).max() < 2e-5
 
 
 def test_pulses_of_unequal_wheels_add_by_their_phases(triangular, compound):
@@ -227,14 +227,14 @@ def test_pulses_of_unequal_wheels_add_by_their_phases(triangular, compound):
     beam = replace(triangular.beams, split=0.4, own_weight_split=0.4)
     beam = replace(beam, front=replace(beam.front, split=0.45), rear=replace(beam.rear, split=0.7))
     track, rubber, speed, load_n = replace(triangular, beams=beam), RubberModel(compound), 5.0, 60e3
-    model, at = Spectral(track, rubber, 512), np.arange(1 << 15) / (1 << 15) * triangular.belt.loop_length
+    model, positions = Spectral(track, rubber, 512), np.arange(1 << 15) / (1 << 15) * triangular.belt.loop_length
     half = model.contacts(speed, 20.0, load_n).half_length
     assert len(set(np.round(half, 6))) == len(half)
-    amplitudes = 2.0 * np.abs(np.fft.rfft(through_thickness(model.loop, half, at)))[1:513] / len(at)
+    amplitudes = 2.0 * np.abs(np.fft.rfft(through_thickness(model.loop, half, positions)))[1:513] / len(positions)
     n = model.harmonics
-    lost = np.pi * n * amplitudes**2 @ rubber.loss_modulus(n * speed / track.belt.loop_length, 20.0)
+    loss = np.pi * n * amplitudes**2 @ rubber.loss_modulus(n * speed / track.belt.loop_length, 20.0)
     section = track.road_wheels.contact_length * track.belt.thickness * compound.layer_stiffening
-    assert float(model.loss_force(speed, 20.0, load_n).indentation) == pytest.approx(section * lost, rel=2e-3)
+    assert float(model.loss_force(speed, 20.0, load_n).indentation) == pytest.approx(section * loss, rel=2e-3)
 
 
 @cache
@@ -252,9 +252,9 @@ def test_the_loss_rises_with_load(vehicle, method, data, belt_degc, speed):
     loads = load_range(vehicle, next(iter(vehicle.tracks)))
     low = data.draw(st.floats(loads.low, 0.98 * loads.high))
     high = data.draw(st.floats(1.01 * low, loads.high))
-    at = speed * vehicle.chassis.max_speed, belt_degc
-    light, heavy = shipped(vehicle.name, method).loss_force(*at, np.array([low, high])).total
-    assert light < heavy
+    point = speed * vehicle.chassis.max_speed, belt_degc
+    light_loss, heavy_loss = shipped(vehicle.name, method).loss_force(*point, np.array([low, high])).total
+    assert light_loss < heavy_loss
 
 
 @both_methods
@@ -276,11 +276,11 @@ def test_reverse_is_the_mirror_image_of_forward(vehicle, mirrored, method, speed
     model, from_behind = shipped(vehicle.name, method), shipped(vehicle.name, method, mirrored)
     weight = load_range(vehicle, model.track.name).nominal
     torque = share * weight * model.track.sprocket_radius
-    forward, reverse = (model.loss_force(v, belt_degc, weight, torque) for v in (speed, -speed))
-    assert [float(part) for part in forward] == [float(part) for part in reverse]
+    ahead, reverse = (model.loss_force(v, belt_degc, weight, torque) for v in (speed, -speed))
+    assert [float(part) for part in ahead] == [float(part) for part in reverse]
     mirror_image = from_behind.loss_force(speed, belt_degc, weight, -torque)
-    assert float(mirror_image.total) == pytest.approx(float(forward.total), rel=1e-8)
-    assert float(mirror_image.drive) == pytest.approx(float(forward.drive), rel=1e-6, abs=1e-8 * float(forward.total))
+    assert float(mirror_image.total) == pytest.approx(float(ahead.total), rel=1e-8)
+    assert float(mirror_image.drive) == pytest.approx(float(ahead.drive), rel=1e-6, abs=1e-8 * float(ahead.total))
 
 
 @both_methods
@@ -299,18 +299,18 @@ def test_a_vectorised_call_is_its_points(vehicle, method):
     loads = load_range(vehicle, model.track.name)
     speed, belt_degc = random.uniform(0.0, vehicle.chassis.max_speed, (5, 1)), random.uniform(-40.0, 100.0, (1, 7))
     weight, torque = random.uniform(loads.low, loads.high, (5, 7)), random.uniform(-100.0, 100.0, (5, 7))
-    whole = model.loss_force(speed, belt_degc, weight, torque)
-    assert whole.total.shape == (5, 7)
+    losses = model.loss_force(speed, belt_degc, weight, torque)
+    assert losses.total.shape == (5, 7)
     for i in np.ndindex(5, 7):
         point = model.loss_force(speed[i[0], 0], belt_degc[0, i[1]], weight[i], torque[i])
-        assert [float(part) for part in point] == pytest.approx([float(part[i]) for part in whole], rel=1e-8, abs=1e-9)
+        assert [float(part) for part in point] == pytest.approx([float(part[i]) for part in losses], rel=1e-8, abs=1e-9)
 
 
 @both_methods
 def test_a_sprocket_at_any_place_of_the_loop(triangular, compound, method):
     """First or last of the wrapped wheels too, where its arc begins or ends with the ground run."""
-    for turn in range(3):
-        wheels = triangular.wrapped_wheels[turn:] + triangular.wrapped_wheels[:turn]
+    for shift in range(3):
+        wheels = triangular.wrapped_wheels[shift:] + triangular.wrapped_wheels[:shift]
         loss = METHODS[method](replace(triangular, wrapped_wheels=wheels), RubberModel(compound)).loss_force(
             5.0, 20.0, 68e3, 1000.0
         )
@@ -342,11 +342,11 @@ def test_drive_torque_strains_the_belt_by_force_over_stiffness(triangular, compo
 
 def test_the_layer_stiffening_acts_on_both_moduli_of_the_layer(triangular, flat_rubber):
     """Twice as stiff a layer loses what a material with twice both moduli loses, and bends as before."""
-    stiff = RubberModel(replace(flat_rubber.rubber, layer_stiffening=2.0))
-    doubled = RubberModel(
+    stiff_rubber = RubberModel(replace(flat_rubber.rubber, layer_stiffening=2.0))
+    double_rubber = RubberModel(
         replace(flat_rubber.rubber, storage_pa=2 * flat_rubber.rubber.storage_pa, loss_pa=2 * flat_rubber.rubber.loss_pa)
     )
     for method in METHODS.values():
-        layer, material = (method(triangular, rubber).loss_force(5.0, 20.0, 68e3) for rubber in (stiff, doubled))
+        layer, material = (method(triangular, rubber).loss_force(5.0, 20.0, 68e3) for rubber in (stiff_rubber, double_rubber))
         assert float(layer.indentation) == pytest.approx(float(material.indentation), rel=1e-9)
         assert float(layer.bending) == pytest.approx(float(material.bending) / 2, rel=1e-9)

@@ -43,15 +43,15 @@ def lever(end, positions, own_weight):
     """Where a load has to act on a beam so that both ends carry their share: by the lever rule, beam by beam."""
     if not isinstance(end, Beam):
         return positions[end]
-    front, rear = (lever(e, positions, own_weight) for e in (end.front, end.rear))
-    return front + (end.own_weight_split if own_weight else end.split) * (rear - front)
+    front, rear_arm = (lever(e, positions, own_weight) for e in (end.front, end.rear))
+    return front + (end.own_weight_split if own_weight else end.split) * (rear_arm - front)
 
 
 @given(geometry=geometries(), load=loads_n, own=st.floats(1.0, 1e5))
 def test_wheel_loads_sum_to_the_weight(triangular, geometry, load, own):
-    carried = wheel_loads(replace(with_tree(triangular, *geometry), own_weight=own), load)
-    assert (carried >= 0.0).all()
-    assert carried.sum() == pytest.approx(load, rel=1e-12)
+    loads = wheel_loads(replace(with_tree(triangular, *geometry), own_weight=own), load)
+    assert (loads >= 0.0).all()
+    assert loads.sum() == pytest.approx(load, rel=1e-12)
 
 
 @given(geometry=geometries(), load=loads_n, own=st.floats(1.0, 1e5))
@@ -73,23 +73,23 @@ def two_stages(first_stage, beta_1, beta_2, g0, g1):
 
 @given(a1=split, a2=split, b1=split, b2=split, g0=loads_n, g1=loads_n)
 def test_equation_1_corrected_is_what_the_beams_do(triangular, a1, a2, b1, b2, g0, g1):
-    corrected = np.array([[1 - a1, 1 - a2], [a1, a2]])
+    matrix = np.array([[1 - a1, 1 - a2], [a1, a2]])
     tree = Beam(a1, Beam(b1, 0, 1), Beam(b2, 2, 3), own_weight_split=a2)
     track = replace(triangular, beams=tree, own_weight=g1)
-    assert wheel_loads(track, g0 + g1) == pytest.approx(two_stages(corrected, b1, b2, g0, g1), rel=1e-9, abs=1e-6)
+    assert wheel_loads(track, g0 + g1) == pytest.approx(two_stages(matrix, b1, b2, g0, g1), rel=1e-9, abs=1e-6)
 
 
 @given(a1=split, a2=split, b1=split, b2=split, g0=loads_n, g1=loads_n)
 def test_equation_1_as_printed_loses_or_gains_weight(a1, a2, b1, b2, g0, g1):
-    printed = np.array([[1 - a1, 1 - a2], [a2, a1]])
-    excess = two_stages(printed, b1, b2, g0, g1).sum() - (g0 + g1)
+    paper_matrix = np.array([[1 - a1, 1 - a2], [a2, a1]])
+    excess = two_stages(paper_matrix, b1, b2, g0, g1).sum() - (g0 + g1)
     assert excess == pytest.approx((a2 - a1) * (g0 - g1), abs=1e-8 * (g0 + g1))
 
 
 def test_printed_equation_1_is_off_by_a_fifth_between_splits(xgd24d):
     g0, g1 = xgd24d.axles[0].load / 2, xgd24d.tracks["triangular"].own_weight
-    printed = two_stages(np.array([[0.6, 0.4], [0.6, 0.4]]), 0.5, 0.5, g0, g1)
-    assert printed.sum() - (g0 + g1) == pytest.approx(0.2 * (g0 - g1))
+    paper_loads = two_stages(np.array([[0.6, 0.4], [0.6, 0.4]]), 0.5, 0.5, g0, g1)
+    assert paper_loads.sum() - (g0 + g1) == pytest.approx(0.2 * (g0 - g1))
 
 
 def test_shipped_vehicles_load_their_road_wheels_evenly(vehicle):
@@ -105,6 +105,6 @@ def test_a_load_below_the_own_weight_is_all_own_weight(triangular):
 
 def test_loads_of_any_shape(triangular):
     loads = np.array([[40e3, 50e3, 60e3], [70e3, 80e3, 90e3]])
-    carried = wheel_loads(triangular, loads)
-    assert carried.shape == (2, 3, 4)
-    assert carried[1, 2] == pytest.approx(wheel_loads(triangular, 90e3))
+    wheel_loads_n = wheel_loads(triangular, loads)
+    assert wheel_loads_n.shape == (2, 3, 4)
+    assert wheel_loads_n[1, 2] == pytest.approx(wheel_loads(triangular, 90e3))

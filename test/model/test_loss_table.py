@@ -44,19 +44,21 @@ def test_the_table_is_as_good_as_it_says(vehicle, method):
 def test_another_reference_of_the_same_shift_changes_nothing(xgd24d, moved):
     """WLF constants about another reference, as a fit or a data sheet gives them: their product and their pole are the same."""
     r, kind = xgd24d.rubber, "triangular"
-    alike = {"glass_transition": r.glass_transition + moved, "wlf_c2": r.wlf_c2 + moved}
-    alike["wlf_c1"] = r.wlf_c1 * r.wlf_c2 / alike["wlf_c2"]
-    other = variants(xgd24d)({f"rubber.{name}": value for name, value in alike.items()})
+    constants = {"glass_transition": r.glass_transition + moved, "wlf_c2": r.wlf_c2 + moved}
+    constants["wlf_c1"] = r.wlf_c1 * r.wlf_c2 / constants["wlf_c2"]
+    variant = variants(xgd24d)({f"rubber.{name}": value for name, value in constants.items()})
     belts, speed, load_n = np.array([[0.0], [40.0], [110.0]]), np.array([0.05, 2.0, 15.0]), 60e3
-    one, two = (loss_table(v, kind).at(np.log10(speed) + RubberModel(v.rubber).log_shift(belts), load_n) for v in (xgd24d, other))
-    assert two == pytest.approx(one, rel=1e-4)
+    base_loss, variant_loss = (
+        loss_table(v, kind).loss_at(np.log10(speed) + RubberModel(v.rubber).log_shift(belts), load_n) for v in (xgd24d, variant)
+    )
+    assert variant_loss == pytest.approx(base_loss, rel=1e-4)
 
 
 def test_a_shift_too_wide_for_the_axis_is_outside_where_it_ends(xgd24d):
-    steep = variants(xgd24d)({"rubber.glass_transition": -20.0, "rubber.wlf_c2": 51.0})
-    low, high = lt.log_speeds(RubberModel(steep.rubber))
+    vehicle = variants(xgd24d)({"rubber.glass_transition": -20.0, "rubber.wlf_c2": 51.0})
+    low, high = lt.log_speeds(RubberModel(vehicle.rubber))
     assert high - low == lt.WIDEST
-    assert coverage(steep, "triangular").log_reduced_speed <= high
+    assert coverage(vehicle, "triangular").log_reduced_speed <= high
 
 
 @pytest.fixture(scope="module")
@@ -69,18 +71,18 @@ def test_beyond_its_edges_the_table_holds_its_values(table, x, share, reach):
     last_x = table.first_x + table.step_x * (len(table.loss) - 1)
     low, high = table.first_log_load, table.first_log_load + table.step_log_load * (table.loss.shape[1] - 1)
     load_n = float(np.exp(low + share * (high - low)))
-    assert table.at(x, load_n) == pytest.approx(float(table.at(np.clip(x, table.first_x, last_x), load_n)), rel=1e-5)
-    assert table.at(0.0, np.exp(low) / reach) == pytest.approx(float(table.at(0.0, np.exp(low))), rel=1e-5)
-    assert table.at(0.0, np.exp(high) * reach) == pytest.approx(float(table.at(0.0, np.exp(high))), rel=1e-5)
+    assert table.loss_at(x, load_n) == pytest.approx(float(table.loss_at(np.clip(x, table.first_x, last_x), load_n)), rel=1e-5)
+    assert table.loss_at(0.0, np.exp(low) / reach) == pytest.approx(float(table.loss_at(0.0, np.exp(low))), rel=1e-5)
+    assert table.loss_at(0.0, np.exp(high) * reach) == pytest.approx(float(table.loss_at(0.0, np.exp(high))), rel=1e-5)
 
 
 @given(x=st.floats(-7.9, 9.4), log_load=st.floats(9.6, 11.9))
 def test_the_slope_is_that_of_the_interpolation(table, x, log_load):
-    at = (table.loss[np.newaxis], 0, table.first_x, table.step_x, table.first_log_load, table.step_log_load)
-    value, slope = lt.look_up(*at, x, log_load)
+    arguments = (table.loss[np.newaxis], 0, table.first_x, table.step_x, table.first_log_load, table.step_log_load)
+    value, slope = lt.look_up(*arguments, x, log_load)
     cell = int((x - table.first_x) / table.step_x)
-    left, right = (table.first_x + table.step_x * (cell + share) for share in (0.25, 0.75))
-    chord = (lt.look_up(*at, right, log_load)[0] - lt.look_up(*at, left, log_load)[0]) / (right - left)
+    left_x, right_x = (table.first_x + table.step_x * (cell + share) for share in (0.25, 0.75))
+    chord = (lt.look_up(*arguments, right_x, log_load)[0] - lt.look_up(*arguments, left_x, log_load)[0]) / (right_x - left_x)
     assert slope == pytest.approx(chord, rel=1e-6, abs=1e-6)
     assert value > 0.0
 
@@ -88,11 +90,11 @@ def test_the_slope_is_that_of_the_interpolation(table, x, log_load):
 def test_the_table_covers_a_bare_frame_and_an_overloaded_vehicle(vehicle):
     """From hardly more than the assembly itself to two and a half times the nominal load."""
     for name, track in vehicle.tracks.items():
-        loads, one = load_range(vehicle, name), loss_table(vehicle, name)
+        loads, losses = load_range(vehicle, name), loss_table(vehicle, name)
         assert track.own_weight < loads.low < track.own_weight + 0.05 * (loads.nominal - track.own_weight)
         assert loads.high == pytest.approx(2.5 * loads.nominal)
-        last = one.first_log_load + one.step_log_load * (one.loss.shape[1] - 1)
-        assert np.exp([one.first_log_load, last]) == pytest.approx([loads.low, loads.high])
+        end = losses.first_log_load + losses.step_log_load * (losses.loss.shape[1] - 1)
+        assert np.exp([losses.first_log_load, end]) == pytest.approx([loads.low, loads.high])
 
 
 def test_speed_and_temperature_enter_as_one_number(xgd24d):
@@ -101,10 +103,13 @@ def test_speed_and_temperature_enter_as_one_number(xgd24d):
     for method in METHODS:
         model = track_model(with_methods(xgd24d, hysteresis=method), "triangular")
         belt_degc, speed = rng.uniform(-40.0, 100.0, 10), np.exp(rng.uniform(np.log(0.1), np.log(16.0), 10))
-        other = belt_degc + rng.uniform(-8.0, 8.0, 10)
-        same = speed * 10.0 ** (model.rubber.log_shift(belt_degc) - model.rubber.log_shift(other))
-        one, two = model.loss.loss_force(speed, belt_degc, 68e3).total, model.loss.loss_force(same, other, 68e3).total
-        assert two == pytest.approx(one, rel=1e-7)
+        other_degc = belt_degc + rng.uniform(-8.0, 8.0, 10)
+        equal_speed = speed * 10.0 ** (model.rubber.log_shift(belt_degc) - model.rubber.log_shift(other_degc))
+        loss_1, loss_2 = (
+            model.loss.loss_force(speed, belt_degc, 68e3).total,
+            model.loss.loss_force(equal_speed, other_degc, 68e3).total,
+        )
+        assert loss_2 == pytest.approx(loss_1, rel=1e-7)
 
 
 # The cache
@@ -128,12 +133,12 @@ def built(monkeypatch, xgd24d, table):
     return calls
 
 
-def same(one, other):
+def same(table_a, table_b):
     return (
-        np.array_equal(one.loss, other.loss)
-        and np.array_equal(one.drive, other.drive)
-        and (one.first_x, one.step_x, one.first_log_load, one.step_log_load)
-        == (other.first_x, other.step_x, other.first_log_load, other.step_log_load)
+        np.array_equal(table_a.loss, table_b.loss)
+        and np.array_equal(table_a.drive, table_b.drive)
+        and (table_a.first_x, table_a.step_x, table_a.first_log_load, table_a.step_log_load)
+        == (table_b.first_x, table_b.step_x, table_b.first_log_load, table_b.step_log_load)
     )
 
 
@@ -144,9 +149,9 @@ def stored(folder):
 
 
 def test_the_second_call_takes_the_cache(xgd24d, built, tmp_path):
-    first, second = loss_table(xgd24d, "triangular", tmp_path), loss_table(xgd24d, "triangular", tmp_path)
+    table_1, table_2 = loss_table(xgd24d, "triangular", tmp_path), loss_table(xgd24d, "triangular", tmp_path)
     assert len(built) == 1
-    assert same(first, second)
+    assert same(table_1, table_2)
     assert xgd24d.name not in stored(tmp_path).name  # the key is a fingerprint, so a renamed vehicle finds its table
 
 
@@ -174,11 +179,11 @@ def nudge(quantity):
 
 
 def test_any_value_changes_the_fingerprint(vehicle):
-    name, make = next(iter(vehicle.tracks)), variants(vehicle)
+    name, build = next(iter(vehicle.tracks)), variants(vehicle)
     base, paths = fingerprint(vehicle, name), relevant(vehicle)
     assert len(paths) > 40
     for path in paths:
-        assert fingerprint(make({path: nudge(vehicle.parameters[path])}), name) != base, path
+        assert fingerprint(build({path: nudge(vehicle.parameters[path])}), name) != base, path
 
 
 def test_the_fingerprint_follows_the_loss_method_not_other_parts(xgd24d):

@@ -29,8 +29,8 @@ BY_COUNT = {10: (2025, 1940), 50: (2395, 2121)}  # km/h: Nm at 60 and 2500 s, by
 
 @cache
 def series(speed_kmh, ramp_s, weight_kn=272, ambient_degc=15, method="spectral"):
-    one = Estimator(with_methods(load("xgd24d"), hysteresis=method, thermal="lumped"))
-    return simulate(one, ramp_and_hold(speed_kmh / 3.6, ramp_s, 2500.0, 0.1), weight_kn * 1e3, ambient_degc)
+    estimator = Estimator(with_methods(load("xgd24d"), hysteresis=method, thermal="lumped"))
+    return simulate(estimator, ramp_and_hold(speed_kmh / 3.6, ramp_s, 2500.0, 0.1), weight_kn * 1e3, ambient_degc)
 
 
 def at(columns, time_s):

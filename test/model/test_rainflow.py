@@ -66,15 +66,15 @@ def test_a_loop_leaves_no_cycle_open(values):
 
 @given(values=series, turn=st.integers(0, 60))
 def test_a_loop_counts_the_same_wherever_it_begins(values, turn):
-    turned = values[turn % len(values) :] + values[: turn % len(values)]
+    rotation = values[turn % len(values) :] + values[: turn % len(values)]
 
-    def whole(loop):
+    def full_cycles(loop):
         counts = Counter()
         for c in count_loop(loop):
             counts[c.range, c.mean] += c.number
         return dict(counts)
 
-    assert whole(turned) == whole(values)
+    assert full_cycles(rotation) == full_cycles(values)
 
 
 @given(values=series)

@@ -51,8 +51,8 @@ def test_inertia_is_mass_times_acceleration(acceleration, weight, factor):
 @given(grade=st.floats(-1.0, 1.0), weight=weights)
 def test_a_grade_lifts_by_its_sine(grade, weight):
     force = r.grade_force(grade, weight)
-    along, down = force / weight, (1.0 - (force / weight) ** 2) ** 0.5
-    assert along / down == pytest.approx(grade, abs=1e-12)
+    sine, cosine = force / weight, (1.0 - (force / weight) ** 2) ** 0.5
+    assert sine / cosine == pytest.approx(grade, abs=1e-12)
 
 
 @given(limit=st.floats(1e-12, 1e-3))
@@ -78,30 +78,30 @@ def test_equation_34_as_printed_is_not_a_torque():
     units = {"f": (F_BEARING, 0), "g": (G, 0), "r1": (R1, 1)}
     assert scaled(lambda f, g, r1: f * g / r1, **units) == pytest.approx(1e-3)
     assert scaled(lambda f, g, r1: f * g * r1, **units) == pytest.approx(1e3)
-    ours, printed = r.bearing_force(10.0, G, F_BEARING) * R1, F_BEARING * G / R1
-    assert ours == pytest.approx(734.4)
-    assert printed / ours == pytest.approx(1 / R1**2)
+    torque, paper_value = r.bearing_force(10.0, G, F_BEARING) * R1, F_BEARING * G / R1
+    assert torque == pytest.approx(734.4)
+    assert paper_value / torque == pytest.approx(1 / R1**2)
 
 
 @given(speed_kmh=st.floats(1.0, 60.0))
 def test_equation_35_as_printed_is_a_power_over_a_radius(speed_kmh):
     """C A v^2/21.15 with v in km/h is the drag in N; times v/3600 it is a power in kW, so 76140 = 21.15 x 3600."""
     drag = C_D * AREA * speed_kmh**2 / 21.15
-    ours = r.wind_force(speed_kmh / KMH, C_D * AREA, RHO)
-    assert ours == pytest.approx(drag, rel=1e-3)
+    force = r.wind_force(speed_kmh / KMH, C_D * AREA, RHO)
+    assert force == pytest.approx(drag, rel=1e-3)
     assert pytest.approx(21.15 * 3600) == 76140
     power_kw = C_D * AREA * speed_kmh**3 / 76140
-    assert power_kw == pytest.approx(ours * speed_kmh / KMH / 1000, rel=1e-3)
-    printed = C_D * AREA * speed_kmh**2 / (76140 * R1)
-    assert ours * R1 / printed == pytest.approx(3600 * R1**2, rel=1e-3)
+    assert power_kw == pytest.approx(force * speed_kmh / KMH / 1000, rel=1e-3)
+    paper_value = C_D * AREA * speed_kmh**2 / (76140 * R1)
+    assert force * R1 / paper_value == pytest.approx(3600 * R1**2, rel=1e-3)
 
 
 @given(acceleration=st.floats(0.01, 3.0))
 def test_printed_equation_36_lacks_gravity_and_divides_by_radius(acceleration):
     """G dv/dt / R1 with G a weight is off by g and by the square of the radius, whatever the rotating masses."""
-    printed = G * acceleration / R1
-    ours = r.inertia_force(acceleration, G, 1.0) * R1
-    assert printed / ours == pytest.approx(GRAVITY / R1**2)
+    paper_value = G * acceleration / R1
+    torque = r.inertia_force(acceleration, G, 1.0) * R1
+    assert paper_value / torque == pytest.approx(GRAVITY / R1**2)
 
 
 def test_parts_of_the_reference_vehicle_at_50_kmh():

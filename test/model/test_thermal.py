@@ -48,13 +48,13 @@ def model_of(vehicle):
     return track_model(vehicle, vehicle.assemblies[0].track)
 
 
-def network_of(one):
-    return model_of(one.vehicle).network
+def network_of(model_estimator):
+    return model_of(model_estimator.vehicle).network
 
 
-def stored_heat(one, before, after):
+def stored_heat(model_estimator, start, end):
     """Heat [J] that the belts took up between two states."""
-    return float((after.belts - before.belts)[:, 0, Belt.temperature].sum() * network_of(one).capacity)
+    return float((end.belts - start.belts)[:, 0, Belt.temperature].sum() * network_of(model_estimator).capacity)
 
 
 def conductances(network, speed):
@@ -85,27 +85,32 @@ def conductances(network, speed):
 )
 def test_energy_balance_closes(thermal, legs, ambient, start, dt):
     """Heat in less heat out is heat stored: to 1e-6 of the heat that went through, at any step."""
-    one = estimator(thermal)
+    model_estimator = estimator(thermal)
     corners = np.cumsum([0.0, *(duration for duration, _ in legs)])
     time = np.arange(0.0, corners[-1] + dt, dt)
     speed = np.interp(time, corners, [0.0, *(v for _, v in legs)])
-    first = one.inputs(0.0, ambient=ambient)
-    before = one.cold_start(first, belt_degc=start)
-    after, rows = one.run(before, time, speed, one.vehicle.weight, ambient)
-    flows = rows[1:, [one.column_index["heat_w"], one.column_index["cooling_w"]]] * np.diff(time)[:, np.newaxis]
-    assert abs(flows[:, 0].sum() - flows[:, 1].sum() - stored_heat(one, before, after)) <= 1e-6 * (np.abs(flows).sum() + 1.0)
+    inputs = model_estimator.inputs(0.0, ambient=ambient)
+    start_state = model_estimator.cold_start(inputs, belt_degc=start)
+    end, rows = model_estimator.run(start_state, time, speed, model_estimator.vehicle.weight, ambient)
+    flows = (
+        rows[1:, [model_estimator.column_index["heat_w"], model_estimator.column_index["cooling_w"]]]
+        * np.diff(time)[:, np.newaxis]
+    )
+    assert abs(flows[:, 0].sum() - flows[:, 1].sum() - stored_heat(model_estimator, start_state, end)) <= 1e-6 * (
+        np.abs(flows).sum() + 1.0
+    )
 
 
-def steady_state(one, speed, weight, ambient, drive_torque):
+def steady_state(model_estimator, speed, weight, ambient, drive_torque):
     """Solve F(T) v = U A (T - Ta) on the exact loss: temperatures of mean and surface."""
-    model = model_of(one.vehicle)
-    network, load_n = model.network, weight / len(one.assemblies)
+    model = model_of(model_estimator.vehicle)
+    network, load_n = model.network, weight / len(model_estimator.assemblies)
     cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
     to_air = 1.0 / (1.0 / cooling + 1.0 / network.inner_conductance) if network.two_nodes else cooling
 
     def excess(belt_degc):
         return float(
-            model.loss.loss_force(speed, belt_degc, load_n, drive_torque / len(one.assemblies)).total
+            model.loss.loss_force(speed, belt_degc, load_n, drive_torque / len(model_estimator.assemblies)).total
         ) * speed - to_air * (belt_degc - ambient)
 
     mean = float(brentq(excess, ambient, 200.0))
@@ -116,33 +121,41 @@ def steady_state(one, speed, weight, ambient, drive_torque):
 @few
 @given(speed=st.floats(1.0, 16.0), weight=st.floats(2e5, 3.5e5), ambient=ambients)
 def test_heating_ends_in_the_balance_of_heat_and_cooling(thermal, speed, weight, ambient):
-    one = estimator(thermal)
+    model_estimator = estimator(thermal)
     time = np.arange(0.0, 40000.0, 2.0)
-    after, rows = one.run(
-        one.cold_start(one.inputs(speed, weight, ambient)), time, np.full_like(time, speed), weight, ambient, 0.0
+    end, rows = model_estimator.run(
+        model_estimator.cold_start(model_estimator.inputs(speed, weight, ambient)),
+        time,
+        np.full_like(time, speed),
+        weight,
+        ambient,
+        0.0,
     )
-    belt = rows[:, one.column_index["belt_degc/front_left"]]
-    balance = steady_state(one, speed, weight, ambient, rows[-1, one.column_index["drive_torque_nm"]])
-    for node, settled in enumerate(balance):
-        reached = after.belts[0, node, Belt.temperature]
-        assert reached - ambient == pytest.approx(settled - ambient, rel=0.003)  # of the table
+    belt = rows[:, model_estimator.column_index["belt_degc/front_left"]]
+    balance = steady_state(model_estimator, speed, weight, ambient, rows[-1, model_estimator.column_index["drive_torque_nm"]])
+    for node, balance_degc in enumerate(balance):
+        end_degc = end.belts[0, node, Belt.temperature]
+        assert end_degc - ambient == pytest.approx(balance_degc - ambient, rel=0.003)  # of the table
     assert (np.diff(belt) >= -1e-9).all()  # from ambient up to balance, never past it
     assert belt[0] == ambient
-    heat, cooling = (rows[-1, one.column_index[name]] for name in ("heat_w", "cooling_w"))
+    heat, cooling = (rows[-1, model_estimator.column_index[name]] for name in ("heat_w", "cooling_w"))
     assert heat == pytest.approx(cooling, rel=1e-4)
 
 
 @both_networks
 @given(start=st.floats(-30.0, 120.0), ambient=ambients, log_dt=st.floats(-3.0, 5.7))
 def test_at_rest_the_belt_cools_exponentially_over_any_step(thermal, start, ambient, log_dt):
-    one, dt = estimator(thermal), 10.0**log_dt
-    before = one.cold_start(one.inputs(0.0, ambient=ambient), belt_degc=start)
-    matrix, _, _ = conductances(network_of(one), 0.0)
+    model_estimator, dt = estimator(thermal), 10.0**log_dt
+    state = model_estimator.cold_start(model_estimator.inputs(0.0, ambient=ambient), belt_degc=start)
+    matrix, _, _ = conductances(network_of(model_estimator), 0.0)
     rates, modes = np.linalg.eig(matrix)  # an older `expm` overflows on the longest steps
-    exact = ambient + modes * np.exp(rates * dt) @ np.linalg.solve(modes, np.full(len(matrix), start - ambient))
-    for after in (one.step(before, one.inputs(0.0, ambient=ambient), dt)[0], one.rest(before, ambient, dt)):
-        for node, value in enumerate(exact):
-            assert after.belts[:, node, Belt.temperature] == pytest.approx(np.full(4, value), abs=1e-8)
+    expected = ambient + modes * np.exp(rates * dt) @ np.linalg.solve(modes, np.full(len(matrix), start - ambient))
+    for end in (
+        model_estimator.step(state, model_estimator.inputs(0.0, ambient=ambient), dt)[0],
+        model_estimator.rest(state, ambient, dt),
+    ):
+        for node, value in enumerate(expected):
+            assert end.belts[:, node, Belt.temperature] == pytest.approx(np.full(4, value), abs=1e-8)
 
 
 @both_networks
@@ -150,11 +163,21 @@ def test_at_rest_the_belt_cools_exponentially_over_any_step(thermal, start, ambi
 @given(log_first=st.floats(0.0, 5.5), log_second=st.floats(0.0, 5.5), ambient=ambients)
 def test_a_rest_in_two_parts_is_the_whole_rest(thermal, log_first, log_second, ambient):
     """Temperatures and all their departures, after belts that a drive has warmed."""
-    one, first, second = estimator(thermal), 10.0**log_first, 10.0**log_second
-    inputs = one.inputs(12.0, ambient=ambient)
-    warm, _ = one.run(one.cold_start(inputs), np.arange(0.0, 1200.0, 1.0), np.full(1200, 12.0), one.vehicle.weight, ambient, 0.0)
-    whole, parts = one.rest(warm, ambient, first + second), one.rest(one.rest(warm, ambient, first), ambient, second)
-    assert parts.belts == pytest.approx(whole.belts, rel=1e-6, abs=1e-6)
+    model_estimator, first_s, second_s = estimator(thermal), 10.0**log_first, 10.0**log_second
+    inputs = model_estimator.inputs(12.0, ambient=ambient)
+    warm, _ = model_estimator.run(
+        model_estimator.cold_start(inputs),
+        np.arange(0.0, 1200.0, 1.0),
+        np.full(1200, 12.0),
+        model_estimator.vehicle.weight,
+        ambient,
+        0.0,
+    )
+    single, parts = (
+        model_estimator.rest(warm, ambient, first_s + second_s),
+        model_estimator.rest(model_estimator.rest(warm, ambient, first_s), ambient, second_s),
+    )
+    assert parts.belts == pytest.approx(single.belts, rel=1e-6, abs=1e-6)
 
 
 @both_networks
@@ -163,53 +186,53 @@ def test_a_rest_in_two_parts_is_the_whole_rest(thermal, log_first, log_second, a
 @given(first=ambients, second=ambients, speed=st.floats(2.0, 16.0), weight=st.floats(2e5, 3.5e5))
 def test_no_crossover_between_ambients(thermal, hysteresis, first, second, speed, weight):
     """From belts at the ambient temperature: where it is warmer the belt is hotter and the torque lower, at all times."""
-    cold, warm = sorted((first, second))
+    low_degc, high_degc = sorted((first, second))
     drive = ramp_and_hold(speed, 0.0, 3000.0, 1.0)
-    one = estimator(thermal, hysteresis=hysteresis)
-    colder, warmer = (simulate(one, drive, weight, ambient) for ambient in (cold, warm))
-    assert (warmer["belt_degc"] >= colder["belt_degc"]).all()
-    assert (warmer["resistance_torque_nm"] <= colder["resistance_torque_nm"] * (1 + 1e-9)).all()
-    if warm - cold > 0.1:
-        assert (warmer["belt_degc"] > colder["belt_degc"]).all()
-        assert (warmer["resistance_torque_nm"] < colder["resistance_torque_nm"]).all()
-        shrunk = warmer["belt_degc"][-1] - colder["belt_degc"][-1]
-        assert 0.0 < shrunk < warm - cold  # dT*/dTa = 1/(1 + s): differences shrink, and do not vanish
+    model_estimator = estimator(thermal, hysteresis=hysteresis)
+    cold_rows, warm_rows = (simulate(model_estimator, drive, weight, ambient) for ambient in (low_degc, high_degc))
+    assert (warm_rows["belt_degc"] >= cold_rows["belt_degc"]).all()
+    assert (warm_rows["resistance_torque_nm"] <= cold_rows["resistance_torque_nm"] * (1 + 1e-9)).all()
+    if high_degc - low_degc > 0.1:
+        assert (warm_rows["belt_degc"] > cold_rows["belt_degc"]).all()
+        assert (warm_rows["resistance_torque_nm"] < cold_rows["resistance_torque_nm"]).all()
+        difference = warm_rows["belt_degc"][-1] - cold_rows["belt_degc"][-1]
+        assert 0.0 < difference < high_degc - low_degc  # dT*/dTa = 1/(1 + s): differences shrink, and do not vanish
 
 
 @both_networks
 @few
 @given(first=st.floats(2e5, 3.5e5), second=st.floats(2e5, 3.5e5), speed=st.floats(2.0, 16.0), ambient=ambients)
 def test_torque_rises_with_load_at_all_times(thermal, first, second, speed, ambient):
-    light, heavy = sorted((first, second))
+    low, high = sorted((first, second))
     drive = ramp_and_hold(speed, 50.0, 3000.0, 1.0)
-    lighter, heavier = (simulate(estimator(thermal), drive, weight, ambient) for weight in (light, heavy))
-    assert (heavier["resistance_torque_nm"] >= lighter["resistance_torque_nm"]).all()
-    assert (heavier["belt_degc"] >= lighter["belt_degc"]).all()
-    if heavy - light > 100.0:
-        assert (heavier["resistance_torque_nm"][1:] > lighter["resistance_torque_nm"][1:]).all()
+    light_rows, heavy_rows = (simulate(estimator(thermal), drive, weight, ambient) for weight in (low, high))
+    assert (heavy_rows["resistance_torque_nm"] >= light_rows["resistance_torque_nm"]).all()
+    assert (heavy_rows["belt_degc"] >= light_rows["belt_degc"]).all()
+    if high - low > 100.0:
+        assert (heavy_rows["resistance_torque_nm"][1:] > light_rows["resistance_torque_nm"][1:]).all()
 
 
 @both_networks
 @pytest.mark.parametrize("dt", [0.01, 0.1, 0.5])
 def test_steps_against_an_ode_solver_on_the_same_table(thermal, dt):
     """A drive with a ramp, a hold and a stop: the temperature of a stiff solver at tight tolerances."""
-    one = estimator(thermal)
-    model, table = model_of(one.vehicle), loss_table(one.vehicle, "triangular")
+    model_estimator = estimator(thermal)
+    model, table = model_of(model_estimator.vehicle), loss_table(model_estimator.vehicle, "triangular")
     corners, speeds = [0.0, 50.0, 400.0, 430.0, 600.0], [0.0, FULL_SPEED, FULL_SPEED, 0.0, 0.0]
 
     def rates(t, nodes):
         speed = float(np.interp(t, corners, speeds))
         matrix, by_ambient, by_heat = conductances(model.network, speed)
         x = math.log10(max(speed, 1e-6)) + float(model.rubber.log_shift(nodes[0]))
-        return matrix @ nodes + by_ambient * 15.0 + by_heat * float(table.at(x, 68e3)) * speed
+        return matrix @ nodes + by_ambient * 15.0 + by_heat * float(table.loss_at(x, 68e3)) * speed
 
     time = np.arange(0.0, 600.0 + dt / 2, dt)
-    begun = one.cold_start(one.inputs(0.0, ambient=15.0))
-    after, _ = one.run(begun, time, np.interp(time, corners, speeds), 272e3, 15.0)
+    start = model_estimator.cold_start(model_estimator.inputs(0.0, ambient=15.0))
+    end, _ = model_estimator.run(start, time, np.interp(time, corners, speeds), 272e3, 15.0)
     nodes = np.full(2 if model.network.two_nodes else 1, 15.0)
     for leg in pairwise(corners):
         nodes = solve_ivp(rates, leg, nodes, method="LSODA", rtol=1e-8, atol=1e-8, max_step=5.0).y[:, -1]
-    assert after.belts[0, : len(nodes), Belt.temperature] == pytest.approx(nodes, abs=2e-3)
+    assert end.belts[0, : len(nodes), Belt.temperature] == pytest.approx(nodes, abs=2e-3)
     assert nodes[0] > 30.0
 
 
@@ -235,10 +258,10 @@ def test_phi_functions_of_a_small_matrix_of_any_kind(terms):
 def check_phi(z):
     block = np.zeros((6, 6))
     block[:2, :2], block[:2, 2:4], block[2:4, 4:] = z, np.eye(2), np.eye(2)
-    exact = expm(block)
+    expected = expm(block)
     for order in (1, 2):
-        ours = np.array(phi_matrix(*z.ravel(), float(order))).reshape(2, 2)
-        assert ours == pytest.approx(exact[:2, 2 * order : 2 * order + 2], rel=1e-7, abs=1e-9)
+        result = np.array(phi_matrix(*z.ravel(), float(order))).reshape(2, 2)
+        assert result == pytest.approx(expected[:2, 2 * order : 2 * order + 2], rel=1e-7, abs=1e-9)
 
 
 def test_the_inner_conductance_is_that_of_a_slab_heated_evenly(vehicle):
@@ -271,14 +294,14 @@ def test_equation_31_is_in_metres_per_second(xgd24d):
 
 def test_what_effects_know_of_unlike_tracks_are_means(xgd24d):
     """No value is that of the first kind, and the torques of the tensions add up."""
-    one = xgd24d.tracks["triangular"]
-    belt = replace(one.belt, width=0.8 * one.belt.width, pretension=2e4, film_offset=90.0, film_slope=4.0)
-    wheels = replace(one.road_wheels, ground_run=2.0 * one.road_wheels.ground_run)
-    tracks = {"triangular": one, "other": replace(one, sprocket_radius=0.45, road_wheels=wheels, belt=belt)}
+    track = xgd24d.tracks["triangular"]
+    belt = replace(track.belt, width=0.8 * track.belt.width, pretension=2e4, film_offset=90.0, film_slope=4.0)
+    wheels = replace(track.road_wheels, ground_run=2.0 * track.road_wheels.ground_run)
+    tracks = {"triangular": track, "other": replace(track, sprocket_radius=0.45, road_wheels=wheels, belt=belt)}
     assemblies = [replace(a, track="other" if a.axle == "rear" else "triangular") for a in xgd24d.assemblies]
-    mixed, turned = (replace(xgd24d, tracks=tracks, assemblies=tuple(of)) for of in (assemblies, assemblies[::-1]))
-    facts = vehicle_constants(mixed)
-    assert facts == pytest.approx(vehicle_constants(turned))
+    mixture, reversal = (replace(xgd24d, tracks=tracks, assemblies=tuple(order)) for order in (assemblies, assemblies[::-1]))
+    facts = vehicle_constants(mixture)
+    assert facts == pytest.approx(vehicle_constants(reversal))
     torques = [tracks[a.track].belt.pretension * tracks[a.track].sprocket_radius for a in assemblies]
     assert facts.assemblies * facts.radius * facts.tension == pytest.approx(sum(torques))
 
@@ -297,20 +320,22 @@ def test_the_mean_is_not_the_surface(xgd24d):
 @pytest.mark.parametrize("speed", [0.0, FULL_SPEED])
 def test_two_nodes_hold_as_much_heat_as_one(xgd24d, speed):
     belt, rubber = xgd24d.tracks["triangular"].belt, xgd24d.rubber
-    one, two = (thermal_network(name, belt, rubber) for name in NETWORKS)
-    assert two.capacity == one.capacity
+    one_node, two_node = (thermal_network(name, belt, rubber) for name in NETWORKS)
+    assert two_node.capacity == one_node.capacity
     assert (
-        conductances(one, speed)[0][0, 0] < np.linalg.eigvals(conductances(two, speed)[0]).max() < 0.0
+        conductances(one_node, speed)[0][0, 0] < np.linalg.eigvals(conductances(two_node, speed)[0]).max() < 0.0
     )  # and give it off slower
 
 
 @both_networks
 def test_equation_26_as_printed_has_a_belt_in_balance_at_ambient(thermal):
     """T = (Q_gen - Q_dis)/(m c) + T0 with the powers of (30): once they are equal the belt would be cold. C dT/dt = P - P_dis."""
-    one = estimator(thermal)
+    model_estimator = estimator(thermal)
     time = np.arange(0.0, 20000.0, 2.0)
-    _, rows = one.run(one.cold_start(one.inputs(FULL_SPEED)), time, np.full_like(time, FULL_SPEED), 272e3, 15.0, 0.0)
-    network, last = network_of(one), {name: rows[-1, i] for name, i in one.column_index.items()}
-    capacity = len(one.assemblies) * network.capacity
-    assert (last["heat_w"] - last["cooling_w"]) / capacity + 15.0 == pytest.approx(15.0, abs=1e-3)
-    assert last["belt_degc/front_left"] > 50.0
+    _, rows = model_estimator.run(
+        model_estimator.cold_start(model_estimator.inputs(FULL_SPEED)), time, np.full_like(time, FULL_SPEED), 272e3, 15.0, 0.0
+    )
+    network, end_values = network_of(model_estimator), {name: rows[-1, i] for name, i in model_estimator.column_index.items()}
+    capacity = len(model_estimator.assemblies) * network.capacity
+    assert (end_values["heat_w"] - end_values["cooling_w"]) / capacity + 15.0 == pytest.approx(15.0, abs=1e-3)
+    assert end_values["belt_degc/front_left"] > 50.0

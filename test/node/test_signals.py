@@ -20,16 +20,16 @@ def test_a_signal_during_start_is_kept_with_the_log_pipe_closed(monkeypatch):
         requests = SignalRequests()
         requests._note(SAVE, None)
         requests._note(signal.SIGTERM, None)
-    assert requests._waiting == [SAVE]
+    assert requests._open_topics == [SAVE]
     assert requests.to_stop
 
 
 @pytest.fixture
 def handlers():
     """The signal handlers of this process, put back afterwards."""
-    before = {number: signal.getsignal(number) for number in WHAT}
+    result_befores = {number: signal.getsignal(number) for number in WHAT}
     yield
-    for number, handler in before.items():
+    for number, handler in result_befores.items():
         signal.signal(number, handler)
 
 
@@ -48,7 +48,7 @@ def test_a_signal_waits_until_all_are_listened_to(handlers, monkeypatch):
     requests = SignalRequests()
     requests.listen()
     assert pending == {SAVE}
-    assert requests._waiting == [SAVE]
+    assert requests._open_topics == [SAVE]
     assert not signal.sigpending() & set(WHAT)
 
 

@@ -27,7 +27,7 @@ from proofs.reproduce.bench import (
     falls,
     same_stable,
 )
-from proofs.reproduce.run import page_of
+from proofs.reproduce.run import page_of, tables_of
 from proofs.reproduce.strain import indentation, search_error, spectrum
 from proofs.reproduce.studies import _order_from, _warmer_is_larger_later, weights
 from proofs.reproduce.trials import ACCELERATION, TRIALS
@@ -100,28 +100,40 @@ def test_every_figure_is_there_as_picture_and_table(made):
         header = (made.folder / figure["png"]).read_bytes()[:24]
         assert header[:8] == b"\x89PNG\r\n\x1a\n"
         assert min(struct.unpack(">II", header[16:24])) > 300
-        columns = read_csv(made.folder / figure["csv"])
-        assert len(columns) >= 3
-        assert all(len(values) >= 20 and any(values) for values in columns.values())
-    index = (made.folder / "index.md").read_text(encoding="utf-8")
-    linked = set(re.findall(r"\]\(([^)#]+)\)", index))
-    assert linked == {path.name for path in made.folder.iterdir()} - {"index.md", "summary.json"}
+        for name in figure["data"]:
+            columns = read_csv(made.folder / name)
+            assert len(columns) >= 3
+            assert all(len(values) >= 20 and any(values) for values in columns.values())
+    linked = set(re.findall(r"\]\(([^)#]+)\)", page_of(made.summary)))
+    assert linked == {path.name for path in made.folder.iterdir()}
     assert json.loads((made.folder / "summary.json").read_text(encoding="utf-8")) == made.summary
 
 
 def test_the_page_elsewhere_leads_into_the_folder(made):
     beside = (made.folder.parent / "page.md").read_text(encoding="utf-8")
+    assert beside == page_of(made.summary, f"{made.folder.name}/")
     links = re.findall(r"\]\(([^)#]+)\)", beside)
     assert links
     assert all((made.folder.parent / link).is_file() for link in links)
 
 
-def test_links_of_the_overview_lead_to_headings(made):
+def test_links_of_the_departures_lead_to_headings(made):
     text = page_of(made.summary)
     headings = {re.sub(r"[^\w-]", "", line[3:].lower().replace(" ", "-")) for line in text.splitlines() if line.startswith("## ")}
     targets = set(re.findall(r"\]\(#([^)]+)\)", text))
     assert targets
     assert targets <= headings
+
+
+def test_each_claim_has_its_row_and_each_table_its_numbers(made):
+    claims, tables = (read_csv(made.folder / name) for name in ("claims.csv", "tables.csv"))
+    assert set(claims["claim"]) == {claim["paper"] for claim in claims_of(made.summary).values()}
+    row = next(row for row in zip(*claims.values(), strict=True) if row[4] == "spectral, lumped" and row[6] == "stable torques")
+    assert row[2:4] == ("section 4.2.1, Figure 24, conclusion 2", FAILS)
+    assert row[5] == "no"
+    assert row[7].endswith(" Nm")
+    cells = [row[1:] for section in made.summary["sections"] for table in section["tables"] for row in table["rows"]]
+    assert tables["value"] == [cell for row in cells for cell in row]
 
 
 def test_progress_rises_to_one(made):
@@ -142,15 +154,16 @@ def test_every_verdict_has_its_reason(made):
 def test_the_page_in_the_repository_is_what_the_command_writes(made, docs):
     stored = json.loads((docs / "reproduction" / "summary.json").read_text(encoding="utf-8"))
     assert (docs / "reproduction.md").read_text(encoding="utf-8") == page_of(stored, "reproduction/")
-    assert (docs / "reproduction" / "index.md").read_text(encoding="utf-8") == page_of(stored)
+    for name, text in tables_of(stored).items():
+        assert (docs / "reproduction" / name).read_text(encoding="utf-8") == text
     linked = set(re.findall(r"\]\(reproduction/([^)#]+)\)", page_of(stored, "reproduction/")))
-    assert linked == {path.name for path in (docs / "reproduction").iterdir()} - {"index.md", "summary.json"}
+    assert linked == {path.name for path in (docs / "reproduction").iterdir()}
     old, new = claims_of(stored), claims_of(made.summary)
     assert {key: claim["verdict"] for key, claim in old.items()} == {key: claim["verdict"] for key, claim in new.items()}
     for key in old:
         assert [old[key][part] for part in ("paper", "where", "why")] == [new[key][part] for part in ("paper", "where", "why")]
-    for before, now in zip(stored["sections"], made.summary["sections"], strict=True):
-        assert_near(before["numbers"], now["numbers"], before["title"])
+    for result_before, time_now in zip(stored["sections"], made.summary["sections"], strict=True):
+        assert_near(result_before["numbers"], time_now["numbers"], result_before["title"])
 
 
 def assert_near(a, b, where):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from trackres_ros.recording.recording import driven, wheel_notes, wheels
+from trackres_ros.recording.recording import driven_wheels, wheel_notes, wheels
 
 RATIOS = {"front": 0.97, "rear": 1.02}
 SLIP = 0.004  # of the speed for each kNm
@@ -39,8 +39,8 @@ def test_radii_and_slip_are_found_whichever_wheels_give_speed(of_vehicle: str, g
     for wheel in wheels(held):
         assert wheel.ratio == pytest.approx(RATIOS[wheel.name], abs=4.0 * wheel.ratio_std + 2e-4)
         assert wheel.ratio_std < 1e-3
-    (found,) = driven(wheels(held)).items()
-    name, (slip, std) = found
+    (result,) = driven_wheels(wheels(held)).items()
+    name, (slip, std) = result
     assert name == "rear"
     assert slip == pytest.approx(SLIP, abs=4.0 * std + 0.03 * SLIP)
     assert ("has the same slip" in wheel_notes(held)[1]) == (of_vehicle == "rear")
@@ -48,7 +48,7 @@ def test_radii_and_slip_are_found_whichever_wheels_give_speed(of_vehicle: str, g
 
 def test_a_delay_is_no_slip() -> None:
     held = drive("front", slip=0.0)
-    assert not driven(wheels(held))
+    assert not driven_wheels(wheels(held))
     assert len(wheel_notes(held)) == 1
 
 
@@ -63,4 +63,4 @@ def test_without_a_torque_there_are_radii_alone() -> None:
     held = drive("front")
     del held["torque"]
     assert {wheel.name: round(wheel.ratio, 2) for wheel in wheels(held)} == RATIOS
-    assert not driven(wheels(held))
+    assert not driven_wheels(wheels(held))

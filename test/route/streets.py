@@ -20,8 +20,8 @@ LAP_M = float(_WAY[-1])
 
 def slope_at(way):
     """Rise over run of the street, so far round the block [m]."""
-    turn = 2.0 * np.pi * way / LAP_M
-    return 0.03 * np.sin(2.0 * turn) + 0.02 * np.cos(3.0 * turn + 1.0) + 0.012 * np.sin(7.0 * turn)
+    angle = 2.0 * np.pi * way / LAP_M
+    return 0.03 * np.sin(2.0 * angle) + 0.02 * np.cos(3.0 * angle + 1.0) + 0.012 * np.sin(7.0 * angle)
 
 
 def place_at(way):
@@ -30,8 +30,8 @@ def place_at(way):
 
 
 def autoregression(n, rng, seconds, size, lead=2000):
-    keep = np.exp(-1.0 / seconds)
-    return lfilter([1.0], [1.0, -keep], rng.normal(0.0, size * np.sqrt(1.0 - keep**2), n + lead))[lead:]
+    share = np.exp(-1.0 / seconds)
+    return lfilter([1.0], [1.0, -share], rng.normal(0.0, size * np.sqrt(1.0 - share**2), n + lead))[lead:]
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ def drive(seed, rounds=(1, 1, 1, 1), scatter_m=5.0, aside_m=2.0, hidden=()):
     n = int(len(rounds) * LAP_M / 5.0) + 200
     corners = np.arange(0, n + 1, 40)
     speed = np.interp(np.arange(n), corners, rng.uniform(3.0, 11.0, len(corners)))
-    for at in rng.integers(0, n, 2 * len(rounds)):
-        speed[at : at + 25] = 0.0
+    for place in rng.integers(0, n, 2 * len(rounds)):
+        speed[place : place + 25] = 0.0
     for _ in range(2):  # no vehicle stops within a second
         speed = np.convolve(speed, np.full(9, 1.0 / 9.0), mode="same")
     distance = np.cumsum(speed)
@@ -79,7 +79,7 @@ def learned_by(route):
     return lambda x, y, east, north: learned_at(*lookup, 0, x, y, east, north)
 
 
-def position_of(one):
+def position_of(lap_drive):
     """Latitude and longitude of a drive as shown [rad]."""
     metres = 6371008.8
-    return LATITUDE + one.y / metres, LONGITUDE + one.x / (metres * np.cos(LATITUDE))
+    return LATITUDE + lap_drive.y / metres, LONGITUDE + lap_drive.x / (metres * np.cos(LATITUDE))

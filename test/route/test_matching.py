@@ -8,15 +8,15 @@ import pytest
 from streets import LAP_M, LATITUDE, LONGITUDE, drive, place_at
 
 from trackres_ros.route.lookup import SPACING_M
-from trackres_ros.route.matching import matched, neighbours, places_of
+from trackres_ros.route.matching import match_tracks, neighbour_pairs, places_of
 from trackres_ros.route.track import LONGEST_GAP_M, Frame, track_of
 
 
-def matched_drive(one):
-    track = track_of(one.distance, one.x, one.y)
+def matched_drive(lap_drive):
+    track = track_of(lap_drive.distance, lap_drive.x, lap_drive.y)
     places = places_of([track])
-    whole = matched(places, [track])[0]
-    return places, whole, whole.at(track.nearest(one.distance))
+    match = match_tracks(places, [track])[0]
+    return places, match, match.select(track.nearest_index(lap_drive.distance))
 
 
 def test_metres_and_positions_are_each_others_inverse():
@@ -34,52 +34,52 @@ def test_metres_go_on_over_the_date_line_and_end_far_away():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_passes_in_both_directions_share_their_places(seed):
-    one = drive(seed, (1, 1, -1, 1, -1))
-    places, _, at = matched_drive(one)
+    lap_drive = drive(seed, (1, 1, -1, 1, -1))
+    places, _, match = matched_drive(lap_drive)
     assert len(places) < 1.4 * LAP_M / SPACING_M
-    assert at.known.mean() > 0.98
-    nearer = np.take_along_axis(at.place, (at.share[:, 1:] > 0.5).astype(int), axis=1)[:, 0]
-    shown = places.table[nearer[at.known], :2]
-    away = np.hypot(*(shown.T - np.array(place_at(one.way[at.known]))))
-    assert np.quantile(away, 0.95) < SPACING_M + 15.0
-    first = at.sign[one.direction > 0.0, 0]
-    assert (first[at.known[one.direction > 0.0]] > 0.0).mean() > 0.98
-    assert (at.sign[at.known & (one.direction < 0.0), 0] < 0.0).mean() > 0.98
+    assert match.is_known.mean() > 0.98
+    nearest = np.take_along_axis(match.place, (match.share[:, 1:] > 0.5).astype(int), axis=1)[:, 0]
+    points = places.table[nearest[match.is_known], :2]
+    distances = np.hypot(*(points.T - np.array(place_at(lap_drive.way[match.is_known]))))
+    assert np.quantile(distances, 0.95) < SPACING_M + 15.0
+    signs = match.sign[lap_drive.direction > 0.0, 0]
+    assert (signs[match.is_known[lap_drive.direction > 0.0]] > 0.0).mean() > 0.98
+    assert (match.sign[match.is_known & (lap_drive.direction < 0.0), 0] < 0.0).mean() > 0.98
 
 
 def test_passes_are_counted():
-    one = drive(5, (1, 1, 1, -1))
-    _, _, at = matched_drive(one)
-    last = at.number[at.known & (one.distance > 3.2 * LAP_M)]
-    assert np.median(last) == 3
-    assert at.number[at.known & (one.distance < 0.8 * LAP_M)].max() == 0
+    lap_drive = drive(5, (1, 1, 1, -1))
+    _, _, match = matched_drive(lap_drive)
+    numbers = match.number[match.is_known & (lap_drive.distance > 3.2 * LAP_M)]
+    assert np.median(numbers) == 3
+    assert match.number[match.is_known & (lap_drive.distance < 0.8 * LAP_M)].max() == 0
 
 
 def test_a_tunnel_has_no_places_and_a_short_gap_is_bridged():
-    one = drive(6, (1, 1), hidden=((500.0, 500.0 + 0.5 * LONGEST_GAP_M), (900.0, 1200.0)))
-    _, _, at = matched_drive(one)
-    tunnel = (one.way > 930.0) & (one.way < 1170.0)
-    assert not at.known[tunnel].any()
-    assert at.known[(one.way > 500.0) & (one.way < 550.0)].all()
+    lap_drive = drive(6, (1, 1), hidden=((500.0, 500.0 + 0.5 * LONGEST_GAP_M), (900.0, 1200.0)))
+    _, _, match = matched_drive(lap_drive)
+    tunnel = (lap_drive.way > 930.0) & (lap_drive.way < 1170.0)
+    assert not match.is_known[tunnel].any()
+    assert match.is_known[(lap_drive.way > 500.0) & (lap_drive.way < 550.0)].all()
 
 
 def test_streets_that_cross_have_places_of_their_own():
-    along = np.arange(0.0, 600.0, 5.0)
-    level = np.zeros_like(along)
-    tracks = [track_of(along, along - 300.0, level), track_of(along, level, along - 300.0)]
+    way = np.arange(0.0, 600.0, 5.0)
+    level = np.zeros_like(way)
+    tracks = [track_of(way, way - 300.0, level), track_of(way, level, way - 300.0)]
     places = places_of(tracks)
     assert len(places) == len(places_of(tracks[:1])) + len(places_of(tracks[1:]))
-    pairs = neighbours(matched(places, tracks))
+    pairs = neighbour_pairs(match_tracks(places, tracks))
     half = len(places_of(tracks[:1]))
     assert not any(a < half <= b for a, b in pairs)
 
 
 def test_neighbours_say_whether_they_point_the_same_way():
-    along = np.arange(0.0, 400.0, 5.0)
-    level = np.zeros_like(along)
-    one_way, the_other = track_of(along, along, level), track_of(along, 760.0 - along, level)
+    way = np.arange(0.0, 400.0, 5.0)
+    level = np.zeros_like(way)
+    one_way, the_other = track_of(way, way, level), track_of(way, 760.0 - way, level)
     places = places_of([one_way, the_other])
-    pairs = neighbours(matched(places, [one_way, the_other, track_of(2.0 * along, 2.0 * along, np.zeros_like(along))]))
+    pairs = neighbour_pairs(match_tracks(places, [one_way, the_other, track_of(2.0 * way, 2.0 * way, np.zeros_like(way))]))
     east = places.table[:, 2]
     assert all(sign == east[a] * east[b] for (a, b), sign in pairs.items())
     assert min(pairs.values()) == -1.0
@@ -90,7 +90,7 @@ def test_standing_still_is_no_pass_and_no_direction():
     x = np.minimum(np.concatenate([np.arange(0.0, 300.0, 5.0), 295.0 + np.random.default_rng(1).normal(0.0, 5.0, 600)]), 330.0)
     track = track_of(distance, x, np.zeros_like(x))
     places = places_of([track])
-    assert matched(places, [track])[0].number.max() == 0
+    assert match_tracks(places, [track])[0].number.max() == 0
     assert len(track) < 40
 
 
@@ -99,5 +99,5 @@ def test_without_positions_nothing_is_known(known):
     x = np.full(50, np.nan)
     x[:known] = 3.0
     track = track_of(np.arange(50.0), x, x)
-    assert not track.known.any()
+    assert not track.is_known.any()
     assert len(places_of([track])) == 0

@@ -37,34 +37,34 @@ def straight(count=10, course=0.0, kind=SLOPE, first=0, frame=HERE):
     return RouteMap(kind, latitude, longitude, np.full(count, course), values, std, np.full(count, 4))
 
 
-def same(found, made):
-    at = np.lexsort([found.latitude, found.longitude]), np.lexsort([made.latitude, made.longitude])
-    size = 1.0 if made.kind == SLOPE else 1e4
-    for name, exact in (("latitude", 2e-9), ("longitude", 2e-9), ("value", 1e-5 * size), ("std", 1e-5 * size), ("passes", 0)):
-        one, other = (getattr(route, name)[rows] for route, rows in zip((found, made), at, strict=True))
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=exact, equal_nan=True, err_msg=name)
-    assert np.allclose(np.cos(found.course - made.course), 1.0, atol=1e-5)
+def same(actual, expected):
+    orders = np.lexsort([actual.latitude, actual.longitude]), np.lexsort([expected.latitude, expected.longitude])
+    size = 1.0 if expected.kind == SLOPE else 1e4
+    for name, tolerance in (("latitude", 2e-9), ("longitude", 2e-9), ("value", 1e-5 * size), ("std", 1e-5 * size), ("passes", 0)):
+        left, right = (getattr(route, name)[rows] for route, rows in zip((actual, expected), orders, strict=True))
+        np.testing.assert_allclose(left, right, rtol=0.0, atol=tolerance, equal_nan=True, err_msg=name)
+    assert np.allclose(np.cos(actual.course - expected.course), 1.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("kinds", [(SLOPE,), (TORQUE,), (SLOPE, TORQUE)])
 def test_what_is_written_is_read(tmp_path, kinds):
-    made = [straight(course=0.7, kind=kind) for kind in kinds]
-    write_route(tmp_path / "route.csv", made)
-    found = read_route(tmp_path / "route.csv")
-    assert [one.kind for one in found] == list(kinds)
-    for one, other in zip(found, made, strict=True):
-        same(one, other)
+    expected_maps = [straight(course=0.7, kind=kind) for kind in kinds]
+    write_route(tmp_path / "route.csv", expected_maps)
+    maps = read_route(tmp_path / "route.csv")
+    assert [actual.kind for actual in maps] == list(kinds)
+    for actual, expected in zip(maps, expected_maps, strict=True):
+        same(actual, expected)
     assert len((tmp_path / "route.csv").read_text().splitlines()) == 11  # a place of both is one row
 
 
 @settings(max_examples=15)
 @given(st.floats(-180.0, 180.0) | st.floats(179.999, 180.0) | st.floats(-180.0, -179.999))
 def test_a_route_has_the_same_places_at_any_longitude(folder, longitude):
-    at_zero, moved = (straight(frame=Frame(0.0, at)) for at in (0.0, math.radians(longitude)))
-    write_route(folder / "route.csv", [moved])
-    (found,) = read_route(folder / "route.csv")
-    for one in (moved, found):
-        assert np.allclose(one.table(one.frame), at_zero.table(at_zero.frame), atol=0.02)
+    at_zero, route = (straight(frame=Frame(0.0, longitude_0)) for longitude_0 in (0.0, math.radians(longitude)))
+    write_route(folder / "route.csv", [route])
+    (actual,) = read_route(folder / "route.csv")
+    for route_map in (route, actual):
+        assert np.allclose(route_map.table(route_map.frame), at_zero.table(at_zero.frame), atol=0.02)
 
 
 def test_slopes_and_one_way_torques_survive_writing_and_reading(tmp_path):
@@ -73,9 +73,9 @@ def test_slopes_and_one_way_torques_survive_writing_and_reading(tmp_path):
     one_way[:4, 1] = np.nan
     torques = replace(torques, value=one_way, std=np.where(np.isnan(one_way), np.nan, torques.std))
     write_route(tmp_path / "route.csv", [slopes, torques])
-    found = read_route(tmp_path / "route.csv")
-    same(of_kind(found, SLOPE), slopes)
-    same(of_kind(found, TORQUE), torques)
+    maps = read_route(tmp_path / "route.csv")
+    same(of_kind(maps, SLOPE), slopes)
+    same(of_kind(maps, TORQUE), torques)
 
 
 @pytest.mark.parametrize(

@@ -42,11 +42,11 @@ def loaded(configuration):
 def refusal(loaded, configuration):
     """The error that a content gives when it is loaded from a file."""
 
-    def refused(content):
-        with pytest.raises(InputError) as caught:
+    def load_refused(content):
+        with pytest.raises(InputError) as error_info:
             loaded(content)
-        assert "\n" not in str(caught.value)
-        assert str(configuration / "given.yaml") in caught.value.where
-        return caught.value
+        assert "\n" not in str(error_info.value)
+        assert str(configuration / "given.yaml") in error_info.value.where
+        return error_info.value
 
-    return refused
+    return load_refused

@@ -18,11 +18,11 @@ UNITS = {"mean_there": "s", "mean_away": "s", "time_constant": "s"}
 
 def section(form, **changed):
     """The section of a form, with values changed."""
-    found = {"form": form}
+    content = {"form": form}
     for name, value in {**VALUES[form], **changed}.items():
         span = sorted((0.9 * value, 1.1 * value))
-        found[name] = {"value": value, "unit": UNITS.get(name, "Nm"), "flag": "F", "range": span, "reason": "found"}
-    return found
+        content[name] = {"value": value, "unit": UNITS.get(name, "Nm"), "flag": "F", "range": span, "reason": "found"}
+    return content
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_what_is_not_right_is_refused_with_its_key(refusal, content, given, wher
 
 
 def test_no_estimate_and_no_kept_state_depends_on_it(loaded, content):
-    bare, disturbed = load("xgd24d"), loaded({**content, "disturbance": section("spells")})
-    assert disturbed.disturbance is not None
-    assert dict(disturbed.parameters) == dict(bare.parameters)
-    assert key(Estimator(disturbed)) == key(Estimator(bare))
+    bare_vehicle, vehicle = load("xgd24d"), loaded({**content, "disturbance": section("spells")})
+    assert vehicle.disturbance is not None
+    assert dict(vehicle.parameters) == dict(bare_vehicle.parameters)
+    assert key(Estimator(vehicle)) == key(Estimator(bare_vehicle))

@@ -41,11 +41,11 @@ def put(content, path, value):
 
 
 def test_neither_a_file_nor_a_name():
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         load("xgd24")
-    assert caught.value.given == "xgd24"
-    assert "xgd24d" in caught.value.allowed
-    assert "agri3t" in caught.value.allowed
+    assert error_info.value.given == "xgd24"
+    assert "xgd24d" in error_info.value.allowed
+    assert "agri3t" in error_info.value.allowed
 
 
 def test_a_folder_is_no_vehicle(tmp_path):
@@ -120,12 +120,12 @@ def test_a_value_that_is_not_plausible(refusal, content):
 
 
 def test_a_range_that_is_none(refusal, content):
-    refused = {
+    cases = {
         "two numbers": (None, [0.02], [0.02, 0.03, 0.04], "0.02"),
         "low <= high": ([0.045, 0.025],),
         "0.003 to 0.3 m": ([0.001, 0.045], [0.025, 0.9], [math.nan, 0.045], [0.025, [0.045]]),
     }
-    for allowed, ranges in refused.items():
+    for allowed, ranges in cases.items():
         for bounds in ranges:
             put(content, f"{THICKNESS}.range", bounds)
             error = refusal(content)
@@ -289,19 +289,19 @@ KINDS = {"agri3t": (True, True), "bmw_i3": (False, True), "emps": (False, False)
 @pytest.mark.parametrize("vehicle", KINDS)
 def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(configuration, vehicle):
     path, (belts, rolls) = configuration / f"{vehicle}.yaml", KINDS[vehicle]
-    content, here = read_yaml(path), load_any(vehicle)
-    quantities = {active.effect.name for active in here.active}
-    for effect in catalogue(size=here.size, on_tyres=not belts).values():
+    content, loaded_vehicle = read_yaml(path), load_any(vehicle)
+    quantities = {effect_values.effect.name for effect_values in loaded_vehicle.active}
+    for effect in catalogue(size=loaded_vehicle.size, on_tyres=not belts).values():
         if effect.belongs_to != "vehicle":
             continue
         path.write_text(yaml.safe_dump({**content, "effects": {effect.name: effect.values()}}))
-        meant = effect.only_of in ("", "rolls" if rolls else "slides") and (belts or not effect.belt_only)
-        if meant and effect.name not in quantities:
-            assert effect.name in [active.effect.name for active in load_any(path).active]
+        has_meaning = effect.only_of in ("", "rolls" if rolls else "slides") and (belts or not effect.belt_only)
+        if has_meaning and effect.name not in quantities:
+            assert effect.name in [effect_values.effect.name for effect_values in load_any(path).active]
             continue
-        with pytest.raises(InputError, match=f"'{effect.name}'") as caught:
+        with pytest.raises(InputError, match=f"'{effect.name}'") as error_info:
             load_any(path)
-        assert effect.name not in caught.value.allowed.removeprefix("one of ").split(", ")
+        assert effect.name not in error_info.value.allowed.removeprefix("one of ").split(", ")
 
 
 @pytest.mark.parametrize(
@@ -315,17 +315,17 @@ def test_only_effects_with_a_meaning_for_a_vehicle_are_listed(configuration, veh
 def test_a_road_file_without_a_meaning_is_refused(configuration, key, value, allowed):
     content = read_yaml(configuration / "bmw_i3.yaml")
     put(content, key, {**at(content, key), **value} if "." in key else value)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         build_road(configuration / "bmw_i3.yaml", content)
-    assert key in caught.value.where
-    assert allowed in caught.value.allowed
+    assert key in error_info.value.where
+    assert allowed in error_info.value.allowed
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
 def test_rolling_resistance_may_fall_but_not_below_zero(configuration, share):
     content = read_yaml(configuration / "bmw_i3.yaml")
-    least = -content["road_load"]["rolling_coefficient"]["value"] / content["road_load"]["max_speed"]["value"]
-    content["road_load"]["rolling_rise"].update(value=share * least, range=[least, 0.0])
+    least_rise = -content["road_load"]["rolling_coefficient"]["value"] / content["road_load"]["max_speed"]["value"]
+    content["road_load"]["rolling_rise"].update(value=share * least_rise, range=[least_rise, 0.0])
     v = build_road(configuration / "bmw_i3.yaml", content).values
     assert v["rolling_coefficient"] + v["rolling_rise"] * v["max_speed"] > 0.0
 
@@ -333,7 +333,7 @@ def test_rolling_resistance_may_fall_but_not_below_zero(configuration, share):
 def nodes(content, path=()):
     """Paths of all nodes below the top."""
     children = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
-    return [p for key, child in children for p in ((*path, key), *nodes(child, (*path, key)))]
+    return [p for key, entry in children for p in ((*path, key), *nodes(entry, (*path, key)))]
 
 
 anything = st.recursive(

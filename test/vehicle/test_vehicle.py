@@ -70,14 +70,14 @@ def test_each_quantity_has_unit_provenance_and_a_range_around_it(name):
 
 def test_a_vehicle_cannot_be_changed():
     vehicle = load("xgd24d")
-    for thing, name in (
+    for instance, name in (
         (vehicle, "name"),
         (vehicle.rubber, "density"),
         (vehicle.chassis, "ambient"),
         (vehicle.tracks["triangular"].belt, "width"),
     ):
         with pytest.raises(dataclasses.FrozenInstanceError):
-            setattr(thing, name, 1.0)
+            setattr(instance, name, 1.0)
     with pytest.raises(TypeError):
         vehicle.tracks["other"] = vehicle.tracks["triangular"]
 
@@ -86,44 +86,44 @@ def test_a_vehicle_cannot_be_changed():
 
 
 def test_an_override_replaces_one_value():
-    base, thinner = load("xgd24d"), load("xgd24d", {THICKNESS: 0.03})
-    assert thinner.tracks["triangular"].belt.thickness == 0.03
-    changed = [path for path in base.parameters if base.parameters[path] != thinner.parameters[path]]
-    assert changed == [THICKNESS]
+    base, variant = load("xgd24d"), load("xgd24d", {THICKNESS: 0.03})
+    assert variant.tracks["triangular"].belt.thickness == 0.03
+    paths = [path for path in base.parameters if base.parameters[path] != variant.parameters[path]]
+    assert paths == [THICKNESS]
 
 
 def test_an_override_may_leave_the_files_range_but_no_limit():
     vehicle = load("xgd24d", {THICKNESS: 0.06})
     assert vehicle.parameters[THICKNESS].high == 0.06
     for value in (0.5, -1.0, math.nan, math.inf):
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError) as error_info:
             load("xgd24d", {THICKNESS: value})
-        assert THICKNESS in caught.value.where
-        assert "0.003 to 0.3 m" in caught.value.allowed
+        assert THICKNESS in error_info.value.where
+        assert "0.003 to 0.3 m" in error_info.value.allowed
 
 
 @pytest.mark.parametrize("path", ["tracks.triangular.belt.thicknes", "thickness", "tracks.triangular.road_wheels.positions", ""])
 def test_an_override_of_what_is_not_there_is_refused(path):
-    with pytest.raises(InputError, match="the path of a scalar quantity") as caught:
+    with pytest.raises(InputError, match="the path of a scalar quantity") as error_info:
         load("xgd24d", {path: 0.03})
-    assert caught.value.given == path
-    assert (f"did you mean {THICKNESS}" in caught.value.remedy) == ("belt" in path)
+    assert error_info.value.given == path
+    assert (f"did you mean {THICKNESS}" in error_info.value.remedy) == ("belt" in path)
 
 
 def test_variants_are_the_vehicle_with_its_methods():
     base = dataclasses.replace(load("xgd24d"), hysteresis="rainflow", thermal="core_surface")
-    other = variants(base)({"chassis.drag_coefficient": 1.1})
-    assert (other.hysteresis, other.thermal) == ("rainflow", "core_surface")
-    assert other.chassis.drag_coefficient == 1.1
+    variant = variants(base)({"chassis.drag_coefficient": 1.1})
+    assert (variant.hysteresis, variant.thermal) == ("rainflow", "core_surface")
+    assert variant.chassis.drag_coefficient == 1.1
     assert variants(base)({}).parameters == base.parameters
 
 
 def test_a_variant_keeps_nothing_of_the_one_before():
-    make, moved = variants(load("xgd24d")), {THICKNESS: 0.03, "rubber.heat_capacity": 2000.0}
-    for overrides in (moved, {"rubber.heat_capacity": 1900.0}, {}, moved):
-        found, expected = make(overrides), load("xgd24d", overrides)
-        assert found.parameters == expected.parameters
-        assert found.tracks == expected.tracks
+    build, values = variants(load("xgd24d")), {THICKNESS: 0.03, "rubber.heat_capacity": 2000.0}
+    for overrides in (values, {"rubber.heat_capacity": 1900.0}, {}, values):
+        variant, expected = build(overrides), load("xgd24d", overrides)
+        assert variant.parameters == expected.parameters
+        assert variant.tracks == expected.tracks
 
 
 def test_wheels_of_one_name_keep_their_own_values_in_a_variant(content, loaded):
@@ -132,8 +132,8 @@ def test_wheels_of_one_name_keep_their_own_values_in_a_variant(content, loaded):
     idlers[1]["name"] = idlers[0]["name"]
     idlers[1]["radius"] = {**idlers[1]["radius"], "value": idlers[0]["radius"]["value"] + 0.005}
     base = loaded(content)
-    make = variants(base)
-    assert [make({}).tracks["triangular"].wrapped_wheels for _ in range(2)] == [base.tracks["triangular"].wrapped_wheels] * 2
+    build = variants(base)
+    assert [build({}).tracks["triangular"].wrapped_wheels for _ in range(2)] == [base.tracks["triangular"].wrapped_wheels] * 2
 
 
 # The rubber file
@@ -144,10 +144,10 @@ SWEEP = "T_degC,E_storage_MPa_10Hz,E_loss_MPa_10Hz\n-50,700,300\n0,14,2.5\n50,8,
 def test_a_sweep_may_have_comments_and_plain_names(tmp_path):
     path = tmp_path / "sweep.csv"
     path.write_text(f"# of a test\n{SWEEP}", encoding="utf-8")
-    plain = tmp_path / "plain.csv"
-    plain.write_text(SWEEP.replace("_10Hz", "").replace("\n0,", "\n# between\n\n0,"), encoding="utf-8")
-    for one, other in zip(read_rubber_sweep(path), read_rubber_sweep(plain), strict=True):
-        assert np.array_equal(one, other)
+    plain_path = tmp_path / "plain.csv"
+    plain_path.write_text(SWEEP.replace("_10Hz", "").replace("\n0,", "\n# between\n\n0,"), encoding="utf-8")
+    for column, plain_column in zip(read_rubber_sweep(path), read_rubber_sweep(plain_path), strict=True):
+        assert np.array_equal(column, plain_column)
     path.write_text(f"# of a test\n{SWEEP}".replace("2.5", "x"), encoding="utf-8")
     with pytest.raises(InputError, match=r"row 4, E_loss_MPa_10Hz"):
         read_rubber_sweep(path)
@@ -174,10 +174,10 @@ def test_a_sweep_may_have_comments_and_plain_names(tmp_path):
 def test_a_sweep_that_is_refused(tmp_path, text, said):
     path = tmp_path / "sweep.csv"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         read_rubber_sweep(path)
-    assert str(path) in caught.value.where
-    assert said in str(caught.value)
+    assert str(path) in error_info.value.where
+    assert said in str(error_info.value)
 
 
 @pytest.mark.parametrize("factors", [(1e6, 1e6), (1e3, 1e3), (1e-3, 1e-3), (1e6, 1.0), (1.0, 1e6), (1e-3, 1.0), (1.0, 1e3)])
@@ -243,19 +243,21 @@ ROUTE = (RouteMap(SLOPE, *PLACES),)
 @pytest.mark.parametrize("there", ["rubber/nr_sbr_10hz.csv", "effects/squeak.py", "surroundings.yaml", "route.csv"])
 def test_a_written_vehicle_changes_no_other_file(tmp_path, own, there):
     effects = catalogue(own)
-    added = tuple(Active(effects[name], {q.name: q.start for q in effects[name].parameters}) for name in ("squeak", "grade"))
-    changes, file = FileChanges(None, added, {}, route=ROUTE), tmp_path / "new.yaml"
+    effects_added = tuple(
+        Active(effects[name], {q.name: q.start for q in effects[name].parameters}) for name in ("squeak", "grade")
+    )
+    changes, file = FileChanges(None, effects_added, {}, route=ROUTE), tmp_path / "new.yaml"
     (tmp_path / there).parent.mkdir(exist_ok=True)
     (tmp_path / there).write_text("edited by hand\n", encoding="utf-8")
     for _ in range(2):  # the second time into the files of the first
-        _, around, *_ = write_track_vehicle(load("xgd24d"), file, changes, "Written by trackres diagnose.")
+        _, site_file, *_ = write_track_vehicle(load("xgd24d"), file, changes, "Written by trackres diagnose.")
         assert (tmp_path / there).read_text(encoding="utf-8") == "edited by hand\n"
-        again = with_surroundings(load(file), around)
-        assert np.array_equal(again.rubber.loss_pa, load("xgd24d").rubber.loss_pa)
-        assert [active.effect.name for active in again.active] == ["squeak", "grade"]
-        assert len(again.route) == 1
-    written = sorted(path for path in tmp_path.rglob("*") if path.is_file() and path.parent != own and "__" not in str(path))
-    assert len(written) == 6
+        vehicle = with_surroundings(load(file), site_file)
+        assert np.array_equal(vehicle.rubber.loss_pa, load("xgd24d").rubber.loss_pa)
+        assert [effect_values.effect.name for effect_values in vehicle.active] == ["squeak", "grade"]
+        assert len(vehicle.route) == 1
+    paths = sorted(path for path in tmp_path.rglob("*") if path.is_file() and path.parent != own and "__" not in str(path))
+    assert len(paths) == 6
 
 
 @pytest.mark.parametrize("surrounded", [False, True])
@@ -266,30 +268,32 @@ def test_only_a_diagnosis_touches_surroundings(tmp_path, own, by, surrounded):
 
     effects = catalogue(own)
     squeak, grade = (Active(effects[name], {q.name: q.start for q in effects[name].parameters}) for name in ("squeak", "grade"))
-    left = tmp_path / "vehicle.yaml", tmp_path / "surroundings.yaml"
-    write_track_vehicle(load("xgd24d"), left[0], FileChanges(None, (squeak, grade), {}, route=ROUTE), DIAGNOSED)
-    before, vehicle = contents(), with_surroundings(load(left[0]), left[1]) if surrounded else load(left[0])
+    paths = tmp_path / "vehicle.yaml", tmp_path / "surroundings.yaml"
+    write_track_vehicle(load("xgd24d"), paths[0], FileChanges(None, (squeak, grade), {}, route=ROUTE), DIAGNOSED)
+    old_contents, vehicle = contents(), with_surroundings(load(paths[0]), paths[1]) if surrounded else load(paths[0])
     for configuration in (tmp_path, tmp_path / "other"):
         configuration.mkdir(exist_ok=True)
-        files = write_track_vehicle(vehicle, configuration / "car.yaml", FileChanges(None, (), {}, by=by), f"Written by {by}.")
-        after = contents()
-        assert {path: after[path] for path in before} == before
-        assert after.keys() - before.keys() <= set(files) <= after.keys()
+        files = write_track_vehicle(
+            vehicle, configuration / "car.yaml", FileChanges(None, (), {}, command=by), f"Written by {by}."
+        )
+        new_contents = contents()
+        assert {path: new_contents[path] for path in old_contents} == old_contents
+        assert new_contents.keys() - old_contents.keys() <= set(files) <= new_contents.keys()
         assert not configuration.joinpath("other", "surroundings.yaml").exists()
-        before = after
+        old_contents = new_contents
 
 
-def raised(do):
+def raised(action):
     """The OSError of a call, or None."""
     try:
-        do()
+        action()
     except OSError as error:
         return error
     return None
 
 
 def test_a_full_disk_leaves_all_files_of_a_vehicle_unchanged(tmp_path):
-    vehicle, other = load("xgd24d"), tuple(one.times(2.0) for one in ROUTE)
+    vehicle, other_route = load("xgd24d"), tuple(route_map.times(2.0) for route_map in ROUTE)
 
     def write(route, text):
         write_track_vehicle(vehicle, tmp_path / "new.yaml", FileChanges(None, (), {}, route=route), f"{DIAGNOSED} from {text}")
@@ -298,15 +302,15 @@ def test_a_full_disk_leaves_all_files_of_a_vehicle_unchanged(tmp_path):
     def contents():
         return {path.name: path.read_text(encoding="utf-8") for path in tmp_path.rglob("[!.]*.*")}
 
-    before = write(ROUTE, "first")
-    after = write(other, "then")
-    assert sum(after[name] != before[name] for name in before) == 3
+    old_contents = write(ROUTE, "first")
+    new_contents = write(other_route, "then")
+    assert sum(new_contents[name] != old_contents[name] for name in old_contents) == 3
     for call in count(1):
         write(ROUTE, "first")
         with Faults(tmp_path, call, call) as faults:
-            error = raised(lambda: write(other, "then"))
+            error = raised(lambda: write(other_route, "then"))
         if not faults.hit:
             break
-        assert contents() == (before if error else after), faults.calls
+        assert contents() == (old_contents if error else new_contents), faults.calls
         assert error is None or Path(error.filename).is_relative_to(tmp_path), faults.calls
     assert call > 40

@@ -79,35 +79,35 @@ class Refitted:
     at_base: RegimeMap  # residual by regime
 
 
-def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
+def refit(preparation: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
     """Fit the base from the values of the vehicle file, and bin its residual by regime."""
     options.on_stage("re-fit of the base")
-    sessions, split = prepared.sessions, prepared.split
-    first_fit = fit(Problem(prepared.base, sessions, tuple(split.training_mask(s) for s in sessions)))
-    held_out = [split.held_out_mask(s) for s in sessions]
+    sessions, split_of_laps = preparation.sessions, preparation.split
+    first_fit = fit(Problem(preparation.base, sessions, tuple(split_of_laps.training_mask(s) for s in sessions)))
+    held_out = [split_of_laps.held_out_mask(s) for s in sessions]
     laps = HeldOutLaps(sessions, held_out, rng)
-    use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
+    use = AsUsed(preparation.base, sessions, preparation.recorded, laps)
     free_fit = with_levels(first_fit)
-    refitted = inside_ranges(free_fit, use)
-    validation = CrossValidation(refitted, held_out, rng)
+    base_fit = inside_ranges(free_fit, use)
+    validation = CrossValidation(base_fit, held_out, rng)
     # A file that cannot describe the vehicle within its ranges would leave its error to the terms.
-    is_better = validation.least_gain(validation.score(refitted), validation.score(free_fit)) > 0.0
+    is_better = validation.least_gain(validation.score(base_fit), validation.score(free_fit)) > 0.0
     options.on_stage("residual by regime")
-    at_base = regime_map(for_tests(refitted), rng)
-    return Refitted(refitted, free_fit if is_better else refitted, laps, validation, use, at_base)
+    at_base = regime_map(for_tests(base_fit), rng)
+    return Refitted(base_fit, free_fit if is_better else base_fit, laps, validation, use, at_base)
 
 
-def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions) -> Chosen:
+def search(preparation: PreparedSessions, base: Refitted, options: DiagnosisOptions) -> Chosen:
     """Search explanations, and choose one."""
-    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(prepared.vehicle.route, kind) is None]
-    roads = roads_of(prepared.sessions) if kinds else None
-    searcher = Search(base.compared, prepared.effects, roads, kinds, base.validation, options.on_stage)
+    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(preparation.vehicle.route, kind) is None]
+    roads = roads_of(preparation.sessions) if kinds else None
+    searcher = Search(base.compared, preparation.effects, roads, kinds, base.validation, options.on_stage)
     searcher.run()
     options.on_stage("cross-validation over laps")
-    chosen = Choice(searcher, base.refitted, base.laps, base.use).best(options.keep_suspected)
-    if chosen.explanation.key:
-        return chosen
-    return replace(chosen, explanation=replace(chosen.explanation, fit=base.refitted))
+    choice = Choice(searcher, base.refitted, base.laps, base.use).best(options.keep_suspected)
+    if choice.explanation.key:
+        return choice
+    return replace(choice, explanation=replace(choice.explanation, fit=base.refitted))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,107 +134,107 @@ class Judgement:
 
 
 def judge(
-    prepared: PreparedSessions, base: Refitted, chosen: Chosen, options: DiagnosisOptions, rng: np.random.Generator
+    preparation: PreparedSessions, base: Refitted, choice: Chosen, options: DiagnosisOptions, rng: np.random.Generator
 ) -> Judgement:
     """Judge an explanation."""
-    final = chosen.final
-    as_file, unusable = _as_file(base, final)
-    errors = _held_out_errors(prepared, base, chosen, as_file)
+    final_fit = choice.final
+    as_file, file_error = _as_file(base, final_fit)
+    errors = _held_out_errors(preparation, base, choice, as_file)
     options.on_stage("residual")
-    tested_end = for_tests(final)
+    tested_end = for_tests(final_fit)
     at_end = regime_map(tested_end, rng)
     options.on_stage("confidence intervals")
-    bounds = intervals(final)
-    terms = by_improvement([_in_final_fit(term, base, final, bounds) for term in chosen.explanation.terms.values()])
-    unnamed = any(not t.is_named for t in terms)
-    slow_part = slow_residual(final)
+    bounds = intervals(final_fit)
+    terms = by_improvement([_in_final_fit(term, base, final_fit, bounds) for term in choice.explanation.terms.values()])
+    has_unnamed = any(not t.is_named for t in terms)
+    slow_part = slow_residual(final_fit)
     if slow_part.share > LARGE_SLOW_SHARE:
-        slow_part = replace(slow_part, closest=closest_to_slow(final, slow_part.seconds))
-    later = only_later(base.refitted, errors.mae["refitted"])
-    drift = slow_term(final) if (slow_part.share > LARGE_SLOW_SHARE or later) and not unnamed else None
+        slow_part = replace(slow_part, closest=closest_to_slow(final_fit, slow_part.seconds))
+    later_errors = only_later(base.refitted, errors.mae["refitted"])
+    drift = slow_term(final_fit) if (slow_part.share > LARGE_SLOW_SHARE or later_errors) and not has_unnamed else None
     if drift is not None:
-        drift = replace(drift, improvement=drift_on_held_out(final, base.laps))
-    changed = () if final.effects else changed_values(base.refitted, bounds)
+        drift = replace(drift, improvement=drift_on_held_out(final_fit, base.laps))
+    value_changes = () if final_fit.effects else changed_values(base.refitted, bounds)
     verdict = verdict_of(
         Findings(
             terms=terms,
-            unconfirmed=chosen.unconfirmed,
+            unconfirmed=choice.unconfirmed,
             refitted=base.refitted,
             at_end=at_end,
             left_over=slow_part,
-            hint=chosen.last.hint,
+            hint=choice.last.hint,
             held_out=errors,
             drift=drift,
-            changed=changed,
-            shares=chosen.shares,
-            sensors=prepared.gated.sensors,
-            by_load=_by_load(chosen.unconfirmed),
-            later=later,
-            sensor=assumed_sensor(final.instrument, errors, "with the effects" if final.effects else "of the re-fit"),
-            unusable=unusable,
+            changed=value_changes,
+            shares=choice.shares,
+            sensors=preparation.gated.sensors,
+            by_load=_by_load(choice.unconfirmed),
+            later=later_errors,
+            sensor=assumed_sensor(final_fit.instrument, errors, "with the effects" if final_fit.effects else "of the re-fit"),
+            unusable=file_error,
         )
     )
     return Judgement(tuple(terms), drift, errors, tested_end, at_end, bounds, verdict)
 
 
-def _by_load(unconfirmed: Sequence[Term]) -> str:
+def _by_load(terms: Sequence[Term]) -> str:
     """A suspected form over the load that differs only between the recordings; empty without one."""
-    load_terms = [t for t in unconfirmed if t.name.endswith(learned.VARIABLES[learned.LOAD].name)]
+    load_terms = [t for t in terms if t.name.endswith(learned.VARIABLES[learned.LOAD].name)]
     return next((t.name for t in load_terms if any(fault.startswith(ONLY_BETWEEN) for fault in t.faults)), "")
 
 
-def _as_file(base: Refitted, final: Fit) -> tuple[Sequence[Array], str]:
+def _as_file(base: Refitted, final_fit: Fit) -> tuple[Sequence[Array], str]:
     """Torque of each session from the re-fitted base as a file, thus without assumed errors of the sensor [Nm]; and why no
     command would accept that file, else empty. With effects in the final fit, another file is written.
     """
-    values, unusable = base.refitted.base_values, ""
-    if not final.effects:
+    values, file_error = base.refitted.base_values, ""
+    if not final_fit.effects:
         try:
-            return base.use.expected(values, (), alone=False), ""
+            return base.use.expected(values, (), is_alone=False), ""
         except InputError as error:  # the fit may be infeasible elsewhere: a belt that burns at its greatest speed
-            unusable = str(error.given)
-    return [p.torque for p in base.refitted.problem.predict(values, ())], unusable
+            file_error = str(error.given)
+    return [p.torque for p in base.refitted.problem.predict(values, ())], file_error
 
 
-def _held_out_errors(prepared: PreparedSessions, base: Refitted, chosen: Chosen, as_file: Sequence[Array]) -> HeldOut:
+def _held_out_errors(preparation: PreparedSessions, base: Refitted, choice: Chosen, as_file: Sequence[Array]) -> HeldOut:
     """Errors on hold-out laps; raises where they allow no conclusion."""
-    predicted = {"refitted": base.refitted.predicted, "with_effects": chosen.final.predicted}
-    expected = {stage: [p.torque for p in values] for stage, values in predicted.items()}
-    errors = held_out(base.laps, {"nominal": prepared.nominal, **expected}, as_file)
-    names = ", ".join(s.name for s in prepared.sessions)
-    scale_notes = inconsistent_scale_notes(prepared.sessions, prepared.nominal, prepared.vehicle.known.is_vehicle)
+    predictions = {"refitted": base.refitted.predicted, "with_effects": choice.final.predicted}
+    torques_by_stage = {stage: [p.torque for p in values] for stage, values in predictions.items()}
+    errors = held_out(base.laps, {"nominal": preparation.nominal, **torques_by_stage}, as_file)
+    names = ", ".join(s.name for s in preparation.sessions)
+    scale_notes = inconsistent_scale_notes(preparation.sessions, preparation.nominal, preparation.vehicle.known.is_vehicle)
     # Different vehicles also differ by load or hour, so an unnamed term would absorb the difference between them.
-    has_name = any(term.is_name for term in chosen.explanation.terms.values())
+    has_name = any(term.is_name for term in choice.explanation.terms.values())
     stages = [stage for stage in errors.r2 if has_name or not scale_notes or stage != "with_effects"]
     r2, mae = ({stage: values[stage] for stage in stages} for values in (errors.r2, errors.mae))
     refusal = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), scale_notes)
     if refusal and not is_like_slope(base.refitted):
         raise refusal
-    final = chosen.final
-    if final.effects:  # a vehicle file holds no assumed errors of the sensor
-        as_file = [p.torque for p in final.problem.predict(final.base_values, final.effects)]
+    final_fit = choice.final
+    if final_fit.effects:  # a vehicle file holds no assumed errors of the sensor
+        as_file = [p.torque for p in final_fit.problem.predict(final_fit.base_values, final_fit.effects)]
     error = float(np.abs(base.laps.measured - base.laps.samples(as_file)).mean())
     return replace(errors, without_sensor=error) if error > MUCH_LARGER * errors.mae["with_effects"] else errors
 
 
-def _in_final_fit(term: Term, base: Refitted, final: Fit, bounds: Bounds) -> Term:
+def _in_final_fit(term: Term, base: Refitted, final_fit: Fit, bounds: Bounds) -> Term:
     """A term with its values in the final fit, and its place or its sentences."""
-    values, torques = active_of(final, term.name).values, final.contribution(term.name)
+    values, torques = active_of(final_fit, term.name).values, final_fit.contribution(term.name)
     term = replace(term, values=values, intervals=bounds_of(term.name, bounds), adds=torques)
     if not term.is_named:
-        return describe(term, final)
-    sessions = final.problem.sessions
-    location = locate(final, against_travel(sessions, torques))
+        return describe(term, final_fit)
+    sessions = final_fit.problem.sessions
+    location = locate(final_fit, against_travel(sessions, torques))
     if term.is_by_place:
         location = replace(location, low=location.least, high=location.most)  # limits by place only
-    place, seen = term.effect.acts(values)
+    place, sight = term.effect.acts(values)
     return replace(
         term,
         spans=spans(sessions, torques),
         location=location,
         place=place or location.text,
-        seen=seen or location.size(final.problem.base.noun),
-        regime=regime_of(base.refitted, final, base.at_base, location),
+        seen=sight or location.size(final_fit.problem.base.noun),
+        regime=regime_of(base.refitted, final_fit, base.at_base, location),
     )
 
 
@@ -244,35 +244,39 @@ def bounds_of(name: str, bounds: Bounds) -> dict[str, Interval]:
 
 
 def conclude(
-    prepared: PreparedSessions, base: Refitted, chosen: Chosen, judged: Judgement, options: DiagnosisOptions
+    preparation: PreparedSessions, base: Refitted, choice: Chosen, judgement: Judgement, options: DiagnosisOptions
 ) -> tuple[tuple[Advice, ...], FileChanges]:
     """Next drives, and the changes that may be written."""
     options.on_stage("next drives")
-    terms = chosen.explanation.terms.values()
+    terms = choice.explanation.terms.values()
     # The manoeuvres are for drivers.
-    is_vehicle = prepared.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in prepared.sessions)
-    tasks = [partial(advise, term, prepared.vehicle.known.max_speed) for term in terms if is_vehicle]
+    is_vehicle = preparation.vehicle.known.is_vehicle and all(s.pace == 1.0 for s in preparation.sessions)
+    tasks = [partial(advise, term, preparation.vehicle.known.max_speed) for term in terms if is_vehicle]
     advice = [a for task in tasks for a in attempt("the best next drive", task) or ()]
-    keep_suspected, final = options.keep_suspected, chosen.final
-    kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
-    believed = credible_names(judged.terms, judged.verdict, kinds, keep_suspected)
-    confirmed = [t.name for t in terms if t.confirmed]
+    keep_suspected, final_fit = options.keep_suspected, choice.final
+    kinds = {name: effect.belongs_to for name, effect in preparation.effects.items()}
+    believed_names = credible_names(judgement.terms, judgement.verdict, kinds, keep_suspected)
+    confirmed_names = [t.name for t in terms if t.confirmed]
     spell_names = [t.name for t in terms if t.confirmed and isinstance(t.pattern, Chain)]
-    file_changes = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds, spell_names)
+    file_changes = choose_written(
+        believed_names, confirmed_names, final_fit, base.refitted, base.use, judgement.bounds, spell_names
+    )
     names = {name for kind in BELONGS_TO for name in file_changes.names_of(kind)}
     # Those by place too, and those that have faded since: a disturbance is what the file lacks.
-    written = [a for a in final.effects if a.effect.name in names or not base.use.written([a])]
-    expected = base.use.recorded(file_changes.values, written)
-    file_scale = prepared.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
+    written_effects = [a for a in final_fit.effects if a.effect.name in names or not base.use.written([a])]
+    model_torques = base.use.recorded(file_changes.values, written_effects)
+    file_scale = preparation.base.torque_scale  # divides the torques of the sessions; live, the scale of the written file does
     sensor_scale = (file_changes.values or {}).get("torque_scale", file_scale) / file_scale
-    spell_terms = [t for t in judged.terms if isinstance(t.pattern, Chain) and may_be_kept(t, judged.verdict, keep_suspected)]
-    drift, spells = judged.drift, next(iter(spell_terms), None)
+    spell_terms = [
+        t for t in judgement.terms if isinstance(t.pattern, Chain) and may_be_kept(t, judgement.verdict, keep_suspected)
+    ]
+    drift, spells = judgement.drift, next(iter(spell_terms), None)
     drift_is_kept = drift is not None and (drift.confirmed or (keep_suspected and drift.grade != REFUTED))
     disturbance: LearnedDisturbance | None = None
     if spells is not None:
-        disturbance = spells_to_watch(spells, final, expected, sensor_scale)
+        disturbance = spells_to_watch(spells, final_fit, model_torques, sensor_scale)
     elif drift_is_kept:
-        disturbance = drift_to_watch(final, expected, sensor_scale)
+        disturbance = drift_to_watch(final_fit, model_torques, sensor_scale)
     return tuple(advice), file_changes.with_disturbance(disturbance)
 
 
@@ -283,8 +287,8 @@ def credible_names(terms: Sequence[Term], verdict: Verdict, kinds: Mapping[str, 
     """
 
     def is_settled(t: Term) -> bool:
-        own = kinds.get(t.name)
-        return keep_suspected or {kinds.get(m, own) for m in t.members} <= {own}
+        kind = kinds.get(t.name)
+        return keep_suspected or {kinds.get(m, kind) for m in t.members} <= {kind}
 
     terms_kept = [t for t in terms if may_be_kept(t, verdict, keep_suspected)]
     return [t.name for t in terms_kept if (is_settled(t) if t.is_named else t.predictable)]
@@ -392,25 +396,25 @@ def diagnose(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diag
         If the recordings cannot be used, with the reason.
     """
     rng = np.random.default_rng(options.seed)
-    prepared = prepare(recordings, vehicle, options)
+    preparation = prepare(recordings, vehicle, options)
     with failures() as failure_notes:
-        base = refit(prepared, options, rng)
-        chosen = search(prepared, base, options)
-        judgement = judge(prepared, base, chosen, options, rng)
-        advice, file_changes = conclude(prepared, base, chosen, judgement, options)
+        base = refit(preparation, options, rng)
+        choice = search(preparation, base, options)
+        judgement = judge(preparation, base, choice, options, rng)
+        advice, file_changes = conclude(preparation, base, choice, judgement, options)
     return Diagnosis(
         **vars(judgement),
-        base=prepared.base,
-        gated=replace(prepared.gated, notes=(*prepared.gated.notes, *failure_notes)),
-        split=prepared.split,
-        nominal=prepared.nominal,
+        base=preparation.base,
+        gated=replace(preparation.gated, notes=(*preparation.gated.notes, *failure_notes)),
+        split=preparation.split,
+        nominal=preparation.nominal,
         refitted=base.refitted,
         at_base=base.at_base,
-        final=chosen.final,
-        shares=chosen.shares,
-        alone=chosen.alone,
-        last=chosen.last,
-        unconfirmed=chosen.unconfirmed,
+        final=choice.final,
+        shares=choice.shares,
+        alone=choice.alone,
+        last=choice.last,
+        unconfirmed=choice.unconfirmed,
         advice=advice,
         kept=file_changes,
     )

@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.checks import Refusal
 from trackres_ros.diagnosis.prepare.gate import Gated, gate, on_route, with_fewer_steps
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, SensorFinding, Split, split
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, SensorFinding, Split, split_laps
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock, check_torque, faulty_torques, inconsistent_scale_notes
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
@@ -79,44 +79,51 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
     """Check, clean and split recordings."""
     base, facts = vehicle.base, vehicle.base.facts
     options.on_stage("checks: units, clocks, gaps")
-    gated, nominal, recorded = checked_sessions(recordings, vehicle, options.hide, options.unread)
-    known = catalogue(options.effects_dir, facts.weight * facts.radius, on_tyres=not base.has_belt)
+    gate_result, nominal, recorded_sessions = checked_sessions(recordings, vehicle, options.hide, options.unread)
+    effects_by_name = catalogue(options.effects_dir, facts.weight * facts.radius, on_tyres=not base.has_belt)
     effects = {
         name: effect.beyond(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
-        for name, effect in known.items()
+        for name, effect in effects_by_name.items()
         if effect.only_of in ("", "rolls" if base.rolls else "slides") and (vehicle.known.is_vehicle or not effect.of_belts)
     }
-    gated, base, effects = remove_offset(gated, base, effects)
+    gate_result, base, effects = remove_offset(gate_result, base, effects)
     vehicle = replace(vehicle, base=base)
-    return PreparedSessions(vehicle, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
+    return PreparedSessions(
+        vehicle, gate_result, split_laps(gate_result.sessions, options.holdout), nominal, recorded_sessions, effects
+    )
 
 
-def remove_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, Base, dict[str, Effect]]:
+def remove_offset(gate_result: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, Base, dict[str, Effect]]:
     """Remove a sensor offset from the candidate effects, and from the base's instrument, if the torque sensor reads zero at rest
     for long; with a note. If all stops have another common reading, only a warning is noted.
     """
     limit = usual_offset(base)
-    seconds = seconds_without_torque(gated.sessions, limit)
+    seconds = seconds_without_torque(gate_result.sessions, limit)
     if not seconds or TorqueOffset.name not in effects:
-        warning = "" if seconds else _offset_at_rest(gated.sessions, limit, base.torque_scale)
-        return replace(gated, notes=(*gated.notes, *filter(None, [warning]))), base, dict(effects)
+        warning = "" if seconds else _offset_at_rest(gate_result.sessions, limit, base.torque_scale)
+        return replace(gate_result, notes=(*gate_result.notes, *filter(None, [warning]))), base, dict(effects)
     note = f"the torque is 0 Nm at rest, within {figures(limit)} Nm over {seconds:.0f} s: the sensor has no offset"
-    corrected = copy.copy(base)
-    corrected.includes = (*base.includes, TorqueOffset.name)  # so no fit adds one
-    return replace(gated, notes=(*gated.notes, note)), corrected, {n: e for n, e in effects.items() if n != TorqueOffset.name}
+    corrected_base = copy.copy(base)
+    corrected_base.includes = (*base.includes, TorqueOffset.name)  # so no fit adds one
+    return (
+        replace(gate_result, notes=(*gate_result.notes, note)),
+        corrected_base,
+        {n: e for n, e in effects.items() if n != TorqueOffset.name},
+    )
 
 
-def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> float:
-    """Total time at rest with a measured torque of at most `most` [Nm], thus zero [s]; 0 where too short to decide.
+def seconds_without_torque(sessions: Sequence[DriveSession], largest_torque: float) -> float:
+    """Total time at rest with a measured torque of at most `largest_torque` [Nm], thus zero [s]; 0 where too short to decide.
 
     At other stops a slope may hold a torque, or a start is near.
     """
-    seconds = sum(seconds for seconds, torque in _stops(sessions) if abs(torque) <= most)
+    seconds = sum(seconds for seconds, torque in _stops(sessions) if abs(torque) <= largest_torque)
     return seconds if seconds >= LEAST_S else 0.0
 
 
-def _offset_at_rest(sessions: Sequence[DriveSession], most: float, scale: float) -> str:
-    """Note on a torque of more than `most` [Nm] at which all stops agree, with the line that corrects it; empty without one.
+def _offset_at_rest(sessions: Sequence[DriveSession], largest_torque: float, scale: float) -> str:
+    """Note on a torque of more than `largest_torque` [Nm] at which all stops agree, with the line that corrects it; empty without
+    one.
 
     The sensor shows `scale` times the torque.
     """
@@ -126,7 +133,7 @@ def _offset_at_rest(sessions: Sequence[DriveSession], most: float, scale: float)
         return ""
     mean = float(np.average(torque, weights=seconds))
     spread = math.sqrt(float(np.average((torque - mean) ** 2, weights=seconds)))
-    if abs(mean) <= most or spread > ALIKE * abs(mean):
+    if abs(mean) <= largest_torque or spread > ALIKE * abs(mean):
         return ""
     reading = figures(scale * mean)
     line = line_to_write("torque", Conversion(offset=-float(reading)), *(s.bindings for s in sessions))
@@ -139,10 +146,12 @@ def _stops(sessions: Sequence[DriveSession]) -> list[tuple[float, float]]:
     """Time of each stop with a measured torque [s], and the median of its readings [Nm]."""
     stops = []
     for session in sessions:
-        slow = np.abs(session.speed) < STANDSTILL_MPS
-        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _has_torque_sample(session)  # no part of a start within the step
-        rests[[0, -1]] = False
-        for begin, end in runs_of(rests):
+        is_still = np.abs(session.speed) < STANDSTILL_MPS
+        is_stop = (
+            is_still & np.roll(is_still, 1) & np.roll(is_still, -1) & _has_torque_sample(session)
+        )  # no part of a start within the step
+        is_stop[[0, -1]] = False
+        for begin, end in runs_of(is_stop):
             stops.append((session.step * (end - begin), float(np.median(session.torque[begin:end]))))
     return stops
 
@@ -171,18 +180,18 @@ def checked_sessions(
     refusals = list(refusals)
     while True:
         gate_result = gate(recordings, vehicle.known, hide, refusals)
-        gated = on_route(gate_result, vehicle.route, vehicle.base.acting)
-        expected = by_file(gated.sessions)
-        alignments = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
+        routed_result = on_route(gate_result, vehicle.route, vehicle.base.acting)
+        model_torques = by_file(routed_result.sessions)
+        alignments = [aligned_clock(s, e) for s, e in zip(routed_result.sessions, model_torques, strict=True)]
         sessions = tuple(s for s, _ in alignments)
         resistances = by_file([replace(s, accel=np.zeros(len(s))) for s in sessions])
-        known = replace(vehicle.known, torque_share=vehicle.base.share_limits(sessions) or vehicle.known.torque_share)
-        faults = faulty_torques(sessions, expected, resistances, known)
+        settings = replace(vehicle.known, torque_share=vehicle.base.share_limits(sessions) or vehicle.known.torque_share)
+        faults = faulty_torques(sessions, model_torques, resistances, settings)
         if not faults:
             break
         refusals += faults
-    doubts = check_torque(sessions, expected, resistances, known)
+    doubts = check_torque(sessions, model_torques, resistances, settings)
     clock_notes = [note for _, note in alignments if note]
-    notes = (*gated.notes, *clock_notes, *doubts, *inconsistent_scale_notes(sessions, expected, known.is_vehicle))
-    corrected = with_fewer_steps(gated, sessions, "torque lost by the correction of its clock")
-    return replace(corrected, notes=notes), tuple(expected), gate_result.sessions
+    notes = (*routed_result.notes, *clock_notes, *doubts, *inconsistent_scale_notes(sessions, model_torques, settings.is_vehicle))
+    corrected_result = with_fewer_steps(routed_result, sessions, "torque lost by the correction of its clock")
+    return replace(corrected_result, notes=notes), tuple(model_torques), gate_result.sessions

@@ -66,16 +66,16 @@ def write_recordings(
     base: Base, folder: Path, sessions: Sequence[DriveSession], effects: Sequence[Active], rng: np.random.Generator
 ) -> list[Path]:
     """Simulate drives and write them as tables; the paths."""
-    expected = base.predict(sessions, base.nominal, effects)
+    predictions = base.predict(sessions, base.nominal, effects)
     paths = []
-    for i, (session, predicted) in enumerate(zip(sessions, expected, strict=True)):
+    for i, (session, prediction) in enumerate(zip(sessions, predictions, strict=True)):
         paths.append(folder / f"{session.name}.csv")
-        write_recording(paths[-1], session, predicted, base.torque_scale, START_S + i * APART_S, rng)
+        write_recording(paths[-1], session, prediction, base.torque_scale, START_S + i * APART_S, rng)
     return paths
 
 
 def write_recording(
-    path: Path, session: DriveSession, predicted: Predicted, torque_scale: float, begin_s: float, rng: np.random.Generator
+    path: Path, session: DriveSession, prediction: Predicted, torque_scale: float, begin_s: float, rng: np.random.Generator
 ) -> None:
     """Write a simulated drive as a table, with the noise of its sensors.
 
@@ -87,40 +87,40 @@ def write_recording(
         Time of its start, since 1970 [s].
     """
     n = len(session)
-    slow = np.exp(-session.step / SLOW_NOISE_S)
+    memory = np.exp(-session.step / SLOW_NOISE_S)
     drift = np.empty(n)
-    now = 0.0
-    for k, shock in enumerate(rng.normal(0.0, SLOW_NOISE_NM * np.sqrt(1.0 - slow**2), n)):
-        now = slow * now + shock
-        drift[k] = now
-    torque = torque_scale * predicted.torque + drift + rng.normal(0.0, TORQUE_NOISE_NM, n)
+    noise_level = 0.0
+    for k, shock in enumerate(rng.normal(0.0, SLOW_NOISE_NM * np.sqrt(1.0 - memory**2), n)):
+        noise_level = memory * noise_level + shock
+        drift[k] = noise_level
+    torque = torque_scale * prediction.torque + drift + rng.normal(0.0, TORQUE_NOISE_NM, n)
     time = begin_s + session.time + 0.5 * session.step
-    shown = (session.speed + rng.normal(0.0, SPEED_NOISE_MPS, n), session.accel, session.weight, session.ambient)
-    belt = predicted.belt + rng.normal(0.0, BELT_NOISE_K, n)
-    rows = np.column_stack([time, *shown, session.yaw_rate, session.heading, torque, belt])
+    columns = (session.speed + rng.normal(0.0, SPEED_NOISE_MPS, n), session.accel, session.weight, session.ambient)
+    belt = prediction.belt + rng.normal(0.0, BELT_NOISE_K, n)
+    rows = np.column_stack([time, *columns, session.yaw_rate, session.heading, torque, belt])
     np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="", fmt="%.6f")
 
 
 def _speeds(steps: int, step: float, max_speed: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    corners, speeds, now = [0.0], [0.0], 0.0
-    while now < steps * step:
+    corners, speeds, time_s = [0.0], [0.0], 0.0
+    while time_s < steps * step:
         target = 0.0 if rng.random() < 0.15 else rng.uniform(0.12, 0.85) * max_speed
         ramp = max(abs(target - speeds[-1]) / rng.uniform(0.2, 0.5), 1.0)
         hold = rng.uniform(10.0, 25.0) if target == 0.0 else rng.uniform(20.0, 120.0)
-        corners += [now + ramp, now + ramp + hold]
+        corners += [time_s + ramp, time_s + ramp + hold]
         speeds += [target, target]
-        now += ramp + hold
+        time_s += ramp + hold
     time = (np.arange(steps) + 0.5) * step
     edges = np.interp(np.arange(steps + 1) * step, corners, speeds)
     return np.interp(time, corners, speeds), np.diff(edges) / step
 
 
 def _turns(steps: int, step: float, speed: Array, rng: np.random.Generator) -> Array:
-    curvature, now = np.zeros(steps), 0
-    while now < steps:
+    curvature, row = np.zeros(steps), 0
+    while row < steps:
         length = int(rng.uniform(10.0, 60.0) / step)
         if rng.random() < 0.5:
-            curvature[now : now + length] = rng.choice((-1.0, 1.0)) / rng.uniform(20.0, 120.0)
-        now += length
+            curvature[row : row + length] = rng.choice((-1.0, 1.0)) / rng.uniform(20.0, 120.0)
+        row += length
     sideways = 2.0  # m/s^2 at most
     return np.clip(curvature * speed, -sideways / np.maximum(np.abs(speed), 0.5), sideways / np.maximum(np.abs(speed), 0.5))

@@ -34,9 +34,9 @@ from trackres_ros.effects.effect import (
     values_type,
 )
 from trackres_ros.errors import InputError
-from trackres_ros.files.cache import fetched, keep, usable
+from trackres_ros.files.cache import fetched, keep, usable_folder
 from trackres_ros.files.resources import cache_dir
-from trackres_ros.kernels.compiler import FLAGS, compiled, compiler
+from trackres_ros.kernels.compiler import FLAGS, compile_text, compiler
 from trackres_ros.kernels.kinds import REAL, ArrayOf
 from trackres_ros.kernels.marks import SLOWER, interpreted
 
@@ -55,26 +55,26 @@ def effect_function(translator: Translator, kind: type[Effect], method: str, nam
     InputError
         With file and line, if it cannot be written in C.
     """
-    known = ", ".join(f"x[{i}]" for i in range(FACTS, LOOKED_AT))
+    arguments = ", ".join(f"x[{i}]" for i in range(FACTS, LOOKED_AT))
     vehicle = ", ".join(f"x[{i}]" for i in range(FACTS))
-    name, answered = f"{kind.__name__.lower()}_{method}", ANSWERS[method]
+    name, answer_count = f"{kind.__name__.lower()}_{method}", ANSWERS[method]
     lines = [
         f"def {name}(x, p, out):",
         f'    """{method} of {kind.__name__}"""',
-        f"    found = run(None, Conditions(VehicleConstants({vehicle}), {known}), p)",
-        *(f"    out[{i}] = found[{i}]" for i in range(answered)),
+        f"    found = run(None, Conditions(VehicleConstants({vehicle}), {arguments}), p)",
+        *(f"    out[{i}] = found[{i}]" for i in range(answer_count)),
     ]
     text = "\n".join(lines)
     namespace: dict[str, Any] = {"Conditions": Conditions, "VehicleConstants": VehicleConstants, "run": getattr(kind, method)}
     exec(text, namespace)
-    made: FunctionType = namespace[name]
-    translator.add_text(made, text)
-    kinds = [ArrayOf(REAL, (LOOKED_AT,)), ArrayOf(REAL, (len(names),), names), ArrayOf(REAL, (answered,))]
-    before, translator.checked = translator.checked, is_of_user(kind)
+    function: FunctionType = namespace[name]
+    translator.add_text(function, text)
+    kinds = [ArrayOf(REAL, (LOOKED_AT,)), ArrayOf(REAL, (len(names),), names), ArrayOf(REAL, (answer_count,))]
+    old_check, translator.is_checked = translator.is_checked, is_of_user(kind)
     try:
-        return translator.instance(made, kinds)
+        return translator.instance(function, kinds)
     finally:
-        translator.checked = before
+        translator.is_checked = old_check
 
 
 # Compiled effects of a user
@@ -91,16 +91,16 @@ def address_of(kind: type[Any], method: str, names: tuple[str, ...]) -> int | No
     if interpreted():
         return None
     if compiler() is None:
-        _say(f"effect {kind.__name__}", "there is no C compiler")
+        _warn_of_python(f"effect {kind.__name__}", "there is no C compiler")
         return None
     try:
         text = _text(kind, method, names)
     except InputError as error:
-        _say(f"effect {kind.__name__}", str(error))
+        _warn_of_python(f"effect {kind.__name__}", str(error))
         return None
     library = _library(text)
     if library is None:
-        _say(f"effect {kind.__name__}", f"{compiler()} does not compile it")
+        _warn_of_python(f"effect {kind.__name__}", f"{compiler()} does not compile it")
         return None
     return ctypes.cast(getattr(library, NAME), ctypes.c_void_p).value
 
@@ -112,9 +112,9 @@ def _text(kind: type[Any], method: str, names: tuple[str, ...]) -> str:
     from trackres_ros.kernels.functions import Translator
 
     translator = Translator(translate_body)
-    one = effect_function(translator, kind, method, names)
-    functions = translator.text_of_functions([one])
-    given = ", ".join([*(name for name, _ in one.given), *["&failed"] * one.fails])
+    instance = effect_function(translator, kind, method, names)
+    functions = translator.text_of_functions([instance])
+    arguments = ", ".join([*(name for name, _ in instance.given), *["&failed"] * instance.has_failure])
     return "\n".join(
         (
             "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
@@ -123,7 +123,8 @@ def _text(kind: type[Any], method: str, names: tuple[str, ...]) -> str:
             translator.text_of_tables(),
             functions,
             f"void {NAME}(const double *x, const double *p, double *out)\n{{",
-            f"    bool failed = false;\n    {one.name}({given});\n    if (failed) {{\n        out[0] = NAN;\n    }}\n}}\n",
+            f"    bool failed = false;\n    {instance.name}({arguments});\n",
+            "    if (failed) {\n        out[0] = NAN;\n    }\n}\n",
         )
     )
 
@@ -134,10 +135,10 @@ def _library(text: str) -> ctypes.CDLL | None:
     parts = "\n".join((platform.machine(), *FLAGS, text))
     name = f"{hashlib.sha256(parts.encode()).hexdigest()[:32]}.code"
     base = cache_dir()
-    folder = usable(None if base is None else base / "effects")
+    folder = usable_folder(None if base is None else base / "effects")
     code = fetched(folder, name, LARGEST)
     if code is None:
-        code = compiled(text)
+        code = compile_text(text)
         if code is None:
             return None
         keep(folder, name, code)
@@ -148,8 +149,8 @@ def _library(text: str) -> ctypes.CDLL | None:
 
 
 @cache
-def _say(what: str, why: str) -> None:
-    _log.warning("trackres: %s runs in plain Python, about %d times slower: %s", what, SLOWER, why)
+def _warn_of_python(subject: str, reason: str) -> None:
+    _log.warning("trackres: %s runs in plain Python, about %d times slower: %s", subject, SLOWER, reason)
 
 
 # Numbers
@@ -160,25 +161,25 @@ Function = tuple[type[Effect], str, tuple[str, ...]]
 """A function of an effect: its class, `terms` or `lag`, and the names of the parameters."""
 
 
-def call_at(number: int, looked_at: Array, values: Array, answer: Array) -> None:
+def call_at(number: int, instant: Array, values: Array, answer: Array) -> None:
     """Call an effect's function by its number; compiled code does so without leaving itself."""
-    if number <= len(shipped()):
-        _in_python(int(number))(looked_at, values, answer)
+    if number <= len(package_functions()):
+        _python_call(int(number))(instant, values, answer)
     else:
-        C_FUNCTION(int(number))(looked_at.ctypes.data, values.ctypes.data, answer.ctypes.data)
+        C_FUNCTION(int(number))(instant.ctypes.data, values.ctypes.data, answer.ctypes.data)
 
 
 @cache
-def shipped() -> dict[Function, int]:
+def package_functions() -> dict[Function, int]:
     """The functions of all effects of the package, with their numbers from 1."""
     from trackres_ros.effects.learned import examples
     from trackres_ros.effects.registry import catalogue
 
-    found: dict[Function, int] = {}
+    numbers: dict[Function, int] = {}
     for effect in (*catalogue().values(), *examples()):
         for method in methods_of(effect):
-            found.setdefault(function_of(effect, method), len(found) + 1)
-    return found
+            numbers.setdefault(function_of(effect, method), len(numbers) + 1)
+    return numbers
 
 
 def methods_of(effect: Effect) -> tuple[str, ...]:
@@ -193,17 +194,17 @@ def numbers_of(effect: Effect) -> tuple[int, int]:
 
 def number_of(effect: Effect, method: str, compiled: bool = True) -> int:
     """The number of a function; of a user's effect in C, if allowed and possible, or in plain Python."""
-    known = shipped().get(function_of(effect, method))
-    if known is not None:
-        return known
-    found = address_of(*function_of(effect, method)) if compiled else None
-    return found or ctypes.cast(_callback(effect, method), ctypes.c_void_p).value or 0
+    number = package_functions().get(function_of(effect, method))
+    if number is not None:
+        return number
+    address = address_of(*function_of(effect, method)) if compiled else None
+    return address or ctypes.cast(_callback(effect, method), ctypes.c_void_p).value or 0
 
 
 def is_compiled(effect: Effect) -> bool:
     """Whether the compiled step calls C for an effect, not plain Python."""
     functions = [function_of(effect, method) for method in methods_of(effect)]
-    return all(one in shipped() or address_of(*one) is not None for one in functions)
+    return all(function in package_functions() or address_of(*function) is not None for function in functions)
 
 
 def reads_drag_area(effect: Effect) -> bool:
@@ -211,9 +212,13 @@ def reads_drag_area(effect: Effect) -> bool:
     terms = unwrap(type(effect).terms)
     codes = [terms.__code__] if isinstance(terms, FunctionType) else []
     for code in codes:  # it grows
-        called = (terms.__globals__.get(name) for name in code.co_names)
-        inner = (getattr(one, "__code__", None) for one in called)
-        codes += [one for one in (*inner, *code.co_consts) if isinstance(one, CodeType) and one not in codes]
+        callees = (terms.__globals__.get(name) for name in code.co_names)
+        inner = (getattr(function_code, "__code__", None) for function_code in callees)
+        codes += [
+            function_code
+            for function_code in (*inner, *code.co_consts)
+            if isinstance(function_code, CodeType) and function_code not in codes
+        ]
     return any("drag_area" in code.co_names for code in codes)
 
 
@@ -223,15 +228,15 @@ def function_of(effect: Effect, method: str) -> Function:
 
 
 @cache
-def _in_python(number: int) -> Callable[[Array, Array, Array], None]:
+def _python_call(number: int) -> Callable[[Array, Array, Array], None]:
     """A function of the package in plain Python."""
-    kind, method, names = list(shipped())[number - 1]
-    run, answered = getattr(kind, method), ANSWERS[method]
+    kind, method, names = list(package_functions())[number - 1]
+    run, answer_count = getattr(kind, method), ANSWERS[method]
 
-    def call(looked_at: Array, values: Array, answer: Array) -> None:
-        known = looked_at[:LOOKED_AT].tolist()
-        at = Conditions(VehicleConstants(*known[:FACTS]), *known[FACTS:])
-        answer[:answered] = run(None, at, values_type(names)(*values[: len(names)].tolist()))
+    def call(instant: Array, values: Array, answer: Array) -> None:
+        numbers = instant[:LOOKED_AT].tolist()
+        at = Conditions(VehicleConstants(*numbers[:FACTS]), *numbers[FACTS:])
+        answer[:answer_count] = run(None, at, values_type(names)(*values[: len(names)].tolist()))
 
     return call
 
@@ -239,18 +244,18 @@ def _in_python(number: int) -> Callable[[Array, Array, Array], None]:
 @cache
 def _callback(effect: Effect, method: str) -> Any:
     """An effect's method in plain Python as a machine function. It is kept: its address may be in any table."""
-    count, answered = len(effect.parameters), ANSWERS[method]
-    given, wanted, out = (ctypes.c_double * n for n in (LOOKED_AT, count, answered))
+    count, answer_count = len(effect.parameters), ANSWERS[method]
+    inputs_type, parameters_type, answer_type = (ctypes.c_double * n for n in (LOOKED_AT, count, answer_count))
 
     def call(looked_at_: int, values_: int, answer_: int) -> None:
         try:
-            known, values = given.from_address(looked_at_)[:], wanted.from_address(values_)[:]
-            answer = effect.run(method, Conditions(VehicleConstants(*known[:FACTS]), *known[FACTS:]), values)
+            numbers, values = inputs_type.from_address(looked_at_)[:], parameters_type.from_address(values_)[:]
+            answer = effect.run(method, Conditions(VehicleConstants(*numbers[:FACTS]), *numbers[FACTS:]), values)
             if answer is None:  # no own state after all
                 answer = Lag(0.0, 1.0, 0.0)
-            out.from_address(answer_)[:] = [float(x) for x in answer]
+            answer_type.from_address(answer_)[:] = [float(x) for x in answer]
         except Exception:  # of any kind, as the code is not ours
-            out.from_address(answer_)[:] = [math.nan] * answered
+            answer_type.from_address(answer_)[:] = [math.nan] * answer_count
 
     return C_FUNCTION(call)
 
@@ -271,11 +276,11 @@ class EffectCalls:
         translator.intrinsics[call_at] = self._call
 
     def _call(self, body: Expressions, values: Sequence[Value]) -> str:
-        number, looked_at, parameters, answer = values
+        number, instant, parameters, answer = values
         self.called = True
         body.note_written(answer)
         body.calls += list(self.functions.values())
-        codes = [number.code, *(body.as_kind(one, NUMBERS) for one in (looked_at, parameters, answer))]
+        codes = [number.code, *(body.as_kind(argument, NUMBERS) for argument in (instant, parameters, answer))]
         return f"{CALL}({', '.join(codes)})"
 
     def add(self, function: Function, number: int) -> None:
@@ -286,31 +291,35 @@ class EffectCalls:
         """The function that calls an effect by its number; empty without effects."""
         if not self.functions and not self._others:
             return ""
-        real = self._translator.number(REAL)
+        real_type = self._translator.number(REAL)
         cases = ""
-        for number, one in self.functions.items():
-            given = [{"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in one.given] + ["&failed"] * one.fails
-            cases += f"    case {number}:\n        {one.name}({', '.join(given)});\n        break;\n"
-        fails = any(one.fails for one in self.functions.values())
-        begun = "    bool failed = false;\n" if fails else ""
-        ended = "    answer[0] = failed ? NAN : answer[0];\n" if fails else ""
-        unused = [
+        for number, instance in self.functions.items():
+            arguments = [{"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in instance.given] + [
+                "&failed"
+            ] * instance.has_failure
+            cases += f"    case {number}:\n        {instance.name}({', '.join(arguments)});\n        break;\n"
+        has_failure = any(instance.has_failure for instance in self.functions.values())
+        start = "    bool failed = false;\n" if has_failure else ""
+        finish = "    answer[0] = failed ? NAN : answer[0];\n" if has_failure else ""
+        casts = [
             f"    (void){name};\n"
-            for short, name in (("x", "looked_at"), ("p", "values"))
-            if not self._others and not any(short in dict(one.given) for one in self.functions.values())
+            for letter, name in (("x", "looked_at"), ("p", "values"))
+            if not self._others and not any(letter in dict(instance.given) for instance in self.functions.values())
         ]
-        kind = f"void (*)(const {real} *, const {real} *, {real} *)"
-        other = f"        (({kind})(intptr_t)number)(looked_at, values, answer);\n" if self._others else ""
+        kind = f"void (*)(const {real_type} *, const {real_type} *, {real_type} *)"
+        fallback = f"        (({kind})(intptr_t)number)(looked_at, values, answer);\n" if self._others else ""
         return (
             "/* What an effect does now, by its number. */\n"
             f"{self.prototype.removesuffix(';')}\n"
-            f"{{\n{''.join(unused)}{begun}"
-            f"    switch (number) {{\n{cases}    default:\n{other}        break;\n    }}\n"
-            f"{ended}}}\n"
+            f"{{\n{''.join(casts)}{start}"
+            f"    switch (number) {{\n{cases}    default:\n{fallback}        break;\n    }}\n"
+            f"{finish}}}\n"
         )
 
     @property
     def prototype(self) -> str:
         """Its declaration."""
-        real = self._translator.number(REAL)
-        return f"static void {CALL}(int64_t number, const {real} *looked_at, const {real} *values, {real} *answer);"
+        real_type = self._translator.number(REAL)
+        return (
+            f"static void {CALL}(int64_t number, const {real_type} *looked_at, const {real_type} *values, {real_type} *answer);"
+        )

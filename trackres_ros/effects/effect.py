@@ -61,7 +61,7 @@ class Parameter:
         return self.times(float(f"{typical / self.start:.2g}"))
 
     def times(self, factor: float) -> Parameter:
-        """The same for a vehicle so many times the size."""
+        """The same parameter for a vehicle of `factor` times the size."""
         low, high, start = (factor * x for x in (self.low, self.high, self.start))
         return replace(self, low=low, high=high, start=start, more_starts=tuple(factor * x for x in self.more_starts))
 
@@ -133,8 +133,8 @@ def conditions(
     belt: float = math.nan,
 ) -> Conditions:
     """Conditions for effects from known values: units of `Conditions`, nominal weight by default."""
-    turning = abs(yaw_rate)
-    curvature = turning / math.hypot(speed, facts.contact_length * turning + STANDSTILL_MPS)
+    turn_rate = abs(yaw_rate)
+    curvature = turn_rate / math.hypot(speed, facts.contact_length * turn_rate + STANDSTILL_MPS)
     weight = facts.weight if weight is None else weight
     return Conditions(
         facts, speed, accel, weight, ambient, yaw_rate, heading, distance, drive_torque,
@@ -171,9 +171,9 @@ class Terms(NamedTuple):
         """Both together."""
         conductance = self.conductance + other.conductance
         share = other.conductance / conductance if conductance != 0.0 else 0.0
-        both = {name: getattr(self, name) * getattr(other, name) for name in FACTORS}
-        both |= {name: getattr(self, name) + getattr(other, name) for name in SUMS}
-        return Terms(**both, conductance=conductance, sink=self.sink + share * (other.sink - self.sink))
+        parts = {name: getattr(self, name) * getattr(other, name) for name in FACTORS}
+        parts |= {name: getattr(self, name) + getattr(other, name) for name in SUMS}
+        return Terms(**parts, conductance=conductance, sink=self.sink + share * (other.sink - self.sink))
 
 
 # How two effects act together in a term: factors multiply, all else adds up, but for a conductance with its sink.
@@ -245,10 +245,12 @@ class Effect(ABC):
         function = getattr(self, method)
         if self.source is None:
             return function(at, self.pack(*values))
-        facts, *others = at
-        real = np.float64
+        facts, *rest = at
+        real_type = np.float64
         with np.errstate(all="ignore"):
-            return function(Conditions(VehicleConstants(*map(real, facts)), *map(real, others)), self.pack(*map(real, values)))
+            return function(
+                Conditions(VehicleConstants(*map(real_type, facts)), *map(real_type, rest)), self.pack(*map(real_type, values))
+            )
 
     @property
     def pack(self) -> Any:
@@ -260,7 +262,7 @@ class Effect(ABC):
         raise NotImplementedError
 
     def values_after(self, values: Mapping[str, float], distance: float) -> dict[str, float]:  # noqa: ARG002 - most do not wear
-        """The values that act alike from a first start that comes so much further [m], see `Conditions.distance`."""
+        """The values with the same action if the first start comes `distance` [m] later, see `Conditions.distance`."""
         return dict(values)
 
     def acts(self, values: Mapping[str, float]) -> tuple[str, str]:  # noqa: ARG002 - most show it in the drives
@@ -273,9 +275,9 @@ class Effect(ABC):
 
     def for_size(self, size: float, on_tyres: bool) -> Effect:
         """The same effect with bounds and typical values for another vehicle, see `Parameter`."""
-        found = copy.copy(self)
-        found.parameters = tuple(q.for_size(size, on_tyres) for q in self.parameters)
-        return found
+        effect = copy.copy(self)
+        effect.parameters = tuple(q.for_size(size, on_tyres) for q in self.parameters)
+        return effect
 
     def describe(self) -> dict[str, Any]:
         """All of its attributes, for `trackres effects --json`."""
@@ -319,7 +321,7 @@ class Active:
         return bool(sizes) and all(self.values[q.name] == q.off for q in sizes)
 
     def after(self, distance: float) -> Active:
-        """The same effect from a first start that comes so much further [m]."""
+        """The same effect if the first start comes `distance` [m] later."""
         return replace(self, values=self.effect.values_after(self.values, distance))
 
     def terms(self, at: Conditions, own: float = 0.0) -> Terms:
@@ -334,26 +336,26 @@ class Active:
 
     def shifted(self) -> list[Active]:
         """Copies with one parameter moved by a standard deviation, for each that has a range (+-2 standard deviations)."""
-        found = []
+        copies = []
         for q in self.effect.parameters:
             low, high = self.ranges.get(q.name, (0.0, 0.0))
             if q.off is not None and high > low:
                 value, std = self.values[q.name], 0.25 * (high - low)
-                moved = value + std if value + std <= q.high else value - std
-                found.append(replace(self, values={**self.values, q.name: moved}))
-        return found
+                neighbour = value + std if value + std <= q.high else value - std
+                copies.append(replace(self, values={**self.values, q.name: neighbour}))
+        return copies
 
 
 @lru_cache(maxsize=256)
 def terms_by_parameters(effects: tuple[Effect, ...], numbers: tuple[tuple[float, ...], ...], facts: VehicleConstants) -> Terms:
     """Terms of effects together that depend on their parameters alone: of sensors, and the resistance inside a belt."""
-    at = conditions(facts)
-    return together([effect.run("terms", at, of) for effect, of in zip(effects, numbers, strict=True)])
+    instant = conditions(facts)
+    return together([effect.run("terms", instant, values) for effect, values in zip(effects, numbers, strict=True)])
 
 
 def together(terms: Sequence[Terms]) -> Terms:
     """Sum of all terms."""
     total = Terms()
-    for one in terms:
-        total = total.with_(one)
+    for term in terms:
+        total = total.with_(term)
     return total

@@ -87,18 +87,18 @@ def variable(at: Conditions, code: float) -> float:
 
 
 @kernel
-def beyond(x: float, low: float, high: float) -> float:
+def is_beyond(x: float, low: float, high: float) -> float:
     """1 where a variable is outside of its driven range, with a margin, else 0."""
-    little = MARGIN * (high - low)
-    return 1.0 if x < low - little or x > high + little else 0.0
+    margin = MARGIN * (high - low)
+    return 1.0 if x < low - margin or x > high + margin else 0.0
 
 
 @kernel
-def latched(x: float, was: float, off: float, on: float) -> float:
-    """1 if a latch is on now, given its last state `was`, else 0."""
+def latch_state(x: float, state: float, off: float, on: float) -> float:
+    """1 if a latch is on now, given its last state `state`, else 0."""
     if x > on:
         return 1.0
-    return 1.0 if x >= off and was > 0.5 else 0.0
+    return 1.0 if x >= off and state > 0.5 else 0.0
 
 
 class EmpiricalEffect(Effect):
@@ -130,25 +130,25 @@ class Curve(EmpiricalEffect):
     """
 
     def __init__(self, variable: int, at: Sequence[float]) -> None:
-        follows = VARIABLES[variable]
-        self.variable, self.needs, self.name = variable, follows.needs, curve_name(variable)
-        self.text = f"a torque that follows the {follows.text}"
+        quantity = VARIABLES[variable]
+        self.variable, self.needs, self.name = variable, quantity.needs, curve_name(variable)
+        self.text = f"a torque that follows the {quantity.text}"
         zero = 1 + int(min(range(len(at)), key=lambda i: abs(at[i])))
         self.parameters = (
             _fixed("variable", variable, "code of the variable that it follows"),
-            *(_place(f"x{i}", follows, x, f"value at knot {i}") for i, x in enumerate(at, 1)),
+            *(_place(f"x{i}", quantity, x, f"value at knot {i}") for i, x in enumerate(at, 1)),
             *(height(f"y{i}", f"torque at knot {i}", i != zero) for i in range(1, len(at) + 1)),
         )
         self.rising = [f"x{i}" for i in range(1, len(at) + 1)]
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         count = (len(p) - CODES) // 2
-        x, knot, last = variable(at, p[0]), CODES, CODES + count - 1
-        extrapolated = beyond(x, p[knot], p[last]) if count > 1 else 0.0
-        if x >= p[last]:
-            return Terms(torque=p[last + count] * at.direction, extrapolated=extrapolated)
+        x, knot, end = variable(at, p[0]), CODES, CODES + count - 1
+        is_outside = is_beyond(x, p[knot], p[end]) if count > 1 else 0.0
+        if x >= p[end]:
+            return Terms(torque=p[end + count] * at.direction, extrapolated=is_outside)
         if x <= p[knot]:
-            return Terms(torque=p[knot + count] * at.direction, extrapolated=extrapolated)
+            return Terms(torque=p[knot + count] * at.direction, extrapolated=is_outside)
         while p[knot + 1] < x:
             knot += 1
         share = (x - p[knot]) / (p[knot + 1] - p[knot])
@@ -170,17 +170,17 @@ class Corner(EmpiricalEffect):
     rising = ("x1", "threshold", "x2")
 
     def __init__(self, variable: int, kind: int, low: float = 0.0, threshold: float = 0.5, high: float = 1.0) -> None:
-        follows = VARIABLES[variable]
-        self.variable, self.kind, self.needs = variable, kind, follows.needs
+        quantity = VARIABLES[variable]
+        self.variable, self.kind, self.needs = variable, kind, quantity.needs
         self.name = corner_name(variable, kind)
         side = "below" if kind == BELOW else "above"
-        self.text = f"a torque that {'is there' if kind == STEP else 'grows'} {side} a value of the {follows.text}"
+        self.text = f"a torque that {'is there' if kind == STEP else 'grows'} {side} a value of the {quantity.text}"
         self.parameters = (
             _fixed("variable", variable, "code of the variable that it follows"),
             _fixed("kind", kind, "code of a step, a hinge above or a hinge below"),
-            _place("threshold", follows, threshold, "where it begins"),
-            _place("x1", follows, low, "lowest that was driven"),
-            _place("x2", follows, high, "highest that was driven"),
+            _place("threshold", quantity, threshold, "where it begins"),
+            _place("x1", quantity, low, "lowest that was driven"),
+            _place("x2", quantity, high, "highest that was driven"),
             height("y1", "torque above the threshold" if kind == STEP else "torque at the end of the range"),
         )
 
@@ -192,7 +192,7 @@ class Corner(EmpiricalEffect):
             share = min(max((x - p[2]) / (high - p[2]), 0.0), 1.0)
         else:
             share = min(max((p[2] - x) / (p[2] - low), 0.0), 1.0)
-        return Terms(torque=p[5] * share * at.direction, extrapolated=beyond(x, low, high))
+        return Terms(torque=p[5] * share * at.direction, extrapolated=is_beyond(x, low, high))
 
 
 class Latch(EmpiricalEffect):
@@ -210,25 +210,25 @@ class Latch(EmpiricalEffect):
     rising = ("x1", "off", "on", "x2")
 
     def __init__(self, variable: int, low: float = 0.0, off: float = 0.3, on: float = 0.7, high: float = 1.0) -> None:
-        follows = VARIABLES[variable]
-        self.variable, self.needs, self.name = variable, follows.needs, f"latch_of_{follows.name}"
-        self.text = f"a torque that comes above one value of the {follows.text} and goes below another"
+        quantity = VARIABLES[variable]
+        self.variable, self.needs, self.name = variable, quantity.needs, f"latch_of_{quantity.name}"
+        self.text = f"a torque that comes above one value of the {quantity.text} and goes below another"
         self.parameters = (
             _fixed("variable", variable, "code of the variable that it follows"),
-            _place("off", follows, off, "lower threshold, where it ends"),
-            _place("on", follows, on, "upper threshold, where it begins"),
-            _place("x1", follows, low, "lowest that was driven"),
-            _place("x2", follows, high, "highest that was driven"),
+            _place("off", quantity, off, "lower threshold, where it ends"),
+            _place("on", quantity, on, "upper threshold, where it begins"),
+            _place("x1", quantity, low, "lowest that was driven"),
+            _place("x2", quantity, high, "highest that was driven"),
             height("y1", "torque while it acts"),
         )
 
     def lag(self, at: Conditions, p: Values) -> Lag:
-        return Lag(latched(variable(at, p[0]), at.own, p[1], p[2]), LATCHES_S, 0.0)
+        return Lag(latch_state(variable(at, p[0]), at.own, p[1], p[2]), LATCHES_S, 0.0)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         x = variable(at, p[0])
-        there = latched(x, at.own, p[1], p[2])
-        return Terms(torque=p[5] * there * at.direction, extrapolated=beyond(x, p[3], p[4]))
+        state = latch_state(x, at.own, p[1], p[2])
+        return Terms(torque=p[5] * state * at.direction, extrapolated=is_beyond(x, p[3], p[4]))
 
 
 class SidedGain(EmpiricalEffect):
@@ -238,21 +238,23 @@ class SidedGain(EmpiricalEffect):
     is_function = False
     rising = ("x1",)
 
-    def __init__(self, side: int, most: float = 1.0) -> None:
-        of = SIDES[side]
-        self.side, self.name, self.needs = side, f"gain_while_{of.name}", VARIABLES[DRIVING_TORQUE].needs
-        self.text = f"another gain on the torque {of.text}"
+    def __init__(self, side: int, largest_torque: float = 1.0) -> None:
+        side_of_torque = SIDES[side]
+        self.side, self.name, self.needs = side, f"gain_while_{side_of_torque.name}", VARIABLES[DRIVING_TORQUE].needs
+        self.text = f"another gain on the torque {side_of_torque.text}"
         self.parameters = (
             _fixed("side", side, "1 while driving, -1 while braking, 0 where it is negative"),
-            Parameter("gain", "1", -MOST_GAIN, MOST_GAIN, TYPICAL_GAIN, f"share added to the torque {of.text}", off=0.0),
-            _place("x1", of, most, "largest torque of that sign that was driven"),
+            Parameter(
+                "gain", "1", -MOST_GAIN, MOST_GAIN, TYPICAL_GAIN, f"share added to the torque {side_of_torque.text}", off=0.0
+            ),
+            _place("x1", side_of_torque, largest_torque, "largest torque of that sign that was driven"),
         )
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         drive = at.drive_torque * (at.direction * p[0] if p[0] != NEGATIVE else -1.0)
-        there = 0.5 + 0.5 * math.tanh(drive / (SMOOTH * at.facts.weight * at.facts.radius))
+        share = 0.5 + 0.5 * math.tanh(drive / (SMOOTH * at.facts.weight * at.facts.radius))
         return Terms(
-            drive_gain=1.0 + p[1] * there * abs(at.direction), extrapolated=1.0 if drive > (1.0 + MARGIN) * p[2] else 0.0
+            drive_gain=1.0 + p[1] * share * abs(at.direction), extrapolated=1.0 if drive > (1.0 + MARGIN) * p[2] else 0.0
         )
 
 
@@ -275,36 +277,36 @@ OTHERS: dict[str, Callable[[], EmpiricalEffect]] = {
 NAMES = (*CURVES, *OTHERS)
 
 
-def learned(name: str, parameters: object, size: float) -> EmpiricalEffect:
+def learned_effect(name: str, parameters: object, size: float) -> EmpiricalEffect:
     """The effect of a name with as many knots as parameters ask for, for a vehicle with a weight times wheel radius [Nm]."""
     if name in CURVES:
         heights = [key for key in parameters if str(key).startswith("y")] if isinstance(parameters, Mapping) else []
         count = min(max(1, len(heights)), MOST_KNOTS)
-        found: EmpiricalEffect = Curve(CURVES[name], [0.0] * count)
+        effect: EmpiricalEffect = Curve(CURVES[name], [0.0] * count)
     else:
-        found = OTHERS[name]()
-    return sized(found, size)
+        effect = OTHERS[name]()
+    return sized_effect(effect, size)
 
 
 def examples() -> list[EmpiricalEffect]:
-    """One of each class, and a curve of each number of knots: all that differ in their code."""
+    """One effect of each class, and one curve for each number of knots: all that need their own C code."""
     curves = [Curve(SPEED, [0.0] * count) for count in range(1, MOST_KNOTS + 1)]
-    return [*curves, *(make() for make in OTHERS.values())]
+    return [*curves, *(factory() for factory in OTHERS.values())]
 
 
-def sized(effect: EmpiricalEffect, size: float) -> EmpiricalEffect:
+def sized_effect(effect: EmpiricalEffect, size: float) -> EmpiricalEffect:
     """The same for a vehicle with a weight times wheel radius [Nm]."""
-    found = copy.copy(effect)
-    found.parameters = tuple(q.times(size / REFERENCE_NM) if q.of_size else q for q in effect.parameters)
-    return found
+    effect_copy = copy.copy(effect)
+    effect_copy.parameters = tuple(q.times(size / REFERENCE_NM) if q.of_size else q for q in effect.parameters)
+    return effect_copy
 
 
 def _fixed(name: str, code: int, text: str) -> Parameter:
     return Parameter(name, "1", float(code), float(code), float(code), text, fitted=False)
 
 
-def _place(name: str, of: Followed, start: float, text: str) -> Parameter:
-    return Parameter(name, of.unit, -FURTHEST, FURTHEST, start, f"{of.text}: {text}", fitted=False)
+def _place(name: str, quantity: Followed, start: float, text: str) -> Parameter:
+    return Parameter(name, quantity.unit, -FURTHEST, FURTHEST, start, f"{quantity.text}: {text}", fitted=False)
 
 
 def height(name: str, text: str, fitted: bool = True) -> Parameter:

@@ -117,15 +117,15 @@ def effect_table(of_vehicle: Sequence[Active], of_surroundings: Sequence[Active]
     rows: list[tuple[int, ...]] = []
     values: list[tuple[float, ...]] = []
     for state, active in enumerate((*of_vehicle, *of_surroundings)):
-        fed, *of_effect = _row(active.effect)
-        rows.append((state, fed if state < len(of_vehicle) else NOT_FED, *of_effect))
+        feed, *of_effect = _row(active.effect)
+        rows.append((state, feed if state < len(of_vehicle) else NOT_FED, *of_effect))
         values.append(active.numbers)
         if reads_drag_area(active.effect):
             rows.append((state, WITH_MORE_DRAG, *of_effect))
             values.append(active.numbers)
-        for other in active.shifted():
+        for shift in active.shifted():
             rows.append((state, SHIFTED, *of_effect))
-            values.append(other.numbers)
+            values.append(shift.numbers)
     return EffectTable(np.array(rows, dtype=np.int64).reshape(-1, ROW), _values(values))
 
 
@@ -143,8 +143,8 @@ def _fit_rows(effects: tuple[Effect, ...]) -> IntArray:
 
 def _row(effect: Effect) -> tuple[int, int, int, int]:
     """An effect's row after its state, if it is fed forward."""
-    fed = FED_WITH_ACCEL if "accel" in effect.needs else FED
-    return fed, sum(1 << Conditions._fields.index(need) for need in effect.needs), *numbers_of(effect)
+    feed = FED_WITH_ACCEL if "accel" in effect.needs else FED
+    return feed, sum(1 << Conditions._fields.index(need) for need in effect.needs), *numbers_of(effect)
 
 
 def _values(values: Sequence[tuple[float, ...]]) -> Array:
@@ -154,37 +154,37 @@ def _values(values: Sequence[tuple[float, ...]]) -> Array:
     return table
 
 
-def refuse_unusable(active: Active, at: Conditions) -> None:
+def refuse_unusable(active: Active, instant: Conditions) -> None:
     """Raise the error of a user's effect that fails under known conditions, or gives no plausible numbers there."""
-    where = f"{active.effect.source}: effect {active.effect.name}"
+    place = f"{active.effect.source}: effect {active.effect.name}"
     try:
-        lag = active.lag(at)
-        terms = active.terms(at, 0.0 if lag is None else lag.start)
-        said = {**terms._asdict(), **({} if lag is None else lag._asdict())}
-        bad = {name: value for name, value in said.items() if not math.isfinite(value)}
+        lag = active.lag(instant)
+        terms = active.terms(instant, 0.0 if lag is None else lag.start)
+        answers = {**terms._asdict(), **({} if lag is None else lag._asdict())}
+        faults = {name: value for name, value in answers.items() if not math.isfinite(value)}
     except Exception as error:  # of any kind, as the code is not ours
-        raise InputError(where, f"{type(error).__name__}: {error}", USABLE) from error
-    most = MOST_TORQUE * at.facts.weight * at.facts.radius
-    for name, (low, high) in {**LIMITS, "torque": (-most, most), **({} if lag is None else LAG_LIMITS)}.items():
-        if not low <= said[name] <= high:
-            bad[name] = said[name]
-    if bad:
-        said_of = ", ".join(f"{name} {value:g}" for name, value in bad.items())
-        raise InputError(where, f"{said_of} with {dict(active.values)} at {at.speed:g} m/s", USABLE)
+        raise InputError(place, f"{type(error).__name__}: {error}", USABLE) from error
+    limit = MOST_TORQUE * instant.facts.weight * instant.facts.radius
+    for name, (low, high) in {**LIMITS, "torque": (-limit, limit), **({} if lag is None else LAG_LIMITS)}.items():
+        if not low <= answers[name] <= high:
+            faults[name] = answers[name]
+    if faults:
+        said_of = ", ".join(f"{name} {value:g}" for name, value in faults.items())
+        raise InputError(place, f"{said_of} with {dict(active.values)} at {instant.speed:g} m/s", USABLE)
 
 
 def new_memory(count: int) -> Array:
-    """Memory of so many effects at the very beginning."""
+    """Memory of a number of effects before the first step."""
     memory = np.full(FIRST_OWN + EACH * count, math.nan)
     memory[DISTANCE] = memory[LAST_SPEED] = 0.0
     return memory
 
 
-def cooled(memory: Array) -> Array:
+def cool_memory(memory: Array) -> Array:
     """Memory after a restart: effects' own states as after a long rest; the distance driven stays."""
-    fresh = new_memory((len(memory) - FIRST_OWN) // EACH)
-    fresh[DISTANCE] = memory[DISTANCE]
-    return fresh
+    cold_memory = new_memory((len(memory) - FIRST_OWN) // EACH)
+    cold_memory[DISTANCE] = memory[DISTANCE]
+    return cold_memory
 
 
 def new_effect_scratch(facts: VehicleConstants) -> EffectScratch:
@@ -220,8 +220,8 @@ def set_conditions(
     conditions[NOW.drive_torque] = drive_torque
     conditions[NOW.direction] = math.tanh(speed / conditions[FACT.standstill])
     conditions[NOW.belt] = belt
-    turning = abs(yaw_rate)
-    conditions[NOW.curvature] = turning / length(speed, conditions[FACT.contact_length] * turning + STANDSTILL_MPS)
+    turn_rate = abs(yaw_rate)
+    conditions[NOW.curvature] = turn_rate / length(speed, conditions[FACT.contact_length] * turn_rate + STANDSTILL_MPS)
 
 
 @kernel
@@ -239,20 +239,20 @@ def is_usable(answer: Array, most_torque: float) -> bool:
     """Whether an effect's result is a number within the limits."""
     if not abs(answer[0]) <= most_torque:
         return False
-    within = True
+    is_within = True
     for i in range(1, LIMITED):
-        within &= LOWEST[i] <= answer[i] <= HIGHEST[i]
-    return within
+        is_within &= LOWEST[i] <= answer[i] <= HIGHEST[i]
+    return is_within
 
 
 @kernel
 def is_known(needs: int, conditions: Array) -> bool:
     """Whether all that an effect needs is known."""
-    known = True
+    has_needs = True
     for need in range(1, LOOKED_AT - FACTS):
         if needs >> need & 1 and not math.isfinite(conditions[FACTS + need - 1]):
-            known = False
-    return known
+            has_needs = False
+    return has_needs
 
 
 @kernel
@@ -261,27 +261,29 @@ def call_lag(function: int, conditions: Array, values: Array, answer: Array) -> 
     for i in range(3):
         answer[i] = math.nan
     call_at(function, conditions, values, answer)
-    works: bool = abs(answer[0]) <= MOST_STATE and abs(answer[2]) <= MOST_STATE and LEAST_TIME_S <= answer[1] < math.inf
-    return works
+    is_valid: bool = abs(answer[0]) <= MOST_STATE and abs(answer[2]) <= MOST_STATE and LEAST_TIME_S <= answer[1] < math.inf
+    return is_valid
 
 
 @kernel
-def relaxed_state(rows: Rows, values: Table, scratch: EffectScratch, row: int, own: Array, dt: float) -> tuple[float, float]:
+def relaxed_state(
+    rows: Rows, values: Table, scratch: EffectScratch, row: int, state_row: Array, dt: float
+) -> tuple[float, float]:
     """An effect's own state after some time [s] under the conditions set, and the share of the air in it; unchanged where they
     are unknown.
     """
     conditions, answer = scratch.conditions, scratch.answer
-    conditions[NOW.own] = own[OWN]
+    conditions[NOW.own] = state_row[OWN]
     if is_known(rows[row, NEEDS], conditions) and call_lag(rows[row, LAG_AT], conditions, values[row], answer):
-        passed = -math.expm1(-dt / answer[1])
-        return own[OWN] + (answer[0] - own[OWN]) * passed, own[OF_AIR] + (1.0 - own[OF_AIR]) * passed
-    return own[OWN], own[OF_AIR]
+        share = -math.expm1(-dt / answer[1])
+        return state_row[OWN] + (answer[0] - state_row[OWN]) * share, state_row[OF_AIR] + (1.0 - state_row[OF_AIR]) * share
+    return state_row[OWN], state_row[OF_AIR]
 
 
 @kernel
-def has_state(rows: Rows, row: int, own: Array) -> bool:
+def has_state(rows: Rows, row: int, state_row: Array) -> bool:
     """Whether a row is an effect of its own with a state that has begun."""
-    return bool(rows[row, KIND] < SHIFTED and rows[row, LAG_AT] != 0 and not math.isnan(own[OWN]))
+    return bool(rows[row, KIND] < SHIFTED and rows[row, LAG_AT] != 0 and not math.isnan(state_row[OWN]))
 
 
 @kernel
@@ -290,19 +292,26 @@ def pass_gap_of_effects(
 ) -> None:
     """Pass a gap too long to bridge (ours): as `belt.pass_gap` the mean of a rest and of a drive throughout, at a speed [m/s]."""
     for row in range(rows.shape[0]):
-        own = memory[FIRST_OWN + EACH * rows[row, STATE] :]
-        if not has_state(rows, row, own):
+        state_row = memory[FIRST_OWN + EACH * rows[row, STATE] :]
+        if not has_state(rows, row, state_row):
             continue
         set_conditions(scratch.conditions, 0.0, 0.0, weight, ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
-        rested, rested_air = relaxed_state(rows, values, scratch, row, own, dt)
+        rested_state, rested_air = relaxed_state(rows, values, scratch, row, state_row, dt)
         set_conditions(scratch.conditions, speed, 0.0, weight, ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
-        driven, driven_air = relaxed_state(rows, values, scratch, row, own, dt)
-        own[OWN], own[OF_AIR] = 0.5 * (rested + driven), 0.5 * (rested_air + driven_air)
+        driven_state, driven_air = relaxed_state(rows, values, scratch, row, state_row, dt)
+        state_row[OWN], state_row[OF_AIR] = 0.5 * (rested_state + driven_state), 0.5 * (rested_air + driven_air)
 
 
 @kernel
 def correct_air_of_effects(
-    rows: Rows, values: Table, memory: Array, scratch: EffectScratch, speed: float, weight: float, before: float, ambient: float
+    rows: Rows,
+    values: Table,
+    memory: Array,
+    scratch: EffectScratch,
+    speed: float,
+    weight: float,
+    old_ambient: float,
+    ambient: float,
 ) -> None:
     """Correct the effects' own states after the ambient temperature was corrected from one value [degC] to another.
 
@@ -311,36 +320,36 @@ def correct_air_of_effects(
     """
     conditions, answer = scratch.conditions, scratch.answer
     for row in range(rows.shape[0]):
-        own = memory[FIRST_OWN + EACH * rows[row, STATE] :]
-        if not has_state(rows, row, own):
+        state_row = memory[FIRST_OWN + EACH * rows[row, STATE] :]
+        if not has_state(rows, row, state_row):
             continue
         for sign in (-1.0, 1.0):
-            air = ambient if sign > 0.0 else before
+            air = ambient if sign > 0.0 else old_ambient
             set_conditions(conditions, speed, 0.0, weight, air, math.nan, math.nan, math.nan, 0.0, math.nan)
             conditions[NOW.own] = 0.0
             if is_known(rows[row, NEEDS], conditions) and call_lag(rows[row, LAG_AT], conditions, values[row], answer):
-                own[OWN] += sign * own[OF_AIR] * answer[2]
-                own[TARGET] += sign * answer[0]
+                state_row[OWN] += sign * state_row[OF_AIR] * answer[2]
+                state_row[TARGET] += sign * answer[0]
 
 
 @kernel
-def advance_state(function: int, values: Array, conditions: Array, answer: Array, own: Array, dt: float) -> bool:
+def advance_state(function: int, values: Array, conditions: Array, answer: Array, state_row: Array, dt: float) -> bool:
     """Advance an effect's own state by a step and write it for the effect; return whether it is usable."""
     conditions[NOW.own] = 0.0
     if function == 0:
         return True
     state = math.nan
-    if not math.isnan(own[OWN]):
-        passed = -math.expm1(-dt / own[TIME_CONSTANT])
-        state = own[OWN] + (own[TARGET] - own[OWN]) * passed
-        own[OF_AIR] += (1.0 - own[OF_AIR]) * passed
+    if not math.isnan(state_row[OWN]):
+        share = -math.expm1(-dt / state_row[TIME_CONSTANT])
+        state = state_row[OWN] + (state_row[TARGET] - state_row[OWN]) * share
+        state_row[OF_AIR] += (1.0 - state_row[OF_AIR]) * share
         conditions[NOW.own] = state
     if not call_lag(function, conditions, values, answer):
         return False
     target, time_constant, start = answer[0], answer[1], answer[2]
     if math.isnan(state):
-        state, own[OF_AIR] = start, 1.0
-    own[OWN], own[TARGET], own[TIME_CONSTANT] = state, target, time_constant
+        state, state_row[OF_AIR] = start, 1.0
+    state_row[OWN], state_row[TARGET], state_row[TIME_CONSTANT] = state, target, time_constant
     conditions[NOW.own] = state
     return True
 
@@ -371,7 +380,7 @@ def step_effects(rows: Rows, values: Table, memory: Array, scratch: EffectScratc
             call_terms(rows[row, TERMS_AT], conditions, values[row], answer)
             if is_usable(answer, most_torque):
                 of_loss = answer[TERM.loss_factor] / loss_factor - 1.0
-                if conditions[FACT.cooling] > 0.0:  # there are belts; what the inside keeps back is as if the outside took less
+                if conditions[FACT.cooling] > 0.0:  # with belts: heat that stays inside counts as less cooling outside
                     of_loss -= (answer[TERM.softening] - softening) * (conditions[NOW.belt] - SOFTENING_FROM_DEGC)
                     of_inside = (answer[TERM.inner_resistance] - inner_resistance) * cooling
                     terms[TERM.cooling_variance] += squared(cooling_of(answer, conditions) / cooling - 1.0 - of_inside)
@@ -388,8 +397,8 @@ def step_effects(rows: Rows, values: Table, memory: Array, scratch: EffectScratc
         if not is_known(rows[row, NEEDS], conditions):
             outcome = max(outcome, INPUT_UNKNOWN)
         else:
-            first = FIRST_OWN + EACH * rows[row, STATE]
-            if advance_state(rows[row, LAG_AT], values[row], conditions, answer, memory[first : first + EACH], dt):
+            start = FIRST_OWN + EACH * rows[row, STATE]
+            if advance_state(rows[row, LAG_AT], values[row], conditions, answer, memory[start : start + EACH], dt):
                 call_terms(rows[row, TERMS_AT], conditions, values[row], answer)
                 is_inactive = not is_usable(answer, most_torque)
             if is_inactive:

@@ -50,7 +50,9 @@ def add_noise(belt: Array, of_mean: float, of_both: float, of_skin: float) -> No
 
 
 @kernel
-def correct_belt(belt: Array, measured: float, variance: float, expected: float, of_mean: float, of_surface: float) -> None:
+def correct_belt(
+    belt: Array, measured_degc: float, variance: float, expected_degc: float, of_mean: float, of_surface: float
+) -> None:
     """Correct a belt by a measured temperature z [degC] of variance r [K^2], by the Kalman update; change `belt`.
 
     Notes
@@ -59,7 +61,7 @@ def correct_belt(belt: Array, measured: float, variance: float, expected: float,
     the random part. The uncertainty of parameters is considered, not estimated (Schmidt's filter [6]). The update reduces the
     departures, but they grow back with time, as the parameters stay wrong.
     """
-    innovation = measured - expected
+    innovation = measured_degc - expected_degc
     total = belt_variance(belt, of_mean, of_surface) + variance
     gain_1 = gain_2 = 0.0
     for column in range(FIRST_DEPARTURE, BELT_COLUMNS):
@@ -136,12 +138,12 @@ def surface(
 
     The flux through layer and film is one (ours): T_s = (K T + U A_h T_a) / (K + U A_h).
     """
-    shown, share, inner = belt[1 if k.number.two_nodes else 0, TEMPERATURE], 1.0, assembly.skin_conductance
+    shown_degc, share, inner = belt[1 if k.number.two_nodes else 0, TEMPERATURE], 1.0, assembly.skin_conductance
     if math.isfinite(inner):
         u = film(terms, assembly, speed)
-        shown = surface_temperature(shown, ambient, u, assembly.area, inner)
+        shown_degc = surface_temperature(shown_degc, ambient, u, assembly.area, inner)
         share = inner / (inner + u * assembly.area)
-    return (shown, 0.0, share) if k.number.two_nodes else (shown, share, 0.0)
+    return (shown_degc, 0.0, share) if k.number.two_nodes else (shown_degc, share, 0.0)
 
 
 @kernel
@@ -178,26 +180,26 @@ def advance_lumped(
     """
     power, power_slope, cooling, surroundings = heat
     state, per_capacity = Belt(belt[0]), 1.0 / assembly.capacity
-    above = state.temperature - surroundings
-    gained, lost = power * per_capacity, cooling * above * per_capacity
-    f, j = gained - lost, (power_slope - cooling) * per_capacity
+    excess = state.temperature - surroundings
+    heating, loss = power * per_capacity, cooling * excess * per_capacity
+    f, j = heating - loss, (power_slope - cooling) * per_capacity
     mean = dt * phi_1(j * dt)
     state.temperature += mean * f
     if not k.number.with_uncertainty:
         return math.nan, math.nan
-    consider, second = state.consider, dt * dt * phi_2(j * dt)
-    fades = (dt * mean - second) * f
+    consider, second_order = state.consider, dt * dt * phi_2(j * dt)
+    fades = (dt * mean - second_order) * f
     for cause in range(3):
         of_loss, of_cooling = assembly.consider_loss[cause], assembly.consider_cooling[cause]
         of_capacity = assembly.consider_capacity[cause]
-        forced = gained * of_loss - lost * of_cooling - f * of_capacity
+        forcing = heating * of_loss - loss * of_cooling - f * of_capacity
         slope = (power_slope * of_loss - cooling * of_cooling) * per_capacity - j * of_capacity
-        consider[cause] += mean * (j * consider[cause] + forced) + fades * slope
+        consider[cause] += mean * (j * consider[cause] + forcing) + fades * slope
     state.consider_ambient += mean * (j * state.consider_ambient + cooling * per_capacity * ambient_std)
     gains = squared(k.number.process_noise) * dt * phi_1(2.0 * j * dt)
     state.noise_1 = math.sqrt(squared(state.noise_1 * (1.0 + mean * j)) + gains)
-    departure = second * f
-    return power * dt + power_slope * departure, cooling * (above * dt + departure)
+    departure = second_order * f
+    return power * dt + power_slope * departure, cooling * (excess * dt + departure)
 
 
 # Mean and surface
@@ -209,8 +211,8 @@ LEAST_SPREAD = 1e-5  # of the rates, between the two of a belt
 def eigenvalues(j11: float, j12: float, j21: float, j22: float) -> tuple[float, float]:
     """Middle of the two eigenvalues and half of their distance [1/s]; complex or equal ones count as close: the step is short."""
     half = 0.5 * (j11 - j22)
-    least = LEAST_SPREAD * (abs(j11) + abs(j12) + abs(j21) + abs(j22))
-    return 0.5 * (j11 + j22), math.sqrt(max(half * half + j12 * j21, least * least))
+    least_spread = LEAST_SPREAD * (abs(j11) + abs(j12) + abs(j21) + abs(j22))
+    return 0.5 * (j11 + j22), math.sqrt(max(half * half + j12 * j21, least_spread * least_spread))
 
 
 @kernel
@@ -222,11 +224,11 @@ def noise_covariance(j11: float, j12: float, j21: float, j22: float, dt: float) 
     It is the integral of (e^{Jt} 1)(e^{Jt} 1)'. With the eigenvalues l of J, e^{Jt} 1 = a e^{l_1 t} + b e^{l_2 t}, and
     e^{(l_i + l_j) t} has the integral dt phi_1((l_i + l_j) dt).
     """
-    middle, spread = eigenvalues(j11, j12, j21, j22)
-    first, second = middle + spread, middle - spread
-    a1, a2 = 0.5 * (j11 + j12 - second) / spread, 0.5 * (j21 + j22 - second) / spread
+    centre, spread = eigenvalues(j11, j12, j21, j22)
+    root_1, root_2 = centre + spread, centre - spread
+    a1, a2 = 0.5 * (j11 + j12 - root_2) / spread, 0.5 * (j21 + j22 - root_2) / spread
     b1, b2 = 1.0 - a1, 1.0 - a2
-    aa, ab, bb = dt * phi_1(2.0 * first * dt), dt * phi_1(2.0 * middle * dt), dt * phi_1(2.0 * second * dt)
+    aa, ab, bb = dt * phi_1(2.0 * root_1 * dt), dt * phi_1(2.0 * centre * dt), dt * phi_1(2.0 * root_2 * dt)
     return (
         a1 * a1 * aa + 2.0 * a1 * b1 * ab + b1 * b1 * bb,
         a1 * a2 * aa + (a1 * b2 + a2 * b1) * ab + b1 * b2 * bb,
@@ -255,18 +257,22 @@ def add_fading(
     """
     j11, j12, j21, j22 = jacobian
     by_power, mean_cools, skin_cools = by_heat
-    middle, spread = eigenvalues(j11, j12, j21, j22)
-    first, second = (middle + spread) * dt, (middle - spread) * dt
-    d11, d22 = phi_1(first) - phi_2(first), phi_1(second) - phi_2(second)
-    d12 = (phi_1(first) - phi_1(second)) / (first - second)
-    half, across = 0.5 * (j11 - j22), 0.5 / spread
-    p11, p12, p21, p22 = 0.5 + half * across, j12 * across, j21 * across, 0.5 - half * across
+    centre, spread = eigenvalues(j11, j12, j21, j22)
+    root_1, root_2 = (centre + spread) * dt, (centre - spread) * dt
+    d11, d22 = phi_1(root_1) - phi_2(root_1), phi_1(root_2) - phi_2(root_2)
+    d12 = (phi_1(root_1) - phi_1(root_2)) / (root_1 - root_2)
+    half, per_spread = 0.5 * (j11 - j22), 0.5 / spread
+    p11, p12, p21, p22 = 0.5 + half * per_spread, j12 * per_spread, j21 * per_spread, 0.5 - half * per_spread
     of_first_1, of_first_2 = p11 * f1 + p12 * f2, p21 * f1 + p22 * f2
     of_second_1, of_second_2 = f1 - of_first_1, f2 - of_first_2
     for cause in range(3):
-        loss, cools, holds = assembly.consider_loss[cause], assembly.consider_cooling[cause], assembly.consider_capacity[cause]
-        g11, g12 = by_power * loss - j11 * holds, -mean_cools * cools - j12 * holds
-        g21, g22 = by_power * loss - j21 * holds, -skin_cools * cools - j22 * holds
+        loss, cooling, capacity = (
+            assembly.consider_loss[cause],
+            assembly.consider_cooling[cause],
+            assembly.consider_capacity[cause],
+        )
+        g11, g12 = by_power * loss - j11 * capacity, -mean_cools * cooling - j12 * capacity
+        g21, g22 = by_power * loss - j21 * capacity, -skin_cools * cooling - j22 * capacity
         a1, a2 = g11 * of_first_1 + g12 * of_first_2, g21 * of_first_1 + g22 * of_first_2
         b1, b2 = g11 * of_second_1 + g12 * of_second_2, g21 * of_second_1 + g22 * of_second_2
         with_1, with_2 = d12 * a1 + d22 * b1, d12 * a2 + d22 * b2
@@ -289,33 +295,33 @@ def advance_two_nodes(
     """
     power, power_slope, cooling, surroundings = heat
     mean, skin, per_capacity = Belt(belt[0]), Belt(belt[1]), 1.0 / assembly.capacity
-    share, between, above = assembly.surface_share, mean.temperature - skin.temperature, skin.temperature - surroundings
+    share, difference, excess = assembly.surface_share, mean.temperature - skin.temperature, skin.temperature - surroundings
     per_skin, inner = per_capacity / share, (1.0 - share) * assembly.inner_conductance
-    gained, slope = power * per_capacity, power_slope * per_capacity  # uniform in the rubber
-    lost = cooling * above
+    power_rate, slope = power * per_capacity, power_slope * per_capacity  # uniform in the rubber
+    loss = cooling * excess
     j11, j12 = slope, -cooling * per_capacity
     j21, j22 = slope + inner * per_skin, -(inner + cooling) * per_skin
-    f1 = gained - lost * per_capacity
-    f2 = gained + (inner * between - lost) * per_skin
+    f1 = power_rate - loss * per_capacity
+    f2 = power_rate + (inner * difference - loss) * per_skin
     m11, m12, m21, m22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 1.0)
     mean.temperature += dt * (m11 * f1 + m12 * f2)
     skin.temperature += dt * (m21 * f1 + m22 * f2)
     if not k.number.with_uncertainty:
         return math.nan, math.nan
     for column in range(FIRST_DEPARTURE, BELT_COLUMNS):
-        first, second = belt[0, column], belt[1, column]
-        slope_1, slope_2 = j11 * first + j12 * second, j21 * first + j22 * second
+        departure_mean, departure_skin = belt[0, column], belt[1, column]
+        slope_1, slope_2 = j11 * departure_mean + j12 * departure_skin, j21 * departure_mean + j22 * departure_skin
         cause = column - FIRST_DEPARTURE
         if cause < 3:
-            heating, holding = gained * assembly.consider_loss[cause], assembly.consider_capacity[cause]
-            chilling = lost * assembly.consider_cooling[cause]
-            slope_1 += heating - chilling * per_capacity - f1 * holding
-            slope_2 += heating - chilling * per_skin - f2 * holding
+            heating, capacity = power_rate * assembly.consider_loss[cause], assembly.consider_capacity[cause]
+            chilling = loss * assembly.consider_cooling[cause]
+            slope_1 += heating - chilling * per_capacity - f1 * capacity
+            slope_2 += heating - chilling * per_skin - f2 * capacity
         elif cause == 3:  # the ambient temperature
             slope_1 += cooling * per_capacity * ambient_std
             slope_2 += cooling * per_skin * ambient_std
-        belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
-        belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
+        belt[0, column] = departure_mean + dt * (m11 * slope_1 + m12 * slope_2)
+        belt[1, column] = departure_skin + dt * (m21 * slope_1 + m22 * slope_2)
     add_fading(belt, assembly, (slope, cooling * per_capacity, cooling * per_skin), (j11, j12, j21, j22), f1, f2, dt)
     of_mean, of_both, of_skin = noise_covariance(j11, j12, j21, j22, dt)
     rate = squared(k.number.process_noise)
@@ -323,7 +329,7 @@ def advance_two_nodes(
     p11, p12, p21, p22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 2.0)
     departure_1 = dt * dt * (p11 * f1 + p12 * f2)
     departure_2 = dt * dt * (p21 * f1 + p22 * f2)
-    return power * dt + power_slope * departure_1, cooling * (above * dt + departure_2)
+    return power * dt + power_slope * departure_1, cooling * (excess * dt + departure_2)
 
 
 # A step
@@ -333,7 +339,7 @@ MOST_SUBSTEPS = 20000
 
 
 @kernel
-def roll(
+def roll_belt(
     k: Constants,
     terms: Array,
     assembly: Assembly,
@@ -367,11 +373,11 @@ def roll(
         log10 = log10_middle if steps == 1 else log_speed(speed)
         heat = heat_of(k, terms, assembly, belt[0, TEMPERATURE], speed, log10, log_load, drive_torque, ambient)
         if k.number.two_nodes:
-            gained, lost = advance_two_nodes(k, assembly, belt, heat, ambient_std, part)
+            gain, loss = advance_two_nodes(k, assembly, belt, heat, ambient_std, part)
         else:
-            gained, lost = advance_lumped(k, assembly, belt, heat, ambient_std, part)
-        heat_in += gained
-        heat_out += lost
+            gain, loss = advance_lumped(k, assembly, belt, heat, ambient_std, part)
+        heat_in += gain
+        heat_out += loss
     return heat_in, heat_out
 
 
@@ -392,16 +398,16 @@ def pass_gap(
 
     A temperature anywhere between the two has their difference over sqrt(12) as its standard deviation.
     """
-    before, rested, terms = scratch.gap_belts[0], scratch.gap_belts[1], scratch.effects.terms
+    old_belt, rested_belt, terms = scratch.gap_belts[0], scratch.gap_belts[1], scratch.effects.terms
     for node in range(2):
         for column in range(BELT_COLUMNS):
-            before[node, column] = belt[node, column]
-    roll(k, terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
+            old_belt[node, column] = belt[node, column]
+    roll_belt(k, terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
     for node in range(2):
         for column in range(BELT_COLUMNS):
-            rested[node, column] = belt[node, column]
-            belt[node, column] = before[node, column]
-    roll(
+            rested_belt[node, column] = belt[node, column]
+            belt[node, column] = old_belt[node, column]
+    roll_belt(
         k,
         terms,
         assembly,
@@ -415,9 +421,9 @@ def pass_gap(
         ambient_std,
         dt,
     )
-    of_mean = (belt[0, TEMPERATURE] - rested[0, TEMPERATURE]) / math.sqrt(12.0)
-    of_skin = (belt[1, TEMPERATURE] - rested[1, TEMPERATURE]) / math.sqrt(12.0)
+    of_mean = (belt[0, TEMPERATURE] - rested_belt[0, TEMPERATURE]) / math.sqrt(12.0)
+    of_skin = (belt[1, TEMPERATURE] - rested_belt[1, TEMPERATURE]) / math.sqrt(12.0)
     for node in range(2):
         for column in range(BELT_COLUMNS):
-            belt[node, column] = 0.5 * (belt[node, column] + rested[node, column])
+            belt[node, column] = 0.5 * (belt[node, column] + rested_belt[node, column])
     add_noise(belt, squared(of_mean), of_mean * of_skin, squared(of_skin))

@@ -72,7 +72,7 @@ class Part(Row):
     arm = Real()  # m, arm of a force on the whole vehicle
     unsigned = Real()  # Nm, resistance without its sign
     equal = Real()  # index of the first assembly with the same numbers
-    by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
+    torque_by = Reals(4)  # Nm per relative departure of loss, cooling and capacity, and per kelvin of belt temperature
     belt_change = Reals(3)  # K of the belt, per the first three
     consider = Reals(4)  # Nm, by each of the four causes of uncertainty
 
@@ -205,9 +205,9 @@ class Reason(IntFlag):
 
     def __new__(cls, value: int, text: str = "") -> Reason:
         """A reason with its text."""
-        made = int.__new__(cls, value)
-        made._value_, made.text = value, text
-        return made
+        reason = int.__new__(cls, value)
+        reason._value_, reason.text = value, text
+        return reason
 
     NONE = 0
     LOAD_HELD = 1 << 0, "no recent load: the estimate uses the last one"
@@ -300,9 +300,9 @@ def channels(vehicle: AnyVehicle) -> tuple[str, ...]:
 
 def not_of_vehicle(role: str, channels: Sequence[str]) -> InputError:
     """The error for a role of an axle or assembly that is no channel of a vehicle."""
-    allowed = ", ".join(name for name in channels if base_role(name) == base_role(role))
+    alternatives = ", ".join(name for name in channels if base_role(name) == base_role(role))
     remedy = "torque: {sum: [...]} adds the torques of assemblies" if base_role(role) == "torque" else ""
-    return InputError(f"role {role}", role, f"for this vehicle {allowed}", remedy)
+    return InputError(f"role {role}", role, f"for this vehicle {alternatives}", remedy)
 
 
 def columns(vehicle: AnyVehicle) -> tuple[str, ...]:

@@ -27,17 +27,19 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.cache import cached_arrays
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
 from trackres_ros.model.hysteresis import METHODS, Spectral
-from trackres_ros.model.loss_table import fingerprint, loss_table
+from trackres_ros.model.loss_table import LossTable, fingerprint, loss_table
 from trackres_ros.model.resistance import TORQUE_TERMS
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, parting_resistance, thermal_network
 from trackres_ros.model.track import load_range, vehicle_constants
+from trackres_ros.recording.roles import PLAUSIBLE
 from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
 from trackres_ros.route.lookup import CELL_COLUMNS, PLACE_COLUMNS
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle, variants
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.description import FITTED
+from trackres_ros.vehicle.gears import gears_of, no_gears
 
 # Uncertainty of a track's parameters
 
@@ -82,12 +84,12 @@ def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Para
 def _factor(vehicle: Vehicle, track_name: str) -> Array:
     speed = REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
 
-    def logarithms(moved: Vehicle) -> Array:
-        found = logarithms_at(moved, track_name, speed, np.array(REFERENCE_BELT_DEGC), vehicle)
-        return np.array([found[:-3].mean(), *found[-3:]])
+    def logarithms(variation: Vehicle) -> Array:
+        by_path = logarithms_at(variation, track_name, speed, np.array(REFERENCE_BELT_DEGC), vehicle)
+        return np.array([by_path[:-3].mean(), *by_path[-3:]])
 
-    found = slopes(vehicle, track_name, logarithms)
-    rows = np.array(list(found.values())).reshape(-1, 4)
+    by_path = slopes(vehicle, track_name, logarithms)
+    rows = np.array(list(by_path.values())).reshape(-1, 4)
     covariance = rows.T @ rows + np.diag(np.full(4, 1e-12))
     return np.asarray(np.linalg.cholesky(covariance))
 
@@ -98,7 +100,7 @@ def fits(vehicle: Vehicle, track_name: str, losses: int) -> dict[tuple[str, ...]
     columns = {
         (LOSS,): [*range(losses), radius], (f"{belt}.film_offset", f"{belt}.film_slope"): [film], (CAPACITY,): [capacity]
     }  # fmt: skip
-    return {paths: of for paths, of in columns.items() if vehicle.parameters[paths[0]].flag == FITTED}
+    return {paths: path_columns for paths, path_columns in columns.items() if vehicle.parameters[paths[0]].flag == FITTED}
 
 
 def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Array]) -> dict[str, Array]:
@@ -125,15 +127,15 @@ def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Ar
         for sign in (1.0, -1.0):
             step = sign * STEP * quantity.standard_deviation
             try:
-                moved = variant({path: quantity.value + step})
+                variation = variant({path: quantity.value + step})
             except InputError:  # the geometry does not allow this step, but it allows the opposite one
                 continue
-            rows[path] = (logarithms(moved) - base) / (sign * STEP)
+            rows[path] = (logarithms(variation) - base) / (sign * STEP)
             break
     belt = f"tracks.{track_name}.belt"
-    for fitted, columns in fits(vehicle, track_name, len(base) - 3).items():
+    for fitted_path, columns in fits(vehicle, track_name, len(base) - 3).items():
         for path in rows:
-            if path not in fitted:
+            if path not in fitted_path:
                 rows[path][columns] = 0.0
     offset, slope = rows.get(f"{belt}.film_offset"), rows.get(f"{belt}.film_slope")
     if offset is not None and slope is not None and vehicle.parameters[f"{belt}.film_offset"].flag == FITTED:
@@ -152,32 +154,15 @@ def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: A
     spectral = vehicle.hysteresis == Spectral.name
     method = Spectral(track, rubber, HARMONICS) if spectral else METHODS[vehicle.hysteresis](track, rubber)
     loss = method.loss_force(speed, belts_degc, nominal).total
-    network, before = (thermal_network(v.thermal, v.tracks[track_name].belt, v.rubber) for v in (vehicle, base))
+    network, base_network = (thermal_network(v.thermal, v.tracks[track_name].belt, v.rubber) for v in (vehicle, base))
     film = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
-    cooling = film / (1.0 + (network.parting - before.parting) * film)
+    cooling = film / (1.0 + (network.parting - base_network.parting) * film)
     capacity = heat_capacity(track.belt, vehicle.rubber)
     return np.array([*np.log(loss), np.log(cooling), np.log(capacity), np.log(track.sprocket_radius)])
 
 
 # Constants
 
-# Limits outside of which a measurement is refused, unless the vehicle file gives others: [low, high] in SI, degC.
-PLAUSIBLE = {
-    "torque": (-1e6, 1e6),
-    "ambient": (-60.0, 60.0),
-    "belt": (-60.0, 180.0),
-    "accel": (-15.0, 15.0),
-    "grade": (-0.6, 0.6),
-    "yaw_rate": (-5.0, 5.0),
-    "heading": (-1e3, 1e3),
-    "distance": (-1e9, 1e9),
-    "passengers": (0.0, 1e3),
-    "latitude": (-0.5 * math.pi, 0.5 * math.pi),
-    "longitude": (-2.0 * math.pi, 2.0 * math.pi),
-    "enable": (0.0, 1.0),
-    "altitude": (-1e3, 1e4),
-    "specific_force": (-30.0, 30.0),
-}
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
 LEAST_AIR_STD_K = 1e-3  # of an assumed air, so that a belt's departure due to it is known
@@ -194,6 +179,9 @@ class Numbers(NamedTuple):
     route_latitude: float  # rad, of the middle of their places
     route_longitude: float
     belt_shows_surface: bool
+    torque_at_motor: bool
+    motor_ratio: float  # motor speed over sprocket speed; nan where the vehicle file gives none
+    motor_efficiency: float
     bearing_friction: float  # bearing friction over weight, at a crawl
     bearing_friction_std: float
     drag_area: float
@@ -250,8 +238,6 @@ class Numbers(NamedTuple):
     two_nodes: bool = False
     rolling_rise: float = 0.0  # s/m, its growth with speed; 0 of tracks
     rolling_rise_std: float = 0.0
-    motor_ratio: float = math.nan  # motor speed over sprocket speed; nan where the vehicle file gives none
-    motor_efficiency: float = math.nan
     torque_scale: float = 1.0  # shown over true torque; 1 of tracks
     torque_offset: float = 0.0  # shown at no torque, over that scale
 
@@ -270,6 +256,10 @@ class Constants(NamedTuple):
     route_places: Annotated[Array, (None, PLACE_COLUMNS)]
 
 
+TableMaker = Callable[[Vehicle, str, Path | None], LossTable]
+"""Makes the loss table of a kind of track, by its name, with a folder of the cache."""
+
+
 class Running(NamedTuple):
     """Constants that depend on the running gear, tracks or wheels: assemblies, tables and numbers."""
 
@@ -280,27 +270,33 @@ class Running(NamedTuple):
 
 
 def check_own_effects(vehicle: AnyVehicle) -> None:
-    """Refuse a user's effect that fails where all that it may look at is known. In a step it would only be inactive."""
-    known = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
+    """Refuse a user's effect that fails although all its inputs are known. In a step it would only be inactive."""
+    instant = conditions(vehicle_constants(vehicle), **ALL_KNOWN)
     for active in vehicle.active:
         if active.effect.source is not None:
-            refuse_unusable(active, known)
+            refuse_unusable(active, instant)
 
 
-def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, uncertain: bool = True) -> Constants:
+def make_constants(
+    vehicle: AnyVehicle,
+    settings: Settings,
+    cache: Path | None = None,
+    with_uncertainty: bool = True,
+    make_table: TableMaker = loss_table,
+) -> Constants:
     """Gather the constants; builds the loss tables or takes them from the cache.
 
-    Not `uncertain`: belts without standard deviations and heat, and without the half second that these take at first.
+    Not `with_uncertainty`: belts without standard deviations and heat, and without the half second that these take at first.
+    `make_table`: makes the loss table of a kind of track.
     """
     check_own_effects(vehicle)
-    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, uncertain)
+    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, make_table)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
-    acting = effect_table(vehicle.own, vehicle.surroundings)
+    table = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
-
-    fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
+    feed_shares: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
-        with_uncertainty=uncertain,
+        with_uncertainty=with_uncertainty,
         surroundings=bool(vehicle.surroundings or vehicle.route),
         slopes_by_place=of_kind(vehicle.route, SLOPE) is not None,
         torques_by_place=of_kind(vehicle.route, TORQUE) is not None,
@@ -332,9 +328,10 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
+        **_gears(vehicle, settings),
         **_places(vehicle),
         **_times_ns(settings),
-        **fed,
+        **feed_shares,
         **runs_on.numbers,
     )
     return Constants(
@@ -343,10 +340,19 @@ def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None =
         runs_on.loss,
         runs_on.drive,
         _channel_limits(vehicle),
-        acting.rows,
-        acting.values,
+        table.rows,
+        table.values,
         *followed_in(vehicle.route, frame),
     )
+
+
+def _gears(vehicle: AnyVehicle, settings: Settings) -> dict[str, Any]:
+    """The gears between motor and sprockets, and whether the measured torque is at the motor."""
+    gears, at_motor = gears_of(vehicle), settings.torque_at == "motor"
+    if at_motor and gears is None:
+        raise no_gears(str(vehicle.source), bool(vehicle.assemblies))
+    ratio, efficiency = (math.nan, math.nan) if gears is None else (gears.ratio, gears.efficiency)
+    return {"torque_at_motor": at_motor, "motor_ratio": ratio, "motor_efficiency": efficiency}
 
 
 def _places(vehicle: AnyVehicle) -> dict[str, Any]:
@@ -366,17 +372,17 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=2)  # a change of settings must not hold a node's outputs where no file can be cached
-def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
+def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool, make_table: TableMaker) -> Running:
     """Assemblies with belts."""
     names = list(vehicle.tracks)
-    tables = [loss_table(vehicle, name, cache) for name in names]
+    tables = [make_table(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
-    covered = [coverage(vehicle, name) for name in names]
-    unused = ParameterUncertainty(np.eye(4))
-    spreads = {name: spread(vehicle, name, cache) if uncertain else unused for name in names}
+    ranges = [coverage(vehicle, name) for name in names]
+    no_spread = ParameterUncertainty(np.eye(4))
+    spreads = {name: spread(vehicle, name, cache) if with_uncertainty else no_spread for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
-    chassis, loads = vehicle.chassis, vehicle.nominal_loads()
+    loads = vehicle.nominal_loads()
     resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), layout.CONSIDER_FACTOR))
@@ -404,12 +410,10 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
             "glass_transition": vehicle.rubber.glass_transition,
             "wlf_c1": vehicle.rubber.wlf_c1,
             "wlf_c2": vehicle.rubber.wlf_c2,
-            "hottest": min(each.hottest for each in covered),
-            "fastest_x": min(each.log_reduced_speed for each in covered),
+            "hottest": min(limits.hottest for limits in ranges),
+            "fastest_x": min(limits.log_reduced_speed for limits in ranges),
             "two_nodes": two_nodes,
             "bearing_friction_std": vehicle.parameters["chassis.bearing_friction"].standard_deviation,
-            "motor_ratio": math.nan if chassis.motor_ratio is None else chassis.motor_ratio,
-            "motor_efficiency": math.nan if chassis.motor_efficiency is None else chassis.motor_efficiency,
         },
     )
 
@@ -417,15 +421,15 @@ def _tracks(vehicle: Vehicle, cache: Path | None, uncertain: bool) -> Running:
 def wheels(vehicle: RoadVehicle) -> Running:
     """All wheels as one, without a belt; the tables are unused."""
     row = np.zeros((1, layout.Assembly.columns))
-    both = layout.Assembly(row[0])
-    both.nominal_load, both.radius = vehicle.weight, vehicle.values["wheel_radius"]
-    both.share_of_all = 1.0
-    both.consider_radius[3] = relative_std(vehicle, "road_load.wheel_radius")
-    nothing = np.zeros((1, 1, 2))
+    assembly = layout.Assembly(row[0])
+    assembly.nominal_load, assembly.radius = vehicle.weight, vehicle.values["wheel_radius"]
+    assembly.share_of_all = 1.0
+    assembly.consider_radius[3] = relative_std(vehicle, "road_load.wheel_radius")
+    no_cells = np.zeros((1, 1, 2))
     return Running(
         row,
-        nothing,
-        nothing,
+        no_cells,
+        no_cells,
         {
             "bearing_friction_std": vehicle.parameters["road_load.rolling_coefficient"].standard_deviation,
             "rolling_rise": vehicle.values["rolling_rise"],
@@ -447,22 +451,26 @@ def relative_weight_std(vehicle: AnyVehicle) -> float:
     if isinstance(vehicle, RoadVehicle):
         return relative_std(vehicle, "road_load.mass")
     counts = Counter(f"tracks.{assembly.track}.own_weight" for assembly in vehicle.assemblies)
-    own = (count * vehicle.parameters[path].standard_deviation for path, count in counts.items())
+    stds = (count * vehicle.parameters[path].standard_deviation for path, count in counts.items())
     load = sum(vehicle.parameters[f"chassis.axles.{axle.name}.load"].standard_deviation for axle in vehicle.axles)
-    return math.hypot(load, *own) / vehicle.weight
+    return math.hypot(load, *stds) / vehicle.weight
 
 
 def drag_area_stds(vehicle: AnyVehicle) -> dict[str, float]:
-    """Standard deviation of the drag area [m^2] by path of the value it is due to; the air density's is as if the area had it."""
-    chassis, known = vehicle.chassis, vehicle.parameters
+    """Standard deviation of the drag area [m^2] by the path of its cause. That of the air density is given as an area."""
+    chassis, quantities = vehicle.chassis, vehicle.parameters
     area = chassis.drag_coefficient * chassis.frontal_area
     if isinstance(vehicle, RoadVehicle):
-        stds, density = {"road_load.drag_area": known["road_load.drag_area"].standard_deviation}, "road_load.air_density"
+        stds, density = {"road_load.drag_area": quantities["road_load.drag_area"].standard_deviation}, "road_load.air_density"
     else:
-        drag, frontal, density = known["chassis.drag_coefficient"], known["chassis.frontal_area"], "chassis.air_density"
+        drag, frontal_area, density = (
+            quantities["chassis.drag_coefficient"],
+            quantities["chassis.frontal_area"],
+            "chassis.air_density",
+        )
         stds = {"chassis.drag_coefficient": drag.standard_deviation * chassis.frontal_area}
         if drag.flag != FITTED:  # the fit gave the drag of the whole area
-            stds["chassis.frontal_area"] = frontal.standard_deviation * chassis.drag_coefficient
+            stds["chassis.frontal_area"] = frontal_area.standard_deviation * chassis.drag_coefficient
     return stds | {density: area * relative_std(vehicle, density)}
 
 

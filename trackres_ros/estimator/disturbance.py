@@ -30,38 +30,38 @@ BLOCK_NS = int(BLOCK_S / NANOSECOND)
 MOST_LOG = 500.0  # of a ratio of likelihoods: its exponential is finite
 
 
-def later_there(there: float, comes: float, goes: float, blocks: float = 1.0) -> float:
+def predict_presence(probability: float, onset_rate: float, end_rate: float, blocks: float = 1.0) -> float:
     """Predict the probability of a spell some blocks later, without a measurement.
 
-    `comes` and `goes` are the probabilities that it begins, or ends, from one block to the next; their sum is at most 1 for
-    fractional `blocks`.
+    `onset_rate` and `end_rate` are the probabilities that it begins, or ends, from one block to the next. For fractional `blocks`
+    their sum is at most 1.
     """
-    share = comes / (comes + goes)
-    return share + (there - share) * math.pow(1.0 - comes - goes, blocks)
+    share = onset_rate / (onset_rate + end_rate)
+    return share + (probability - share) * math.pow(1.0 - onset_rate - end_rate, blocks)
 
 
-def seen_there(there: float, mean: float, levels: tuple[float, float], variance: float) -> float:
+def update_presence(probability: float, mean: float, levels: tuple[float, float], variance: float) -> float:
     """Update the probability of a spell by the mean of a block [Nm], given its noise variance [Nm^2].
 
     `levels` are the torques outside and inside a spell [Nm].
     """
-    away, present = levels
-    log_ratio = 0.5 * ((mean - away) ** 2 - (mean - present) ** 2) / variance
+    absent_level, present_level = levels
+    log_ratio = 0.5 * ((mean - absent_level) ** 2 - (mean - present_level) ** 2) / variance
     times = math.exp(min(max(log_ratio, -MOST_LOG), MOST_LOG))
-    return there * times / (there * times + 1.0 - there)
+    return probability * times / (probability * times + 1.0 - probability)
 
 
 @kernel
-def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
+def predict_level(level: float, variance: float, share: float, size: float) -> tuple[float, float]:
     """Predict mean [Nm] and variance [Nm^2] of a drifting level.
 
-    `keep` is the share of the level that remains by then, `size` its stationary standard deviation [Nm].
+    `share` is the share of the level that remains by then, `size` its stationary standard deviation [Nm].
     """
-    return keep * level, keep**2 * variance + size**2 * (1.0 - keep**2)
+    return share * level, share**2 * variance + size**2 * (1.0 - share**2)
 
 
 @kernel
-def seen_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
+def update_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
     """Update mean [Nm] and variance [Nm^2] of a level by the mean of a block, given its noise variance [Nm^2]."""
     gain = variance / (variance + noise_variance)
     return level + gain * (mean - level), variance * (1.0 - gain)
@@ -77,14 +77,14 @@ class Belief:
     std_nm: float  # its standard deviation
     since_ns: int | None  # stamp at which the present spell began or the last one ended; None before either, and for a drift
     present: bool  # whether a spell is reported
-    overdue: bool  # whether it lasts longer than spells do: then it is a different, lasting change
+    is_overdue: bool  # whether it lasts longer than spells do: then it is a different, lasting change
 
     @property
     def text(self) -> str:
         """The same in a sentence."""
         if self.form == Drift.form:
             return f"the drifting torque is estimated at {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
-        state = "present for longer than usual" if self.overdue else "present" if self.present else "absent"
+        state = "present for longer than usual" if self.is_overdue else "present" if self.present else "absent"
         return f"the intermittent torque is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
 
 
@@ -95,18 +95,18 @@ class _SpellsFilter:
         self.restart()
 
     def restart(self) -> None:
-        self.there = self._comes / (self._comes + self._goes)
+        self.probability = self._comes / (self._comes + self._goes)
 
-    def age(self, seconds: float) -> None:
-        self.there = later_there(self.there, self._comes, self._goes, seconds / BLOCK_S)
+    def predict(self, seconds: float) -> None:
+        self.probability = predict_presence(self.probability, self._comes, self._goes, seconds / BLOCK_S)
 
-    def see(self, mean: float, variance: float) -> None:
-        self.there = seen_there(self.there, mean, (self._spells.rest, self._spells.level), variance)
+    def update(self, mean: float, variance: float) -> None:
+        self.probability = update_presence(self.probability, mean, (self._spells.rest, self._spells.level), variance)
 
-    def after(self, seconds: float) -> tuple[float, float, float]:
-        there = later_there(self.there, self._comes, self._goes, seconds / BLOCK_S)
-        apart = self._spells.level - self._spells.rest
-        return there, self._spells.rest + there * apart, abs(apart) * math.sqrt(there * (1.0 - there))
+    def belief_after(self, seconds: float) -> tuple[float, float, float]:
+        probability = predict_presence(self.probability, self._comes, self._goes, seconds / BLOCK_S)
+        jump = self._spells.level - self._spells.rest
+        return probability, self._spells.rest + probability * jump, abs(jump) * math.sqrt(probability * (1.0 - probability))
 
 
 class _DriftFilter:
@@ -117,22 +117,22 @@ class _DriftFilter:
     def restart(self) -> None:
         self.level, self.variance = 0.0, self._drift.size**2
 
-    def age(self, seconds: float) -> None:
+    def predict(self, seconds: float) -> None:
         self.level, self.variance = self._later(seconds)
 
-    def see(self, mean: float, variance: float) -> None:
-        most = OUTLIER * math.sqrt(self.variance + variance)
-        within = min(max(mean, self.level - most), self.level + most)
-        self.level, self.variance = seen_level(self.level, self.variance, within, variance)
+    def update(self, mean: float, variance: float) -> None:
+        limit = OUTLIER * math.sqrt(self.variance + variance)
+        bounded_mean = min(max(mean, self.level - limit), self.level + limit)
+        self.level, self.variance = update_level(self.level, self.variance, bounded_mean, variance)
 
-    def after(self, seconds: float) -> tuple[float, float, float]:
+    def belief_after(self, seconds: float) -> tuple[float, float, float]:
         level, variance = self._later(seconds)
-        most = MOST_DRIFT * self._drift.size
-        return math.nan, min(max(level, -most), most), math.sqrt(variance)
+        limit = MOST_DRIFT * self._drift.size
+        return math.nan, min(max(level, -limit), limit), math.sqrt(variance)
 
     def _later(self, seconds: float) -> tuple[float, float]:
-        keep = math.exp(-seconds / self._drift.time_constant)
-        return later_level(self.level, self.variance, keep, self._drift.size)
+        share = math.exp(-seconds / self._drift.time_constant)
+        return predict_level(self.level, self.variance, share, self._drift.size)
 
 
 class DisturbanceWatch:
@@ -160,16 +160,16 @@ class DisturbanceWatch:
         self._since_ns: int | None = None
         self._ahead_ns = 0
 
-    def take(self, stamp_ns: int, residual_nm: float, speed_mps: float, ahead_ns: int = 0, jumped: bool = False) -> Belief:
+    def take(self, stamp_ns: int, residual_nm: float, speed_mps: float, ahead_ns: int = 0, clock_jump: bool = False) -> Belief:
         """Process measured less expected torque, nan where it is invalid; return the belief at that time.
 
         The sign of the speed is the direction of travel. The stamp is ahead of its arrival by some time [ns]. Where the clock of
         the stamps has jumped, all times move with it.
         """
-        if jumped:
+        if clock_jump:
             by_ns, of_stamps = ahead_ns - self._ahead_ns, (self._block_ns, self._last_ns, self._since_ns)
             self._known_ns += by_ns
-            self._block_ns, self._last_ns, self._since_ns = (None if at is None else at + by_ns for at in of_stamps)
+            self._block_ns, self._last_ns, self._since_ns = (None if stamp is None else stamp + by_ns for stamp in of_stamps)
         self._ahead_ns = ahead_ns
         began_ns = stamp_ns
         if self._block_ns is None:
@@ -192,20 +192,20 @@ class DisturbanceWatch:
     def belief(self, stamp_ns: int) -> Belief:
         """Belief at a time [ns], from the blocks before it."""
         seconds = 0.0 if self._block_ns is None else max(0, stamp_ns - self._known_ns) * NANOSECOND
-        there, torque, std = self._filter.after(seconds)
-        overdue = self._present and self._since_ns is not None and (stamp_ns - self._since_ns) * NANOSECOND > self._longest_s
-        return Belief(self.form, there, torque, std, self._since_ns, self._present, overdue)
+        probability, torque, std = self._filter.belief_after(seconds)
+        is_overdue = self._present and self._since_ns is not None and (stamp_ns - self._since_ns) * NANOSECOND > self._longest_s
+        return Belief(self.form, probability, torque, std, self._since_ns, self._present, is_overdue)
 
     def _close_block(self, end_ns: int) -> None:
-        self._filter.age((end_ns - self._known_ns) * NANOSECOND)
+        self._filter.predict((end_ns - self._known_ns) * NANOSECOND)
         self._known_ns = end_ns
         if self._seconds >= LEAST_COMPARED_S:
-            self._filter.see(self._sum / self._seconds, self._noise**2 * BLOCK_S / self._seconds)
+            self._filter.update(self._sum / self._seconds, self._noise**2 * BLOCK_S / self._seconds)
         self._sum, self._seconds = 0.0, 0.0
 
-    def _turn(self, there: float, began_ns: int) -> None:
+    def _turn(self, probability: float, began_ns: int) -> None:
         """Report that a spell has begun or ended, once that is certain; never for a drift."""
-        if there > BEGINS and not self._present:
+        if probability > BEGINS and not self._present:
             self._present, self._since_ns = True, began_ns
-        elif there < ENDS and self._present:
+        elif probability < ENDS and self._present:
             self._present, self._since_ns = False, began_ns

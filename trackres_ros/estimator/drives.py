@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.model.resistance import resistance_parts
@@ -68,12 +68,12 @@ def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, d
     held_s = lap_m / speed - ramp_s
     if held_s < 0.0:
         raise InputError("lap", f"{lap_m:g} m at {speed:g} m/s with ramps of {ramp_s:g} s", "a lap longer than its two ramps")
-    corners, speeds, now = [0.0], [0.0], 0.0
+    corners, speeds, time_s = [0.0], [0.0], 0.0
     for _ in range(count):
-        for duration, reached in ((ramp_s, speed), (held_s, speed), (ramp_s, 0.0), (stop_s, 0.0)):
-            now += duration
-            corners.append(now)
-            speeds.append(reached)
+        for duration, target in ((ramp_s, speed), (held_s, speed), (ramp_s, 0.0), (stop_s, 0.0)):
+            time_s += duration
+            corners.append(time_s)
+            speeds.append(target)
     return through_points(np.array(corners), np.array(speeds), dt)
 
 
@@ -122,8 +122,8 @@ def run_drive(
     weight = estimator.vehicle.weight if weight_n is None else weight_n
     ambient = estimator.vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     speed, first_weight, first_ambient = (float(np.ravel(x)[0]) for x in (drive.speed, weight, ambient))
-    first = estimator.inputs(speed, weight=first_weight, ambient=first_ambient)
-    state = estimator.cold_start(first, belt_degc=initial_degc)
+    first_inputs = estimator.inputs(speed, weight=first_weight, ambient=first_ambient)
+    state = estimator.cold_start(first_inputs, belt_degc=initial_degc)
     return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration, grade, ground=ground)[1]
 
 
@@ -132,11 +132,11 @@ def series_of(estimator: Estimator, drive: SimulatedDrive, rows: Array) -> dict[
     assemblies.
     """
     has_belts = bool(estimator.assemblies)
-    shown = ("resistance_torque_nm", *resistance_parts(has_belts).values(), "inertia_nm", "drive_torque_nm")
+    torque_names = ("resistance_torque_nm", *resistance_parts(has_belts).values(), "inertia_nm", "drive_torque_nm")
     of_rows = by_column(estimator, rows)
-    belts = {"belt_degc": assembly_values(rows, at.OfAssembly.belt_degc).mean(axis=1)} if has_belts else {}
-    first = {name: of_rows[name] for name in ("speed_mps", "weight_n", "ambient_degc")}
-    return {"time_s": drive.time_s, **first, **belts, **{name: of_rows[name] for name in shown}}
+    belts = {"belt_degc": assembly_values(rows, layout.OfAssembly.belt_degc).mean(axis=1)} if has_belts else {}
+    drive_columns = {name: of_rows[name] for name in ("speed_mps", "weight_n", "ambient_degc")}
+    return {"time_s": drive.time_s, **drive_columns, **belts, **{name: of_rows[name] for name in torque_names}}
 
 
 def by_column(estimator: Estimator, rows: Array) -> dict[str, Array]:
@@ -146,4 +146,4 @@ def by_column(estimator: Estimator, rows: Array) -> dict[str, Array]:
 
 def assembly_values(rows: Array, column: int) -> Array:
     """One of `columns.ASSEMBLY_COLUMNS` out of rows of results, shape (rows, assemblies)."""
-    return rows[:, len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]
+    return rows[:, len(layout.VEHICLE_COLUMNS) + column :: len(layout.ASSEMBLY_COLUMNS)]

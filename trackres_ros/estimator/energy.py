@@ -38,14 +38,16 @@ class StepTimes:
         self._jump_ns, self._bridge_s = round(settings.clock_jump_s * SECOND_NS), settings.bridge_s
         self._last: tuple[int, int] | None = None
 
-    def of(self, steps: Steps) -> Array:
+    def step_times(self, steps: Steps) -> Array:
         """Time of each step of the next block [s]; 0 for the first of all, for one back, and over a gap too long to bridge."""
         stamp, arrival = steps.stamp_ns, steps.arrival_ns
         last_stamp, last_arrival = self._last or (int(stamp[0]), int(arrival[0]))
         self._last = int(stamp[-1]), int(arrival[-1])
-        forward, waited = np.diff(stamp, prepend=last_stamp), np.diff(arrival, prepend=last_arrival)
-        jumped = (forward < 0) | (np.maximum(forward - np.maximum(waited, 0), waited - forward) > self._jump_ns)
-        step = np.where(jumped, np.maximum(waited, 0), forward) * NANOSECOND
+        stamp_step, arrival_step = np.diff(stamp, prepend=last_stamp), np.diff(arrival, prepend=last_arrival)
+        is_jump = (stamp_step < 0) | (
+            np.maximum(stamp_step - np.maximum(arrival_step, 0), arrival_step - stamp_step) > self._jump_ns
+        )
+        step = np.where(is_jump, np.maximum(arrival_step, 0), stamp_step) * NANOSECOND
         return np.where(step <= self._bridge_s, step, 0.0)
 
 
@@ -59,49 +61,50 @@ def summed(step_s: Array, rate: Array, speed: Array) -> float:
 
 
 def _parts(step_s: Array, rate: Array, speed: Array) -> Array:
-    before, began = np.concatenate([rate[:1], rate[:-1]]), np.concatenate([speed[:1], speed[:-1]])
-    first, last = np.where(np.isnan(before), rate, before), np.where(np.isnan(rate), before, rate)
-    turns = began * speed < 0.0
-    until = np.abs(began) / np.where(turns, np.abs(began) + np.abs(speed), 1.0)  # it stands, as a share of the step
-    return np.asarray(step_s * 0.5 * np.where(turns, until * first + (1.0 - until) * last, first + last))
+    old_rate, old_speed = np.concatenate([rate[:1], rate[:-1]]), np.concatenate([speed[:1], speed[:-1]])
+    start_rate, end_rate = np.where(np.isnan(old_rate), rate, old_rate), np.where(np.isnan(rate), old_rate, rate)
+    turns = old_speed * speed < 0.0
+    stop_share = np.abs(old_speed) / np.where(turns, np.abs(old_speed) + np.abs(speed), 1.0)  # it stands, as a share of the step
+    return np.asarray(
+        step_s * 0.5 * np.where(turns, stop_share * start_rate + (1.0 - stop_share) * end_rate, start_rate + end_rate)
+    )
 
 
 def under_way_s(step_s: Array, speed: Array) -> Array:
     """Time of each step with a speed above standstill [s]; 0 where a speed is unknown."""
-    before = np.concatenate([speed[:1], speed[:-1]])
-    low, high = np.minimum(before, speed), np.maximum(before, speed)
+    old_speed = np.concatenate([speed[:1], speed[:-1]])
+    low, high = np.minimum(old_speed, speed), np.maximum(old_speed, speed)
     with np.errstate(invalid="ignore"):
-        stood = (np.clip(STANDSTILL_MPS, low, high) - np.clip(-STANDSTILL_MPS, low, high)) / (high - low)
-    share = np.where(high > low, 1.0 - stood, np.abs(speed) > STANDSTILL_MPS)
+        stop_share = (np.clip(STANDSTILL_MPS, low, high) - np.clip(-STANDSTILL_MPS, low, high)) / (high - low)
+    share = np.where(high > low, 1.0 - stop_share, np.abs(speed) > STANDSTILL_MPS)
     return np.asarray(step_s * np.nan_to_num(share))
 
 
-def energy_j(vehicle: AnyVehicle, step_s: Array, of: Mapping[str, Array], name: str = RESISTANCE) -> float:
+def energy_j(vehicle: AnyVehicle, step_s: Array, columns: Mapping[str, Array], name: str = RESISTANCE) -> float:
     """Energy of a torque at the sprockets along a drive [J]: of each assembly by its own radius.
 
-    `step_s`: see `steps_of`; `of`: the columns of a vehicle's results, shape (rows,); `name`: the torque's. Unknown values add
-    nothing.
+    `step_s`: see `steps_of`; `columns`: results by name, shape (rows,); `name`: the torque's. Unknown values add nothing.
     """
-    return summed(step_s, of["speed_mps"] * _force(vehicle, of, name), of["speed_mps"])
+    return summed(step_s, columns["speed_mps"] * _force(vehicle, columns, name), columns["speed_mps"])
 
 
-def _force(vehicle: AnyVehicle, of: Mapping[str, Array], name: str) -> Array:
+def _force(vehicle: AnyVehicle, columns: Mapping[str, Array], name: str) -> Array:
     if isinstance(vehicle, Vehicle):
-        return force_along(of[name], _of_assemblies(vehicle, of, name), vehicle.sprocket_radii)
-    return of[name] / vehicle.constants.radius
+        return force_along(columns[name], _of_assemblies(vehicle, columns, name), vehicle.sprocket_radii)
+    return columns[name] / vehicle.constants.radius
 
 
-def _of_assemblies(vehicle: Vehicle, of: Mapping[str, Array], name: str) -> Iterator[Array]:
+def _of_assemblies(vehicle: Vehicle, columns: Mapping[str, Array], name: str) -> Iterator[Array]:
     """Shares of the assemblies in a torque, as the step has them: forces on the vehicle by load and radius."""
     names = [assembly.name for assembly in vehicle.assemblies]
-    arms = [of[f"load_n/{assembly}"] * radius for assembly, radius in zip(names, vehicle.sprocket_radii, strict=True)]
+    arms = [columns[f"load_n/{assembly}"] * radius for assembly, radius in zip(names, vehicle.sprocket_radii, strict=True)]
     for assembly, arm in zip(names, arms, strict=True):
-        if f"{name}/{assembly}" in of:
-            yield of[f"{name}/{assembly}"]
-        elif name == "drive_torque_nm":  # a grade and the inertia beside the resistance
-            yield of[f"{RESISTANCE}/{assembly}"] + (of[name] - of[RESISTANCE]) * (arm / sum(arms))
+        if f"{name}/{assembly}" in columns:
+            yield columns[f"{name}/{assembly}"]
+        elif name == "drive_torque_nm":  # grade and inertia too, besides the resistance
+            yield columns[f"{RESISTANCE}/{assembly}"] + (columns[name] - columns[RESISTANCE]) * (arm / sum(arms))
         else:
-            yield of[name] * (arm / sum(arms))
+            yield columns[name] * (arm / sum(arms))
 
 
 class DriveTotals:
@@ -121,64 +124,64 @@ class DriveTotals:
         """Time of all steps [s]."""
         return round(float(self._sums[0]), 6)
 
-    def add(self, step_s: Array, of: Mapping[str, Array]) -> None:
+    def add(self, step_s: Array, columns: Mapping[str, Array]) -> None:
         """Add rows: the time from the row before to each [s], shape (rows,), and their columns, each of that shape."""
-        speed, torque = of["speed_mps"], of[RESISTANCE]
-        moving = np.where(np.abs(speed) > STANDSTILL_MPS, np.abs(torque), np.nan)
-        rates = np.stack([speed, np.abs(speed), moving, speed * _force(self._vehicle, of, RESISTANCE)])
+        speed, torque = columns["speed_mps"], columns[RESISTANCE]
+        moving_torque = np.where(np.abs(speed) > STANDSTILL_MPS, np.abs(torque), np.nan)
+        rates = np.stack([speed, np.abs(speed), moving_torque, speed * _force(self._vehicle, columns, RESISTANCE)])
         rates = np.concatenate([self._rates if self._rates.size else rates[:, :1], rates], axis=1)
         self._rates, step = rates[:, -1:], np.concatenate([[0.0], step_s])
-        v, size, resists, power = rates
+        v, size, resistance, power = rates
         under_way = under_way_s(step, v)  # a resistance does not go to zero with the speed, so `size` for it, which never turns
-        parts = [step, under_way, _parts(step, size, v), _parts(under_way, resists, size), _parts(step, power, v)]
+        parts = [step, under_way, _parts(step, size, v), _parts(under_way, resistance, size), _parts(step, power, v)]
         self._sums = np.cumsum(np.column_stack([self._sums, np.nan_to_num(parts)]), axis=1)[:, -1]
         self._largest = float(np.fmax(self._largest, np.fmax.reduce(np.abs(torque))))
-        for belt in (values for name, values in of.items() if name.startswith("belt_degc/")):
+        for belt in (values for name, values in columns.items() if name.startswith("belt_degc/")):
             self._coldest = float(np.fmin(self._coldest, np.fmin.reduce(belt)))
             self._warmest = float(np.fmax(self._warmest, np.fmax.reduce(belt)))
 
     def as_dict(self) -> dict[str, float]:
         """The totals; those of the belts if there are any."""
-        _, under_way, driven, resisted, energy = self._sums.tolist()
+        _, under_way, distance, resistance_sum, energy = self._sums.tolist()
         energy_mj = energy / MEGA
         belts = {"coldest_belt_degc": self._coldest, "warmest_belt_degc": self._warmest} if self._vehicle.assemblies else {}
         return {
-            "distance_m": driven,
+            "distance_m": distance,
             "under_way_s": under_way,
-            "mean_resistance_nm": resisted / max(under_way, 1e-9),
+            "mean_resistance_nm": resistance_sum / max(under_way, 1e-9),
             "largest_resistance_nm": self._largest,
             "energy_mj": energy_mj,
-            "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
+            "kwh_per_km": energy_mj / MJ_PER_KWH / max(distance / 1000.0, 1e-9) if distance > 0.0 else 0.0,
             **belts,
         }
 
 
-def taken(vehicle: AnyVehicle, time_s: Array, of: Mapping[str, Array]) -> dict[str, float]:
+def sum_drive(vehicle: AnyVehicle, time_s: Array, columns: Mapping[str, Array]) -> dict[str, float]:
     """Totals of a drive without gaps; see `DriveTotals`.
 
-    `time_s`: shape (rows,) [s]; `of`: the columns of the vehicle's results, each of that shape.
+    `time_s`: shape (rows,) [s]; `columns`: the columns of the vehicle's results, each of that shape.
     """
     totals = DriveTotals(vehicle)
-    totals.add(steps_of(time_s), of)
+    totals.add(steps_of(time_s), columns)
     return totals.as_dict()
 
 
-def taken_text(of: Mapping[str, float]) -> str:
+def drive_text(totals: Mapping[str, float]) -> str:
     """The same in a sentence."""
-    if not of["under_way_s"]:
+    if not totals["under_way_s"]:
         return "The vehicle stood the whole time"
-    way, minutes = _shown(of["distance_m"] / 1000.0, 2), _shown(of["under_way_s"] / 60.0, 1)
-    mean, largest = _shown(of["mean_resistance_nm"]), _shown(of["largest_resistance_nm"])
-    energy, each_km = _shown(of["energy_mj"], 1), _shown(of["kwh_per_km"], 2)
+    way, minutes = _shown(totals["distance_m"] / 1000.0, 2), _shown(totals["under_way_s"] / 60.0, 1)
+    mean, peak = _shown(totals["mean_resistance_nm"]), _shown(totals["largest_resistance_nm"])
+    energy, each_km = _shown(totals["energy_mj"], 1), _shown(totals["kwh_per_km"], 2)
     belts = ""
-    if "coldest_belt_degc" in of:
-        belts = f"; belts {decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
+    if "coldest_belt_degc" in totals:
+        belts = f"; belts {decimals(totals['coldest_belt_degc'], 1)} to {decimals(totals['warmest_belt_degc'], 1)} degC"
     return (
-        f"The drive: {way} km, {minutes} min of driving; mean resistance {mean} Nm, at most {largest} Nm; {energy} MJ "
+        f"The drive: {way} km, {minutes} min of driving; mean resistance {mean} Nm, at most {peak} Nm; {energy} MJ "
         f"({each_km} kWh/km){belts}"
     )
 
 
 def _shown(value: float, places: int = 0) -> str:
-    """A number with so many decimals; a small one with two figures."""
+    """A number with a given number of decimals; a small number with two figures."""
     return decimals(value, places) if abs(value) >= 10.0 ** (1 - places) else figures(value, 2)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros import checks
 from trackres_ros.arrays import Array, IntArray
 from trackres_ros.effects.stepping import EACH, FIRST_OWN, OF_AIR
-from trackres_ros.effects.stepping import cooled as cooled_effects
+from trackres_ros.effects.stepping import cool_memory as cooled_effects
 from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as layout
@@ -37,8 +37,8 @@ from trackres_ros.estimator.records import (
     Scratch,
     State,
     Steps,
-    bounded,
-    checked,
+    bounded_array,
+    check_inputs,
     duration,
     floats,
     is_as_compiled,
@@ -71,7 +71,7 @@ class Estimator:
     vehicle
         From `trackres_ros.load_vehicle`, the path of its file, or the name of a shipped one.
     settings
-        See docs/settings.md for the defaults.
+        Parameters of the estimator; config/trackres.yaml has the defaults.
     cache
         Folder of computed tables; by default the user's.
     entries
@@ -164,7 +164,7 @@ class Estimator:
             a weight or loads that are not above 0.
         """
         k = self.constants
-        given = Inputs(
+        raw = Inputs(
             speed,
             k.assembly[:, layout.Assembly.nominal_load] if load is None else load,
             k.number.nominal_ambient if ambient is None else ambient,
@@ -177,11 +177,11 @@ class Estimator:
             distance,
             measured_torque,
         )
-        found = self._checked(given)
+        inputs = self._checked(raw)
         if weight is None:
-            return found
-        shares = k.assembly[:, layout.Assembly.share_of_all] if load is None else found.load / found.load.sum()
-        return found._replace(load=number(weight, "weight", LEAST_WEIGHT) * shares)
+            return inputs
+        shares = k.assembly[:, layout.Assembly.share_of_all] if load is None else inputs.load / inputs.load.sum()
+        return inputs._replace(load=number(weight, "weight", LEAST_WEIGHT) * shares)
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """Make the state of belts at the ambient temperature, or at a known one [degC] with a standard deviation [K].
@@ -198,7 +198,7 @@ class Estimator:
             state.belts[:, :, layout.Belt.temperature] = number(belt_degc, "belt_degc")
             state.belts[:, :, layout.Belt.consider_ambient] = 0.0
         if belt_std_k is not None:
-            state.belts[:, :, layout.Belt.noise_1] = number(belt_std_k, "belt_std_k", least=0.0)
+            state.belts[:, :, layout.Belt.noise_1] = number(belt_std_k, "belt_std_k", low=0.0)
         return state
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
@@ -215,15 +215,15 @@ class Estimator:
             For a dt that is negative, no number or above a week, a state or inputs of another vehicle, or values that `inputs`
             refuses.
         """
-        after, elapsed, row = self._copy(state), duration(dt, "dt", *LONGEST_STEP), np.empty(len(self.columns))
+        next_state, elapsed, row = self._copy(state), duration(dt, "dt", *LONGEST_STEP), np.empty(len(self.columns))
         if not is_as_compiled(inputs, *self._sizes):
             inputs = self._checked(inputs)
-        if not self.entries.step_once(self.constants, after, self.scratch(), inputs, elapsed, row):
+        if not self.entries.step_once(self.constants, next_state, self.scratch(), inputs, elapsed, row):
             self._checked(inputs)  # which says why
-        return after, Estimate(row, self.column_index)
+        return next_state, Estimate(row, self.column_index)
 
     def _checked(self, inputs: Inputs) -> Inputs:
-        return checked(inputs, *self._sizes)
+        return check_inputs(inputs, *self._sizes)
 
     def scratch(self) -> Scratch:
         """New scratch memory, as threads must not share one."""
@@ -270,11 +270,11 @@ class Estimator:
         at_times = times(time_s, "time_s")
         if not isinstance(ground, GroundSeries | None):
             raise InputError("ground", ground, "what along_route gives, or None")
-        given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
-        series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(given, ALONG, strict=True)))
-        after, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
-        self.entries.run_series(self.constants, after, self.scratch(), series, self.constants.number.ambient_std, rows)
-        return after, rows
+        arguments = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
+        series = DriveSeries(at_times, *(_at_each(at_times, a, name) for a, name in zip(arguments, ALONG, strict=True)))
+        next_state, rows = self._copy(state), np.empty((len(at_times), len(self.columns)))
+        self.entries.run_series(self.constants, next_state, self.scratch(), series, self.constants.number.ambient_std, rows)
+        return next_state, rows
 
     def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
         """Look up the ground along a drive in the surroundings, as live: only from positions up to each time.
@@ -297,11 +297,11 @@ class Estimator:
             For times that fall, dates, a series of another length, or a speed that is not finite.
         """
         at_times = times(time_s, "time_s")
-        given = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
-        series = (bounded(a, name, at_times.shape, unknown=name != "speed") for name, a in given)
-        found = np.empty((len(at_times), len(GroundSeries._fields)))
-        self.entries.follow_series(self.constants, np.array(NOTHING_YET), at_times, *series, found)
-        return GroundSeries(*found.T)
+        arguments = (("speed", speed), ("latitude", latitude), ("longitude", longitude))
+        series = (bounded_array(a, name, at_times.shape, nan_allowed=name != "speed") for name, a in arguments)
+        ground = np.empty((len(at_times), len(GroundSeries._fields)))
+        self.entries.follow_series(self.constants, np.array(NOTHING_YET), at_times, *series, ground)
+        return GroundSeries(*ground.T)
 
     def rest(self, state: State, ambient: float | None, seconds: float) -> State:
         """Compute the state after standing or being switched off for some time [s] at an ambient temperature [degC].
@@ -310,11 +310,11 @@ class Estimator:
         counts as a week. The given state does not change. Raises InputError for a negative time, a temperature that is no finite
         number, or a state of another vehicle.
         """
-        after, std = self._copy(state), self.constants.number.ambient_unknown_std
-        off = min(duration(seconds, "seconds"), LONGEST_STEP_S)
+        next_state, std = self._copy(state), self.constants.number.ambient_unknown_std
+        pause = min(duration(seconds, "seconds"), LONGEST_STEP_S)
         air = math.nan if ambient is None else number(ambient, "ambient")
-        self.entries.rest_vehicle(self.constants, after, self.scratch(), air, std, off)
-        return after
+        self.entries.rest_vehicle(self.constants, next_state, self.scratch(), air, std, pause)
+        return next_state
 
     def check(self, state: State) -> None:
         """Raise InputError for a state with other arrays than those of this vehicle."""
@@ -322,8 +322,8 @@ class Estimator:
             raise InputError("state", state, "a state", "begin with cold_start")
         shapes = state.belts.shape, state.motion.shape, state.effects.shape, state.learned.shape
         if shapes != self._state_shapes:
-            allowed = f"{self._state_shapes}, those of {self.vehicle.name}"
-            raise InputError("state", f"arrays of shape {shapes}", allowed, "begin with cold_start")
+            expected = f"{self._state_shapes}, those of {self.vehicle.name}"
+            raise InputError("state", f"arrays of shape {shapes}", expected, "begin with cold_start")
 
     def _copy(self, state: State) -> State:
         self.check(state)
@@ -334,13 +334,13 @@ class Estimator:
         return Session(self)
 
 
-def _at_each(at_times: Array, given: ArrayLike, where: str) -> Array:
+def _at_each(at_times: Array, values: ArrayLike, name: str) -> Array:
     """A number, or one for each time, as a series of its own."""
-    known = where in ("speed", "weight", "ambient")
-    found = bounded(given, where, least=LEAST_WEIGHT if where == "weight" else -LARGEST, unknown=not known)
-    if found.shape not in ((), (1,), at_times.shape):
-        raise InputError(where, f"an array of shape {found.shape}", f"a number, or shape {at_times.shape} as time_s")
-    return np.array(np.broadcast_to(found, at_times.shape), order="C")
+    is_required = name in ("speed", "weight", "ambient")
+    array = bounded_array(values, name, low=LEAST_WEIGHT if name == "weight" else -LARGEST, nan_allowed=not is_required)
+    if array.shape not in ((), (1,), at_times.shape):
+        raise InputError(name, f"an array of shape {array.shape}", f"a number, or shape {at_times.shape} as time_s")
+    return np.array(np.broadcast_to(array, at_times.shape), order="C")
 
 
 class Session:
@@ -392,12 +392,12 @@ class Session:
         self.belts[:], self.motion[:], self.effects[:], self.learned[:] = state
         self.motion[layout.Motion.started] = layout.RESTS
 
-    def adopt(self, other: Session) -> None:
+    def copy_from(self, other: Session) -> None:
         """Continue from another session of the same vehicle, with its whole memory and this one's settings."""
         self.belts[:], self.motion[:] = other.belts, other.motion
         self.effects[:], self.learned[:] = other.effects, other.learned
-        for mine, its in zip(self.memory, other.memory, strict=True):
-            mine[:] = its
+        for target, source in zip(self.memory, other.memory, strict=True):
+            target[:] = source
 
     def start_anew(self) -> None:
         """Reset belts and messages after time went back, as at a cold start; counters stay. The next estimate reports it."""
@@ -406,18 +406,18 @@ class Session:
         self.effects[:] = cooled_effects(self.effects)
         self.motion[layout.Motion.started] = layout.START_ANEW
 
-    def start_cold(self, driving: bool) -> None:
+    def start_cold(self, is_driving: bool) -> None:
         """Reset belts and effects; other inputs stay.
 
         While the vehicle is driving, belts begin at the ambient temperature known now, and the feed-forward goes on. Else they
         begin at the next speed, and the time until then does not count.
         """
         k, memory = self.estimator.constants, self.memory
-        if self.started and driving:
+        if self.started and is_driving:
             motion = layout.Motion(self.motion)
-            ambient, std, assumed = ambient_now(k, memory, motion, int(memory.times[layout.SPEED, layout.Times.last_arrival]))
+            ambient, std, reason = ambient_now(k, memory, motion, int(memory.times[layout.SPEED, layout.Times.last_arrival]))
             start(k, State(self.belts, self.motion.copy(), self.effects, self.learned), ambient, std)
-            motion.air, motion.air_std = ambient, std if assumed else 0.0
+            motion.air, motion.air_std = ambient, std if reason else 0.0
         elif self.started:  # otherwise it starts cold anyway
             memory.times[layout.SPEED, layout.Times.seen], memory.values[layout.SPEED] = 0, math.nan
             self.motion[layout.Motion.started] = layout.START_COLD
@@ -431,8 +431,8 @@ class Session:
 
         Raises InputError for what is no channel or no number; a value that cannot be used, also nan, is counted.
         """
-        plain = type(channel) is type(stamp_ns) is type(arrival_ns) is int and type(value) is float
-        if not (plain and 0 <= channel < self._channels and FIRST_NS <= stamp_ns <= LAST_NS >= arrival_ns >= FIRST_NS):
+        has_plain_types = type(channel) is type(stamp_ns) is type(arrival_ns) is int and type(value) is float
+        if not (has_plain_types and 0 <= channel < self._channels and FIRST_NS <= stamp_ns <= LAST_NS >= arrival_ns >= FIRST_NS):
             message = self._messages(*([part] for part in (channel, stamp_ns, arrival_ns, value)))
             channel, stamp_ns, arrival_ns, value = (part.tolist()[0] for part in message)
         return self.feed(channel, stamp_ns, arrival_ns, value)
@@ -440,11 +440,11 @@ class Session:
     def feed(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
         """`handle` without its checks, for numbers that are of these types already: another channel writes outside the arrays."""
         row, estimator = np.empty(self._columns), self.estimator
-        stepped = estimator.entries.feed(
+        has_row = estimator.entries.feed(
             self._k.given, self._memory.given, self._carried.given, self._scratch.given, channel, stamp_ns,
             arrival_ns, value, row,
         )  # fmt: skip
-        return Estimate(row, estimator.column_index) if stepped else None
+        return Estimate(row, estimator.column_index) if has_row else None
 
     def handle_block(self, channel: NDArray[np.integer[Any]], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
         """Process many messages, arrays of shape (messages,) in the order of arrival.
@@ -452,36 +452,36 @@ class Session:
         Raises InputError for different lengths, and as `handle`.
         """
         messages = self._messages(channel, stamp_ns, arrival_ns, value)
-        most = int(np.count_nonzero(messages.channels == layout.SPEED))
-        rows = np.empty((most + 1, len(self.estimator.columns)))
-        of_steps = np.empty((2, most + 1), dtype=np.int64)
-        given = self._k.given, self._memory.given, self._carried.given, self._scratch.given
-        steps = self.estimator.entries.feed_all(*given, messages, rows, *of_steps)
+        speed_count = int(np.count_nonzero(messages.channels == layout.SPEED))
+        rows = np.empty((speed_count + 1, len(self.estimator.columns)))
+        of_steps = np.empty((2, speed_count + 1), dtype=np.int64)
+        pointers = self._k.given, self._memory.given, self._carried.given, self._scratch.given
+        steps = self.estimator.entries.feed_all(*pointers, messages, rows, *of_steps)
         return Steps(of_steps[0, :steps], of_steps[1, :steps], rows[:steps])
 
     def _messages(self, channel: ArrayLike, stamp_ns: ArrayLike, arrival_ns: ArrayLike, value: ArrayLike) -> Messages:
         """Messages from outside, with arrays for which the kernels are compiled."""
-        found = Messages(
+        messages = Messages(
             whole_numbers(channel, "channel", 0, self._channels - 1),
             whole_numbers(stamp_ns, "stamp_ns", FIRST_NS, LAST_NS),
             whole_numbers(arrival_ns, "arrival_ns", FIRST_NS, LAST_NS),
             floats(value, "value"),
         )
-        if len({part.shape for part in found}) > 1 or found.values.ndim != 1:
-            given = f"arrays of shape {[part.shape for part in found]}"
-            raise InputError("channel, stamp_ns, arrival_ns, value", given, "arrays of one length, shape (messages,)")
-        return found
+        if len({part.shape for part in messages}) > 1 or messages.values.ndim != 1:
+            shapes = f"arrays of shape {[part.shape for part in messages]}"
+            raise InputError("channel, stamp_ns, arrival_ns, value", shapes, "arrays of one length, shape (messages,)")
+        return messages
 
-    def counts(self, before: IntArray | int = 0) -> Iterator[tuple[str, layout.Count, int]]:
-        """All counters that are not zero: channel, counter, number; since `before`, a copy of them."""
-        numbers = self.memory.counters - before
+    def counts(self, base: IntArray | int = 0) -> Iterator[tuple[str, layout.Count, int]]:
+        """All counters that are not zero: channel, counter, number; since `base`, a copy of them."""
+        numbers = self.memory.counters - base
         for i, name in enumerate(self.estimator.channels):
             for count in layout.Count:
                 if numbers[i, count]:
                     yield name, count, int(numbers[i, count])
 
-    def reason_counts(self, before: IntArray | int = 0) -> dict[layout.Reason, int]:
-        """Each reason that occurred, and its number of steps; since `before`, a copy of these numbers."""
+    def reason_counts(self, base: IntArray | int = 0) -> dict[layout.Reason, int]:
+        """Each reason that occurred, and its number of steps; since `base`, a copy of these numbers."""
         return {
-            reason: int(number) for reason, number in zip(layout.REASON_TEXT, self.memory.reasons - before, strict=True) if number
+            reason: int(number) for reason, number in zip(layout.REASON_TEXT, self.memory.reasons - base, strict=True) if number
         }

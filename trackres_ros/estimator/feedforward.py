@@ -17,7 +17,7 @@ from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.columns import Assembly, Motion, Part, Times
 from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.estimator.guards import LAST_ARRIVAL, Memory, not_enabled
-from trackres_ros.estimator.plausible import towards
+from trackres_ros.estimator.plausible import step_towards
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.kernels.marks import kernel
 from trackres_ros.units import NANOSECOND
@@ -53,17 +53,17 @@ def finite(torque: float) -> float:
 
 
 @kernel
-def approach(number: Numbers, value: float, target: float, lasted: float) -> float:
+def approach(number: Numbers, value: float, target: float, seconds: float) -> float:
     """Feed-forward [Nm] after some time [s] on its way from a value to a target. One of the other sign goes to zero first, at the
     rate to zero, as it pushes the wrong way (ours).
     """
-    here, there, left = finite(value), finite(target), max(0.0, lasted)
-    if here * there < 0.0:
-        room = rate_towards(number, 0.0) * left
-        if not abs(here) < room:
-            return towards(here, 0.0, room)
-        here, left = 0.0, left * (1.0 - abs(here) / room)
-    return towards(here, there, rate_towards(number, there) * left)
+    start, goal, remaining = finite(value), finite(target), max(0.0, seconds)
+    if start * goal < 0.0:
+        room = rate_towards(number, 0.0) * remaining
+        if not abs(start) < room:
+            return step_towards(start, 0.0, room)
+        start, remaining = 0.0, remaining * (1.0 - abs(start) / room)
+    return step_towards(start, goal, rate_towards(number, goal) * remaining)
 
 
 @kernel
@@ -83,34 +83,34 @@ def feedforward(
     fed forward; with `inputs.fed` 0 nothing is. The limit is of the present weight, at most the nominal one. Where it falls, the
     output follows at its rate.
     """
-    number, reasons, fed = k.number, 0, inputs.fed
-    nominal = present = 0.0
+    number, reasons, share = k.number, 0, inputs.fed
+    nominal = present_weight = 0.0
     for i in range(inputs.load.shape[0]):
         assembly = Assembly(k.assembly[i])
         nominal += assembly.nominal_load * assembly.radius
-        present += inputs.load[i] * assembly.radius
-    limit = number.feedforward_limit * (present / nominal if present < nominal else 1.0)
-    wanted = number.feed_grade * total.grade if not math.isnan(inputs.grade) else 0.0  # a slope by place is of the surroundings
+        present_weight += inputs.load[i] * assembly.radius
+    limit = number.feedforward_limit * (present_weight / nominal if present_weight < nominal else 1.0)
+    target = number.feed_grade * total.grade if not math.isnan(inputs.grade) else 0.0  # a slope by place is of the surroundings
     if motion.rolls > 0.0:
-        wanted += (
+        target += (
             number.feed_hysteresis * total.hysteresis
             + number.feed_bearing * total.bearing
             + number.feed_wind * total.wind
             + of_effects
         )
     if not math.isnan(inputs.acceleration):  # one filtered from the speed would feed the controller's own noise back to it
-        wanted += number.feed_inertia * (total.inertia + terms[TERM.fed_inertia])
-    wanted *= terms[TERM.fed_gain] * fed
-    if not abs(wanted) <= limit:
-        wanted = math.copysign(limit, wanted) if abs(wanted) > limit else 0.0
+        target += number.feed_inertia * (total.inertia + terms[TERM.fed_inertia])
+    target *= terms[TERM.fed_gain] * share
+    if not abs(target) <= limit:
+        target = math.copysign(limit, target) if abs(target) > limit else 0.0
         reasons |= CLAMPED
-    last = approach(number, motion.feedforward, present_target(motion), dt - motion.update_age)
-    last *= fade(dt, max(number.speed_max_age, motion.longest_age), number.feedforward_fade)
-    moved = approach(number, last, wanted, min(dt, FEEDFORWARD_STEP_S))
-    if moved != wanted:
+    previous = approach(number, motion.feedforward, present_target(motion), dt - motion.update_age)
+    previous *= fade(dt, max(number.speed_max_age, motion.longest_age), number.feedforward_fade)
+    output = approach(number, previous, target, min(dt, FEEDFORWARD_STEP_S))
+    if output != target:
         reasons |= LIMITED
-    motion.feedforward_target, motion.update_age, motion.to_zero = wanted, FEEDFORWARD_STEP_S, 1.0 - fed
-    return moved, reasons
+    motion.feedforward_target, motion.update_age, motion.to_zero = target, FEEDFORWARD_STEP_S, 1.0 - share
+    return output, reasons
 
 
 # Between two steps
@@ -119,42 +119,42 @@ ENABLE_OLD = int(layout.Reason.ENABLE_OLD)
 
 
 @kernel
-def age_of_speed(memory: Memory, now: int) -> float:
+def age_of_speed(memory: Memory, time_ns: int) -> float:
     """Time from the arrival of the last accepted speed to another one [s]."""
-    return float((now - Times(memory.times[layout.SPEED]).last_arrival) * NANOSECOND)
+    return float((time_ns - Times(memory.times[layout.SPEED]).last_arrival) * NANOSECOND)
 
 
 @kernel
-def last_update(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[float, float, int]:
+def last_update(k: Constants, memory: Memory, motion: Motion, time_ns: int) -> tuple[float, float, int]:
     """The last change of the target of the feed-forward before an arrival [ns]: its value [Nm] and the age of the speed [s] then,
     and the reason why it has been on its way to zero since, else 0.
 
     Messages store these changes with `update_feedforward`. An enable expires between them, at a time of its own.
     """
-    stopped = not_enabled(k, memory, now)
-    if (stopped != 0) == (motion.to_zero > 0.0):
-        return motion.feedforward, motion.update_age, stopped
-    since = now
-    if stopped == ENABLE_OLD:
-        since = min(now, memory.times[layout.ENABLE, LAST_ARRIVAL] + k.number.enable_hold_ns)
-    age = age_of_speed(memory, since)
+    reason = not_enabled(k, memory, time_ns)
+    if (reason != 0) == (motion.to_zero > 0.0):
+        return motion.feedforward, motion.update_age, reason
+    change_ns = time_ns
+    if reason == ENABLE_OLD:
+        change_ns = min(time_ns, memory.times[layout.ENABLE, LAST_ARRIVAL] + k.number.enable_hold_ns)
+    age = age_of_speed(memory, change_ns)
     value = approach(k.number, motion.feedforward, present_target(motion), age - motion.update_age)
-    return value, max(motion.update_age, age), stopped
+    return value, max(motion.update_age, age), reason
 
 
 @kernel
-def update_feedforward(k: Constants, memory: Memory, motion: Motion, now: int) -> None:
+def update_feedforward(k: Constants, memory: Memory, motion: Motion, time_ns: int) -> None:
     """Direct the feed-forward at an arrival [ns]: to zero once it is not enabled or the vehicle may stand, afterwards back."""
-    motion.feedforward, motion.update_age, stopped = last_update(k, memory, motion, now)
-    motion.to_zero = 1.0 if stopped != 0 else 0.0
+    motion.feedforward, motion.update_age, reason = last_update(k, memory, motion, time_ns)
+    motion.to_zero = 1.0 if reason != 0 else 0.0
 
 
 @kernel
-def feedforward_at(k: Constants, memory: Memory, motion: Array, now: int) -> tuple[float, float, int]:
+def feedforward_at(k: Constants, memory: Memory, motion: Array, time_ns: int) -> tuple[float, float, int]:
     """Feed-forward at an arrival [ns] without its fading, the value that it is on its way to [Nm], and the reason why that is
     zero, else 0.
     """
-    last = Motion(motion)
-    value, age, stopped = last_update(k, memory, last, now)
-    target = 0.0 if stopped != 0 else finite(last.feedforward_target)
-    return approach(k.number, value, target, age_of_speed(memory, now) - age), target, stopped
+    motion_row = Motion(motion)
+    value, age, reason = last_update(k, memory, motion_row, time_ns)
+    target = 0.0 if reason != 0 else finite(motion_row.feedforward_target)
+    return approach(k.number, value, target, age_of_speed(memory, time_ns) - age), target, reason

@@ -25,17 +25,17 @@ from trackres_ros.estimator.plausible import (
     LOAD_PER_S,
     LOAD_SLACK,
     NOTHING_TRACKED,
-    disagrees,
     integrate_speed,
     is_load,
     is_near,
     load_is_plausible,
     load_std,
     move_clock,
-    odometer_came,
     seems_to_stand,
     speed_is_plausible,
-    trust,
+    speeds_disagree,
+    take_odometer,
+    trust_value,
 )
 from trackres_ros.estimator.records import Inputs, Scratch
 from trackres_ros.kernels.marks import kernel, length
@@ -47,8 +47,8 @@ from trackres_ros.route.follower import (
     TORQUE,
     TORQUE_STD,
     drive_on,
-    forget,
-    look,
+    forget_position,
+    look_up_ground,
     take_position,
 )
 from trackres_ros.route.track import FARTHEST_M, flat
@@ -67,27 +67,27 @@ def has_route(k: Constants) -> bool:
 
 
 @kernel
-def position_came(k: Constants, times: IntArray, values: Array, followed: Array) -> None:
+def take_new_position(k: Constants, times: IntArray, values: Array, follower: Array) -> None:
     """A latitude or a longitude was accepted: it is a position once both of about one time came. Each serves one position."""
     latitude, longitude = Times(times[layout.LATITUDE]), Times(times[layout.LONGITUDE])
     if not has_route(k) or latitude.fresh == 0 or longitude.fresh == 0:
         return
     if abs(latitude.last_stamp - longitude.last_stamp) <= TOGETHER_NS:
         latitude.fresh = longitude.fresh = 0
-        position_at(k, followed, values[layout.LATITUDE], values[layout.LONGITUDE])
+        position_at(k, follower, values[layout.LATITUDE], values[layout.LONGITUDE])
 
 
 @kernel
-def position_at(k: Constants, followed: Array, latitude: float, longitude: float) -> None:
+def position_at(k: Constants, follower: Array, latitude: float, longitude: float) -> None:
     """It is at a position [rad]."""
     x, y = flat(k.number.route_latitude, k.number.route_longitude, latitude, longitude)
     if not length(x, y) < FARTHEST_M:
         x = y = math.nan
-    take_position(followed, x, y)
+    take_position(follower, x, y)
 
 
 @kernel
-def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, elapsed: int) -> tuple[float, float, float, bool]:
+def ground_now(k: Constants, times: IntArray, follower: Array, speed: float, elapsed: int) -> tuple[float, float, float, bool]:
     """Ground at an accepted speed [m/s], given the time since the last one [ns].
 
     Returns
@@ -98,13 +98,13 @@ def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, ela
     """
     if not has_route(k):
         return math.nan, math.nan, math.nan, True
-    now, latitude, longitude = Times(times[layout.SPEED]), Times(times[layout.LATITUDE]), Times(times[layout.LONGITUDE])
+    speed_times, latitude, longitude = Times(times[layout.SPEED]), Times(times[layout.LATITUDE]), Times(times[layout.LONGITUDE])
     # If half of a position was refused, the earlier half is used.
-    since_position = now.last_stamp - min(latitude.last_stamp, longitude.last_stamp)
-    drive_on(followed, speed, min(elapsed, k.number.position_hold_ns) * NANOSECOND, since_position * NANOSECOND)
-    is_old = now.last_arrival - min(latitude.last_arrival, longitude.last_arrival) > k.number.position_hold_ns
-    look(k.route_cells, k.route_places, followed, is_old)
-    return followed[SLOPE], followed[TORQUE], followed[TORQUE_STD], followed[PLACE_KNOWN] > 0.0
+    since_position = speed_times.last_stamp - min(latitude.last_stamp, longitude.last_stamp)
+    drive_on(follower, speed, min(elapsed, k.number.position_hold_ns) * NANOSECOND, since_position * NANOSECOND)
+    is_old = speed_times.last_arrival - min(latitude.last_arrival, longitude.last_arrival) > k.number.position_hold_ns
+    look_up_ground(k.route_cells, k.route_places, follower, is_old)
+    return follower[SLOPE], follower[TORQUE], follower[TORQUE_STD], follower[PLACE_KNOWN] > 0.0
 
 
 @kernel
@@ -115,32 +115,32 @@ def is_missing(k: Constants, grade: float, slope: float, torque: float) -> bool:
 
 
 @kernel
-def place_reason(k: Constants, known: bool, grade: float, slope: float, torque: float) -> int:
+def place_reason(k: Constants, has_position: bool, grade: float, slope: float, torque: float) -> int:
     """The reason to report if the surroundings have no data because the place is unknown, else 0."""
-    return PLACE_UNKNOWN if not known and is_missing(k, grade, slope, torque) else 0
+    return PLACE_UNKNOWN if not has_position and is_missing(k, grade, slope, torque) else 0
 
 
 @kernel
 def follow_along(
     k: Constants,
-    followed: Array,
+    follower: Array,
     times: Array,
     speeds: Array,
     latitudes: Array,
     longitudes: Array,
-    out: Annotated[Array, (None, 4)],
+    rows: Annotated[Array, (None, 4)],
 ) -> None:
-    """Follow a drive; fill one row of `out` per time, as `records.GroundSeries`. A missing position is nan."""
+    """Follow a drive; fill one row of `rows` per time, as `records.GroundSeries`. A missing position is nan."""
     at_s = -math.inf
     for i in range(times.shape[0]):
         if not (math.isnan(latitudes[i]) or math.isnan(longitudes[i])):
-            position_at(k, followed, latitudes[i], longitudes[i])
+            position_at(k, follower, latitudes[i], longitudes[i])
             at_s = times[i]
         dt, hold_s = times[i] - times[max(i - 1, 0)], k.number.position_hold_ns * NANOSECOND
-        drive_on(followed, speeds[i], min(dt, hold_s), times[i] - at_s)
-        look(k.route_cells, k.route_places, followed, times[i] - at_s > hold_s)
-        out[i, 0], out[i, 1], out[i, 2] = followed[SLOPE], followed[TORQUE], followed[TORQUE_STD]
-        out[i, 3] = followed[PLACE_KNOWN]
+        drive_on(follower, speeds[i], min(dt, hold_s), times[i] - at_s)
+        look_up_ground(k.route_cells, k.route_places, follower, times[i] - at_s > hold_s)
+        rows[i, 0], rows[i, 1], rows[i, 2] = follower[SLOPE], follower[TORQUE], follower[TORQUE_STD]
+        rows[i, 3] = follower[PLACE_KNOWN]
 
 
 # Guards
@@ -209,12 +209,12 @@ def has_jumped(k: Constants, times: Times, stamp: int, arrival: int, is_behind: 
 
     A queue that was left full gives many at once, with stamps behind their arrivals. So these must also go on for a while (ours).
     """
-    since, until = stamp - times.suspect_stamp, arrival - times.suspect_arrival
-    agrees = times.suspects > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
+    stamp_step, arrival_step = stamp - times.suspect_stamp, arrival - times.suspect_arrival
+    agrees = times.suspects > 0 and stamp_step > 0 and abs(stamp_step - arrival_step) <= k.number.clock_jump_ns
     times.suspects = min(times.suspects + 1, k.number.jumps_to_accept) if agrees else 1
     if not (agrees and is_behind):
         times.suspect_stamp, times.suspect_arrival = stamp, arrival
-    return times.suspects >= k.number.jumps_to_accept and (not is_behind or until > k.number.clock_jump_ns)
+    return times.suspects >= k.number.jumps_to_accept and (not is_behind or arrival_step > k.number.clock_jump_ns)
 
 
 @kernel
@@ -248,7 +248,20 @@ def longest_age(k: Constants, memory: Memory) -> float:
 
 
 @kernel
-def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
+def at_sprockets(k: Constants, torque: float, speed: float) -> float:
+    """A measured torque at the sprockets [Nm], of one at the motor by `Gears.at_sprockets`."""
+    if not k.number.torque_at_motor:
+        return torque
+    power, ratio, efficiency = torque * speed, k.number.motor_ratio, k.number.motor_efficiency
+    if power > 0.0:
+        return torque * ratio * efficiency
+    return torque * ratio / efficiency if power < 0.0 else torque * ratio
+
+
+@kernel
+def admit_message(
+    k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float
+) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step observed in the speed [m/s].
 
     Returns
@@ -271,50 +284,50 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             stamp += times.last_stamp - times.last_arrival
     outcome, elapsed, is_behind = ACCEPTED_IN_ORDER, 0, False
     if times.seen:
-        forward, waited = stamp - times.last_stamp, arrival - times.last_arrival
-        elapsed = forward
-        behind_doubt = times.doubts > 0 and forward > 0 and stamp <= times.doubt_stamp
-        if forward == 0 or (behind_doubt and stamp == times.doubt_stamp):
+        stamp_step, arrival_step = stamp - times.last_stamp, arrival - times.last_arrival
+        elapsed = stamp_step
+        behind_doubt = times.doubts > 0 and stamp_step > 0 and stamp <= times.doubt_stamp
+        if stamp_step == 0 or (behind_doubt and stamp == times.doubt_stamp):
             counters[DUPLICATE] += 1
             return -DUPLICATE, 0
-        if behind_doubt or (forward < 0 and -forward <= k.number.clock_jump_ns):
+        if behind_doubt or (stamp_step < 0 and -stamp_step <= k.number.clock_jump_ns):
             counters[LATE] += 1
             return -LATE, 0
-        if forward < 0 and waited < -k.number.clock_jump_ns:
+        if stamp_step < 0 and arrival_step < -k.number.clock_jump_ns:
             counters[RESET] += 1
             outcome, elapsed = ACCEPTED_AFTER_RESET, 0
             times.disagrees_since = 0
-        elif forward < 0 or max(forward - max(waited, 0), waited - forward) > k.number.clock_jump_ns:
-            is_behind = 0 < forward < waited
+        elif stamp_step < 0 or max(stamp_step - max(arrival_step, 0), arrival_step - stamp_step) > k.number.clock_jump_ns:
+            is_behind = 0 < stamp_step < arrival_step
             if has_jumped(k, times, stamp, arrival, is_behind):
-                outcome, elapsed, is_behind = ACCEPTED_AFTER_JUMP, max(waited, 0), False
+                outcome, elapsed, is_behind = ACCEPTED_AFTER_JUMP, max(arrival_step, 0), False
                 if channel == layout.SPEED:
                     if not is_near(k, run, elapsed, value, quantum):  # the clock of who sends this is none to go by
                         counters[IMPLAUSIBLE] += 1
                         return -IMPLAUSIBLE, 0
-                    move_clock(times, forward - elapsed)
+                    move_clock(times, stamp_step - elapsed)
                 counters[CLOCK_JUMP] += 1
             elif is_behind:
-                arrival = times.last_arrival + forward  # it waited: its age is that of its stamp
+                arrival = times.last_arrival + stamp_step  # it waited: its age is that of its stamp
             else:
-                refusal = FUTURE if forward > 0 else BACKWARD
+                refusal = FUTURE if stamp_step > 0 else BACKWARD
                 counters[refusal] += 1
                 return -refusal, 0
     if channel == layout.SPEED or is_load(k, channel):
         in_doubt = times.doubts > 0
         if may_change_at_will(k, memory, channel, arrival, quantum) or outcome == ACCEPTED_AFTER_RESET:
-            trust(times, run, value)
+            trust_value(times, run, value)
         elif not is_plausible(k, times, run, channel, stamp, elapsed, value, quantum):
             counters[IMPLAUSIBLE] += 1
             return -IMPLAUSIBLE, 0
         elif in_doubt:
             outcome = ACCEPTED_AFTER_DOUBT
     elif channel == layout.DISTANCE:
-        odometer_came(k, Tracked(memory.tracked), value, elapsed)
+        take_odometer(k, Tracked(memory.tracked), value, elapsed)
     if outcome == ACCEPTED_IN_ORDER and elapsed > 0:
         learn_period(times, elapsed)
-    paused = elapsed * NANOSECOND > k.number.bridge  # the values meanwhile are unknown
-    if not times.seen or paused or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
+    has_pause = elapsed * NANOSECOND > k.number.bridge  # the values meanwhile are unknown
+    if not times.seen or has_pause or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times.unchanged_since = stamp
     times.seen, times.last_stamp, times.last_arrival = 1, stamp, arrival
     times.fresh = 1
@@ -326,7 +339,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
 
 
 @kernel
-def may_change_at_will(k: Constants, memory: Memory, channel: int, now: int, quantum: float) -> bool:
+def may_change_at_will(k: Constants, memory: Memory, channel: int, time_ns: int, quantum: float) -> bool:
     """Whether a speed or load that arrives now may have any value: the first one, and a load at standstill, or after a time in
     which the last one was not used any more.
     """
@@ -334,9 +347,9 @@ def may_change_at_will(k: Constants, memory: Memory, channel: int, now: int, qua
         return True
     if channel == layout.SPEED:
         return False
-    drives = not is_noise(memory.values[layout.SPEED], quantum, k.number.speed_variance, True)
+    is_driving = not is_noise(memory.values[layout.SPEED], quantum, k.number.speed_variance, True)
     hold_ns = k.number.passengers_hold_ns if channel == layout.PASSENGERS else k.number.load_hold_ns
-    return not drives or now - memory.times[channel, LAST_ARRIVAL] > hold_ns
+    return not is_driving or time_ns - memory.times[channel, LAST_ARRIVAL] > hold_ns
 
 
 @kernel
@@ -350,52 +363,52 @@ def is_plausible(
 
 
 @kernel
-def forget_others(memory: Memory, kept: int) -> None:
+def forget_others(memory: Memory, kept_channel: int) -> None:
     """Forget times and values of all channels but one, as at the start; counters stay."""
     for channel in range(memory.times.shape[0]):
-        if channel != kept:
+        if channel != kept_channel:
             memory.times[channel, :] = 0
             memory.values[channel] = math.nan
             memory.runs[channel, :] = math.nan
-    forget(memory.followed)
+    forget_position(memory.followed)
     for i in range(memory.tracked.shape[0]):
         memory.tracked[i] = NOTHING_TRACKED[i]
-    if kept == layout.SPEED:
-        trust(Times(memory.times[kept]), Run(memory.runs[kept]), memory.values[kept])
+    if kept_channel == layout.SPEED:
+        trust_value(Times(memory.times[kept_channel]), Run(memory.runs[kept_channel]), memory.values[kept_channel])
 
 
 @kernel
-def held_value(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
+def held_value(memory: Memory, channel: int, time_ns: int, hold_ns: int) -> float:
     """The last value of a channel if it arrived within `hold_ns`, else nan."""
-    if memory.times[channel, SEEN] == 0 or now - memory.times[channel, LAST_ARRIVAL] > hold_ns:
+    if memory.times[channel, SEEN] == 0 or time_ns - memory.times[channel, LAST_ARRIVAL] > hold_ns:
         return math.nan
     return float(memory.values[channel])
 
 
 @kernel
-def held_motion(k: Constants, memory: Memory, channel: int, now: int) -> float:
+def held_motion(k: Constants, memory: Memory, channel: int, time_ns: int) -> float:
     """The last acceleration, grade, yaw rate or heading, nan where it is too old for the period in which it comes."""
-    return held_value(memory, channel, now, max(k.number.motion_hold_ns, slow_ns(k, Times(memory.times[channel]))))
+    return held_value(memory, channel, time_ns, max(k.number.motion_hold_ns, slow_ns(k, Times(memory.times[channel]))))
 
 
 @kernel
-def ambient_now(k: Constants, memory: Memory, motion: Motion, now: int) -> tuple[float, float, int]:
+def ambient_now(k: Constants, memory: Memory, motion: Motion, time_ns: int) -> tuple[float, float, int]:
     """Ambient temperature [degC] at an arrival, its standard deviation [K], and the reason if it is assumed, else 0.
 
     It is assumed to be the last known, also before a time off; without one it is the nominal one.
     """
-    ambient = held_value(memory, layout.AMBIENT, now, k.number.ambient_hold_ns)
+    ambient = held_value(memory, layout.AMBIENT, time_ns, k.number.ambient_hold_ns)
     if not math.isnan(ambient):
         return ambient, k.number.ambient_std, 0
     if memory.times[layout.AMBIENT, SEEN] != 0:
-        last = float(memory.values[layout.AMBIENT])
+        last_ambient = float(memory.values[layout.AMBIENT])
     else:
-        last = motion.air if motion.started > 0.0 or motion.started == layout.START_COLD else k.number.nominal_ambient
-    return last, k.number.ambient_unknown_std, AMBIENT_NOMINAL
+        last_ambient = motion.air if motion.started > 0.0 or motion.started == layout.START_COLD else k.number.nominal_ambient
+    return last_ambient, k.number.ambient_unknown_std, AMBIENT_NOMINAL
 
 
 @kernel
-def not_enabled(k: Constants, memory: Memory, now: int) -> int:
+def not_enabled(k: Constants, memory: Memory, time_ns: int) -> int:
     """Reason why the feed-forward is zero at an arrival [ns], else 0.
 
     It is not enabled, or a required enable has expired, or the vehicle may stand: even then nothing may push it.
@@ -404,19 +417,19 @@ def not_enabled(k: Constants, memory: Memory, now: int) -> int:
         return SPEED_IMPLAUSIBLE
     if k.number.enable_hold_ns == 0:
         return DISABLED if memory.values[layout.ENABLE] <= 0.0 else 0
-    enable = held_value(memory, layout.ENABLE, now, k.number.enable_hold_ns)
+    enable = held_value(memory, layout.ENABLE, time_ns, k.number.enable_hold_ns)
     if math.isnan(enable):
         return ENABLE_OLD
     return 0 if enable > 0.0 else DISABLED
 
 
 @kernel
-def reasons_of_load(memory: Memory, channel: int, now: int) -> int:
+def reasons_of_load(memory: Memory, channel: int, time_ns: int) -> int:
     """Reasons to report where the last load of a channel is used."""
-    age, reasons = now - memory.times[channel, LAST_ARRIVAL], 0
-    if age > FRESH_LOAD_NS:
+    age_ns, reasons = time_ns - memory.times[channel, LAST_ARRIVAL], 0
+    if age_ns > FRESH_LOAD_NS:
         reasons |= LOAD_HELD
-    if age > OLD_LOAD_NS:
+    if age_ns > OLD_LOAD_NS:
         reasons |= LOAD_OLD
     if Times(memory.times[channel]).doubts > 0:
         reasons |= LOAD_DOUBTED
@@ -424,37 +437,37 @@ def reasons_of_load(memory: Memory, channel: int, now: int) -> int:
 
 
 @kernel
-def unsure_load(k: Constants, memory: Memory, channel: int, now: int) -> float:
+def unsure_load(k: Constants, memory: Memory, channel: int, time_ns: int) -> float:
     """Standard deviation of the last load of a channel [N]; of passengers their number."""
-    return load_std(k, Times(memory.times[channel]), Run(memory.runs[channel]), channel, memory.values[channel], now)
+    return load_std(k, Times(memory.times[channel]), Run(memory.runs[channel]), channel, memory.values[channel], time_ns)
 
 
 @kernel
-def share_rest(k: Constants, memory: Memory, channel: int, axle: int, now: int, loads: Array) -> tuple[int, float]:
+def share_rest(k: Constants, memory: Memory, channel: int, axle: int, time_ns: int, loads: Array) -> tuple[int, float]:
     """Share a load [N], less those already known, among the assemblies without one; return the reasons to report, and the
     standard deviation of what is shared [N].
 
     It is the load of an axle, or with `axle` -1 of all. In proportion to nominal loads, and no less than a plausible load.
     """
-    rest, share = held_value(memory, channel, now, k.number.load_hold_ns), 0.0
+    remainder, share = held_value(memory, channel, time_ns, k.number.load_hold_ns), 0.0
     for i in range(loads.shape[0]):
         assembly = Assembly(k.assembly[i])
         if axle < 0 or int(assembly.axle) == axle:
             if math.isnan(loads[i]):
                 share += assembly.share_of_all
             else:
-                rest -= loads[i]
-    if math.isnan(rest) or share == 0.0:
+                remainder -= loads[i]
+    if math.isnan(remainder) or share == 0.0:
         return 0, 0.0
     for i in range(loads.shape[0]):
         assembly = Assembly(k.assembly[i])
         if math.isnan(loads[i]) and (axle < 0 or int(assembly.axle) == axle):
-            loads[i] = max(rest * (assembly.share_of_all / share), LEAST_LOAD_SHARE * assembly.nominal_load)
-    return reasons_of_load(memory, channel, now), unsure_load(k, memory, channel, now)
+            loads[i] = max(remainder * (assembly.share_of_all / share), LEAST_LOAD_SHARE * assembly.nominal_load)
+    return reasons_of_load(memory, channel, time_ns), unsure_load(k, memory, channel, time_ns)
 
 
 @kernel
-def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[int, float]:
+def gather_loads(k: Constants, memory: Memory, time_ns: int, loads: Array) -> tuple[int, float]:
     """Load of each assembly [N] from the finest source available; fill `loads`, return the reasons to report, and the standard
     deviation of all together [N], as if all departed alike.
 
@@ -462,51 +475,51 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> tuple[
     loads. A load that is too old, or doubted, adds to the standard deviation; one that was never given is the vehicle file's.
     """
     first_assembly = layout.FIRST_AXLE + k.number.axles
-    reasons, unsure = 0, 0.0
+    reasons, std_sum = 0, 0.0
     for i in range(loads.shape[0]):
         loads[i] = math.nan
         if k.number.axles > 0:
-            loads[i] = held_value(memory, first_assembly + i, now, k.number.load_hold_ns)
+            loads[i] = held_value(memory, first_assembly + i, time_ns, k.number.load_hold_ns)
             if not math.isnan(loads[i]):
-                reasons |= reasons_of_load(memory, first_assembly + i, now)
-                unsure += unsure_load(k, memory, first_assembly + i, now)
+                reasons |= reasons_of_load(memory, first_assembly + i, time_ns)
+                std_sum += unsure_load(k, memory, first_assembly + i, time_ns)
     for axle in range(k.number.axles):
-        found, std = share_rest(k, memory, layout.FIRST_AXLE + axle, axle, now, loads)
-        reasons, unsure = reasons | found, unsure + std
-    found, std = share_rest(k, memory, layout.LOAD, -1, now, loads)
-    reasons, unsure = reasons | found, unsure + std
-    payload = held_value(memory, layout.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
+        load_reasons, std = share_rest(k, memory, layout.FIRST_AXLE + axle, axle, time_ns, loads)
+        reasons, std_sum = reasons | load_reasons, std_sum + std
+    load_reasons, std = share_rest(k, memory, layout.LOAD, -1, time_ns, loads)
+    reasons, std_sum = reasons | load_reasons, std_sum + std
+    payload = held_value(memory, layout.PASSENGERS, time_ns, k.number.passengers_hold_ns) * k.number.passenger_weight
     was_known = memory.times[layout.LOAD, SEEN] != 0
     for channel in range(layout.FIRST_AXLE, k.number.first_belt):
         was_known = was_known or memory.times[channel, SEEN] != 0
-    boarded = 0.0
+    known_share = 0.0
     for i in range(loads.shape[0]):
         assembly = Assembly(k.assembly[i])
         if math.isnan(loads[i]) and not math.isnan(payload):
             loads[i] = assembly.nominal_load + payload * assembly.share_of_all
-            boarded += assembly.share_of_all
+            known_share += assembly.share_of_all
         elif math.isnan(loads[i]):
             loads[i] = assembly.nominal_load
             reasons |= LOAD_NOMINAL
             if was_known:
-                unsure += LOAD_SLACK * assembly.nominal_load
-    if boarded > 0.0:
-        unsure += boarded * k.number.passenger_weight * unsure_load(k, memory, layout.PASSENGERS, now)
+                std_sum += LOAD_SLACK * assembly.nominal_load
+    if known_share > 0.0:
+        std_sum += known_share * k.number.passenger_weight * unsure_load(k, memory, layout.PASSENGERS, time_ns)
         if Times(memory.times[layout.PASSENGERS]).doubts > 0:
             reasons |= LOAD_DOUBTED
-    return reasons, unsure
+    return reasons, std_sum
 
 
 @kernel
-def gather(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed: int, motion: Motion) -> Inputs:
+def gather_inputs(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed: int, motion: Motion) -> Inputs:
     """Inputs of the step at an accepted speed; loads and belt temperatures are in the scratch memory.
 
     `motion` holds whether any channel reset the time, and the smallest step observed in the speed.
     """
-    times, tracked, belt_measured = Times(memory.times[layout.SPEED]), Tracked(memory.tracked), scratch.belt_measured
-    now, stamp = times.last_arrival, times.last_stamp
+    times, odometer, belt_measured = Times(memory.times[layout.SPEED]), Tracked(memory.tracked), scratch.belt_measured
+    time_ns, stamp = times.last_arrival, times.last_stamp
     speed = memory.values[layout.SPEED]
-    reasons, unsure = gather_loads(k, memory, now, scratch.loads)
+    reasons, std_sum = gather_loads(k, memory, time_ns, scratch.loads)
     if outcome == ACCEPTED_AFTER_JUMP:
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
@@ -521,42 +534,44 @@ def gather(k: Constants, memory: Memory, scratch: Scratch, outcome: int, elapsed
         reasons |= SPEED_SLOW
     if abs(speed) > STANDING and stamp - times.unchanged_since > k.number.stuck_ns * patience:
         reasons |= SPEED_STUCK
-    ambient, ambient_std, assumed = ambient_now(k, memory, motion, now)
-    reasons |= assumed
+    ambient, ambient_std, ambient_reasons = ambient_now(k, memory, motion, time_ns)
+    reasons |= ambient_reasons
     for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan
         for channel in (layout.BELT, k.number.first_belt + i):
-            since = (now - memory.times[channel, LAST_ARRIVAL]) * NANOSECOND
-            if memory.times[channel, FRESH] and since <= k.number.bridge:  # an older one is of the belt before a pause
+            age = (time_ns - memory.times[channel, LAST_ARRIVAL]) * NANOSECOND
+            if memory.times[channel, FRESH] and age <= k.number.bridge:  # an older one is of the belt before a pause
                 belt_measured[i] = memory.values[channel]
     memory.times[layout.BELT, FRESH] = 0
     for i in range(belt_measured.shape[0]):
         memory.times[k.number.first_belt + i, FRESH] = 0
-    grade = held_motion(k, memory, layout.GRADE, now)
-    slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
-    reasons |= place_reason(k, known, grade, slope, torque)
-    stopped = not_enabled(k, memory, now)
-    integrate_speed(k, tracked, speed, elapsed)
-    silent = (now - memory.times[layout.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
+    grade = held_motion(k, memory, layout.GRADE, time_ns)
+    slope, torque, torque_std, has_position = ground_now(k, memory.times, memory.followed, speed, elapsed)
+    reasons |= place_reason(k, has_position, grade, slope, torque)
+    stop_reasons = not_enabled(k, memory, time_ns)
+    integrate_speed(k, odometer, speed, elapsed)
+    silence = (time_ns - memory.times[layout.DISTANCE, LAST_ARRIVAL]) * NANOSECOND  # the odometer
     last_speed = motion.last_speed if motion.started > 0.0 else speed
-    if disagrees(k, memory.times, memory.values, last_speed, speed, now) or (tracked.apart > 0.0 and silent <= k.number.bridge):
-        stopped |= SPEED_DISAGREES
+    if speeds_disagree(k, memory.times, memory.values, last_speed, speed, time_ns) or (
+        odometer.apart > 0.0 and silence <= k.number.bridge
+    ):
+        stop_reasons |= SPEED_DISAGREES
     return Inputs(
         speed,
         scratch.loads,
         ambient,
         ambient_std,
         belt_measured,
-        held_motion(k, memory, layout.ACCEL, now),
+        held_motion(k, memory, layout.ACCEL, time_ns),
         grade,
-        held_motion(k, memory, layout.YAW_RATE, now),
-        held_motion(k, memory, layout.HEADING, now),
+        held_motion(k, memory, layout.YAW_RATE, time_ns),
+        held_motion(k, memory, layout.HEADING, time_ns),
         math.nan,  # an odometer starts at any value; the distance is integrated from the speed, as in a fit
-        held_value(memory, layout.TORQUE, now, k.number.torque_hold_ns),
+        at_sprockets(k, held_value(memory, layout.TORQUE, time_ns, k.number.torque_hold_ns), speed),
         slope,
         torque,
         torque_std,
-        reasons | stopped,
-        0.0 if stopped else 1.0,
-        unsure,
+        reasons | stop_reasons,
+        0.0 if stop_reasons else 1.0,
+        std_sum,
     )

@@ -41,7 +41,7 @@ from trackres_ros.estimator.assemblies import (
     learn_from,
     learned_variance,
 )
-from trackres_ros.estimator.belt import SLOWEST_LOG_SPEED, add_noise, loss_force, roll, surface
+from trackres_ros.estimator.belt import SLOWEST_LOG_SPEED, add_noise, loss_force, roll_belt, surface
 from trackres_ros.estimator.columns import (
     BELT_COLUMNS,
     OF_COOLING,
@@ -64,14 +64,14 @@ from trackres_ros.estimator.guards import (
     AMBIENT_NOMINAL,
     GAP,
     Memory,
-    admit,
+    admit_message,
     follow_along,
     forget_others,
-    gather,
+    gather_inputs,
     is_missing,
     longest_age,
     place_reason,
-    position_came,
+    take_new_position,
 )
 from trackres_ros.estimator.motion import advance_motion, rolling_state, start_motion
 from trackres_ros.estimator.records import LARGEST, DriveSeries, Inputs, Scratch, State
@@ -94,9 +94,9 @@ PREDICTED = 4
 
 
 @kernel
-def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> None:
+def start(k: Constants, state: State, ambient: float, ambient_std: float) -> None:
     """A cold start: every belt at the ambient temperature, and uncertain."""
-    belts, motion, effects, _ = carried
+    belts, motion, effects, _ = state
     for i in range(belts.shape[0]):
         for node in range(2):
             for column in range(BELT_COLUMNS):
@@ -112,7 +112,14 @@ def start(k: Constants, carried: State, ambient: float, ambient_std: float) -> N
 
 @kernel
 def correct_air(
-    k: Constants, carried: State, scratch: Scratch, speed: float, weight: float, ambient: float, ambient_std: float, assumed: bool
+    k: Constants,
+    state: State,
+    scratch: Scratch,
+    speed: float,
+    weight: float,
+    ambient: float,
+    ambient_std: float,
+    is_assumed: bool,
 ) -> None:
     """Set the ambient temperature of a step. If the last one was only assumed, correct belts and effects by its error (ours).
 
@@ -125,38 +132,38 @@ def correct_air(
     While the air is measured, that departure is due to the thermometer. When the air is first assumed, it joins the random part,
     and the departure due to the assumed air begins at zero.
     """
-    motion = Motion(carried.motion)
-    if motion.air_std > 0.0 and not (assumed and ambient == motion.air and ambient_std == motion.air_std):
-        for i in range(carried.belts.shape[0]):
+    motion = Motion(state.motion)
+    if motion.air_std > 0.0 and not (is_assumed and ambient == motion.air and ambient_std == motion.air_std):
+        for i in range(state.belts.shape[0]):
             for node in range(2):
-                belt = Belt(carried.belts[i, node])
+                belt = Belt(state.belts[i, node])
                 belt.temperature += min(belt.consider_ambient / motion.air_std, 1.0) * (ambient - motion.air)
                 belt.consider_ambient *= ambient_std / motion.air_std
-        correct_air_of_effects(k.effects, k.effect_values, carried.effects, scratch.effects, speed, weight, motion.air, ambient)
+        correct_air_of_effects(k.effects, k.effect_values, state.effects, scratch.effects, speed, weight, motion.air, ambient)
         motion.air_std = ambient_std
-    elif motion.air_std == 0.0 and assumed:
-        for i in range(carried.belts.shape[0]):
-            mean, skin = Belt(carried.belts[i, 0]), Belt(carried.belts[i, 1])
+    elif motion.air_std == 0.0 and is_assumed:
+        for i in range(state.belts.shape[0]):
+            mean, skin = Belt(state.belts[i, 0]), Belt(state.belts[i, 1])
             of_mean, of_skin = mean.consider_ambient, skin.consider_ambient
-            add_noise(carried.belts[i], squared(of_mean), of_mean * of_skin, squared(of_skin))
+            add_noise(state.belts[i], squared(of_mean), of_mean * of_skin, squared(of_skin))
             mean.consider_ambient = skin.consider_ambient = 0.0
-        for own in range(FIRST_OWN, carried.effects.shape[0], EACH):
-            carried.effects[own + OF_AIR] = 0.0
+        for place in range(FIRST_OWN, state.effects.shape[0], EACH):
+            state.effects[place + OF_AIR] = 0.0
         motion.air_std = ambient_std
     motion.air = ambient
-    if not assumed:
+    if not is_assumed:
         motion.air_std = 0.0
 
 
 @kernel
-def advance(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: float, out: Array) -> None:
+def advance(k: Constants, state: State, scratch: Scratch, inputs: Inputs, dt: float, row: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; change the carried state, fill one row of results.
 
     Parameters
     ----------
     dt
         Time since the last step [s], 0 at the first.
-    out
+    row
         Row of results, shape (columns,), see `columns`.
 
     Notes
@@ -165,16 +172,16 @@ def advance(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: 
     grade is ours). Effects and learned terms are added (ours).
     """
     number, terms = k.number, scratch.effects.terms
-    belts, motion, learned = carried.belts, Motion(carried.motion), Learned(carried.learned)
+    belts, motion, learned = state.belts, Motion(state.motion), Learned(state.learned)
     reasons = inputs.reasons
     speed = inputs.speed
-    moves = motion.started > RESTS
-    last_speed = motion.last_speed if moves else speed
-    if moves and 0.0 < dt <= number.bridge:
+    has_motion = motion.started > RESTS
+    last_speed = motion.last_speed if has_motion else speed
+    if has_motion and 0.0 < dt <= number.bridge:
         advance_motion(
             motion, speed, last_speed, dt, number.speed_variance, number.acceleration_variance, number.acceleration_time
         )
-    elif not moves or dt > 0.0:
+    elif not has_motion or dt > 0.0:
         start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
     motion.rolls = rolling_state(motion, speed, number.speed_variance)
     if dt > number.bridge:
@@ -196,7 +203,7 @@ def advance(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: 
         speed, accel, grade, weight, arm, belt_degc, inputs.ambient, inputs.ambient_std, inputs.yaw_rate, inputs.heading,
         inputs.distance, inputs.torque_by_place,
     )  # fmt: skip
-    road = begin_step(k, carried, scratch, moment, last_speed, dt)
+    road = begin_step(k, state, scratch, moment, last_speed, dt)
     if road.outcome == EXTRAPOLATED:
         reasons |= OUTSIDE_LEARNED
     elif road.outcome != ALL_WELL:
@@ -205,59 +212,59 @@ def advance(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: 
         reasons |= SURROUNDINGS
     if is_missing(k, inputs.grade, inputs.slope_by_place, inputs.torque_by_place):
         reasons |= OFF_ROUTE
-    reasons |= advance_assemblies(k, scratch, belts, inputs, road, learned, out)
-    total, result, gain = Part(scratch.parts[0]), Results(out), terms[TERM.drive_gain]
+    reasons |= advance_assemblies(k, scratch, belts, inputs, road, learned, row)
+    total, result, gain = Part(scratch.parts[0]), Results(row), terms[TERM.drive_gain]
     lasting = learn_from(total, learned, road.sign, gain, terms[TERM.by_drag_area] * number.drag_area)
-    resisting = total.hysteresis + total.bearing + total.wind
-    driving, of_effects = end_step(carried, scratch, road, resisting + lasting, total.grade, total.inertia)
+    resistance = total.hysteresis + total.bearing + total.wind
+    drive_torque, of_effects = end_step(state, scratch, road, resistance + lasting, total.grade, total.inertia)
     of_effects += lasting
     for i in range(belts.shape[0]):  # effects act on the whole vehicle: their force is shared by load
         at_own_radius = inputs.load[i] * k.assembly[i, RADIUS] / (weight * arm)
-        out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + RESISTANCE_OF_ONE] += of_effects * at_own_radius
+        row[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + RESISTANCE_OF_ONE] += of_effects * at_own_radius
     # Only resistance to motion is fed forward, so no effects at standstill: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
     fed_effects = (terms[TERM.fed] + lasting) * abs(direction(speed))
     motion.feedforward, of_feedforward = feedforward(k, terms, motion, total, fed_effects, inputs, dt)
-    variance = torque_variance(k, terms, total, learned, road, driving, inputs.torque_by_place_std)
+    variance = torque_variance(k, terms, total, learned, road, drive_torque, inputs.torque_by_place_std)
     variance += load_variance(total, road, inputs.load_std / weight, gain)
     motion.air = inputs.ambient
 
     result.speed_mps, result.accel_mps2 = speed, accel
     result.weight_n, result.ambient_degc = weight, inputs.ambient
-    result.resistance_torque_nm, result.effects_nm, result.drive_torque_nm = resisting + of_effects, of_effects, driving
+    result.resistance_torque_nm, result.effects_nm, result.drive_torque_nm = resistance + of_effects, of_effects, drive_torque
     result.hysteresis_nm, result.bearing_nm, result.wind_nm = total.hysteresis, total.bearing, total.wind
     result.grade_nm, result.inertia_nm = total.grade, total.inertia
     result.resistance_std_nm = max(math.sqrt(variance), LEAST_STD_SHARE * total.unsigned * gain)
-    motor_gain = 1.0 / (number.motor_ratio * number.motor_efficiency ** drives(driving, road.sign, weight, arm))
-    result.feedforward_torque_nm, result.motor_torque_nm = motion.feedforward, driving * motor_gain
-    measured = inputs.measured_torque / number.torque_scale - number.torque_offset
-    result.measured_torque_nm, result.residual_nm = measured, measured - driving
+    motor_gain = 1.0 / (number.motor_ratio * number.motor_efficiency ** drives(drive_torque, road.sign, weight, arm))
+    result.feedforward_torque_nm, result.motor_torque_nm = motion.feedforward, drive_torque * motor_gain
+    measured_torque = inputs.measured_torque / number.torque_scale - number.torque_offset
+    result.measured_torque_nm, result.residual_nm = measured_torque, measured_torque - drive_torque
     result.heat_w, result.cooling_w = total.heat, total.cooling
     result.reasons = reasons | of_feedforward
 
 
 @kernel
 def torque_variance(
-    k: Constants, terms: Array, total: Part, learned: Learned, road: Road, driving: float, of_place_std: float
+    k: Constants, terms: Array, total: Part, learned: Learned, road: Road, drive_torque: float, of_place_std: float
 ) -> float:
-    """Variance of the resistance [Nm^2]: var M of docs/model.md, with those of effects and of a torque by place (ours).
+    """Variance of the resistance [Nm^2]: var M of docs/model.md, plus the variances of effects and of a torque by place (ours).
 
     Each cause is summed over the assemblies before squaring: heating of all belts stays one cause. Learned variances replace
     those of the file. The gears' gain is on all torques behind them; that of learned torques has it already.
     """
-    number, by, gain = k.number, total.by, terms[TERM.drive_gain]
+    number, torque_by, gain = k.number, total.torque_by, terms[TERM.drive_gain]
     of_place = 0.0 if math.isnan(of_place_std) else of_place_std * road.sign
     variance: float = (
-        (terms[TERM.variance] + terms[TERM.loss_variance] * squared(by[OF_LOSS])) * squared(gain)
-        + terms[TERM.cooling_variance] * squared(by[OF_COOLING] * gain)
-        + terms[TERM.gain_variance] * squared(driving)
+        (terms[TERM.variance] + terms[TERM.loss_variance] * squared(torque_by[OF_LOSS])) * squared(gain)
+        + terms[TERM.cooling_variance] * squared(torque_by[OF_COOLING] * gain)
+        + terms[TERM.gain_variance] * squared(drive_torque)
         + squared(of_place * gain)
     )
     of_bearing = squared(total.arm * road.weight * number.bearing_friction_std)
     of_wind = squared(total.arm * wind_force(road.speed, number.drag_area_std, number.air_density))
     if learned.on > 0.0:  # departures scale the file's values, so a value of 0 keeps its range
-        kept = (of_bearing if number.bearing_friction == 0.0 else 0.0) + (of_wind if number.drag_area == 0.0 else 0.0)
-        return variance + kept * squared(gain) + learned_variance(total, learned, road.rolling_bearing, gain)
+        file_variance = (of_bearing if number.bearing_friction == 0.0 else 0.0) + (of_wind if number.drag_area == 0.0 else 0.0)
+        return variance + file_variance * squared(gain) + learned_variance(total, learned, road.rolling_bearing, gain)
     of_file = (
         total.noise
         + squared(total.consider_ambient)
@@ -280,35 +287,35 @@ def load_variance(total: Part, road: Road, relative_std: float, gain: float) -> 
 
 
 @kernel
-def predict(k: Constants, carried: State, scratch: Scratch, count: Array, series: DriveSeries, i: int, out: Array) -> None:
+def predict(k: Constants, state: State, scratch: Scratch, count: Array, series: DriveSeries, i: int, row: Array) -> None:
     """The step of `advance` without uncertainty, feed-forward and shares: for a fit, which needs thousands of runs.
 
     Parameters
     ----------
-    carried
+    state
         With one belt per kind, as the rows of `k.assembly`; none for wheels without belts.
     count
         Number of assemblies of each kind, shape (kinds,).
     series, i
         The drive, and the index of the present time in it.
-    out
+    row
         `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], the effects' reasons.
     """
-    belts, motion, terms = carried.belts, Motion(carried.motion), scratch.effects.terms
-    arm = belts_in_all = before = 0.0
+    belts, motion, terms = state.belts, Motion(state.motion), scratch.effects.terms
+    arm = belts_in_all = belt_degc = 0.0
     for kind in range(count.shape[0]):
         assembly = Assembly(k.assembly[kind])
         arm += count[kind] * assembly.share_of_all * assembly.radius
     for kind in range(belts.shape[0]):
         belts_in_all += count[kind]
-        before += count[kind] * belts[kind, 0, TEMPERATURE]
-    before = before / belts_in_all if belts.shape[0] > 0 else math.nan
+        belt_degc += count[kind] * belts[kind, 0, TEMPERATURE]
+    belt_degc = belt_degc / belts_in_all if belts.shape[0] > 0 else math.nan
     speed, dt = series.speeds[i], series.times[i] - series.times[i - 1] if i > 0 else 0.0
     moment = Moment(
-        speed, series.accelerations[i], series.grades[i], series.weights[i], arm, before, series.ambients[i], 0.0,
+        speed, series.accelerations[i], series.grades[i], series.weights[i], arm, belt_degc, series.ambients[i], 0.0,
         series.yaw_rates[i], series.headings[i], series.distances[i], series.torques_by_place[i],
     )  # fmt: skip
-    road = begin_step(k, carried, scratch, moment, motion.last_speed if motion.started > RESTS else speed, dt)
+    road = begin_step(k, state, scratch, moment, motion.last_speed if motion.started > RESTS else speed, dt)
     hysteresis = mean = skin = 0.0
     for kind in range(belts.shape[0]):
         belt, assembly = belts[kind], Assembly(k.assembly[kind])
@@ -319,11 +326,11 @@ def predict(k: Constants, carried: State, scratch: Scratch, count: Array, series
         hysteresis += count[kind] * assembly.radius * loss * road.sign
         mean += count[kind] * belt[0, TEMPERATURE]
         skin += count[kind] * surface(k, terms, assembly, belt, road.ambient, road.speed)[0]
-    resisting = hysteresis + arm * (road.bearing + road.wind)
-    out[PREDICTED_DRIVE], _ = end_step(carried, scratch, road, resisting, arm * road.uphill, arm * road.inertia)
-    out[PREDICTED_BELT] = mean / belts_in_all if belts.shape[0] > 0 else math.nan
-    out[PREDICTED_SKIN] = skin / belts_in_all if belts.shape[0] > 0 else math.nan
-    out[PREDICTED_OUTCOME] = road.outcome
+    resistance = hysteresis + arm * (road.bearing + road.wind)
+    row[PREDICTED_DRIVE], _ = end_step(state, scratch, road, resistance, arm * road.uphill, arm * road.inertia)
+    row[PREDICTED_BELT] = mean / belts_in_all if belts.shape[0] > 0 else math.nan
+    row[PREDICTED_SKIN] = skin / belts_in_all if belts.shape[0] > 0 else math.nan
+    row[PREDICTED_OUTCOME] = road.outcome
 
 
 # Runs of steps
@@ -344,46 +351,46 @@ class Messages(NamedTuple):
 def feed(
     k: Constants,
     memory: Memory,
-    carried: State,
+    state: State,
     scratch: Scratch,
     channel: int,
     stamp: int,
     arrival: int,
     value: float,
-    out: Array,
+    row: Array,
 ) -> bool:
-    """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
-    motion = Motion(carried.motion)
+    """Take one message in. An accepted speed makes a step and fills `row`; returns whether it did."""
+    motion = Motion(state.motion)
     update_feedforward(k, memory, motion, arrival)
-    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion.quantum)
+    outcome, elapsed = admit_message(k, memory, channel, stamp, arrival, value, motion.quantum)
     if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
         motion.started = layout.START_ANEW
     if outcome >= 0 and (channel == layout.LATITUDE or channel == layout.LONGITUDE):
-        position_came(k, memory.times, memory.values, memory.followed)
+        take_new_position(k, memory.times, memory.values, memory.followed)
     if outcome < 0 or channel != layout.SPEED:
         update_feedforward(k, memory, motion, arrival)
         return False
-    inputs = gather(k, memory, scratch, outcome, elapsed, motion)
-    assumed = inputs.reasons & AMBIENT_NOMINAL != 0
+    inputs = gather_inputs(k, memory, scratch, outcome, elapsed, motion)
+    is_assumed = inputs.reasons & AMBIENT_NOMINAL != 0
     if motion.started <= 0.0:
-        start(k, carried, inputs.ambient, inputs.ambient_std)
-        if assumed:
+        start(k, state, inputs.ambient, inputs.ambient_std)
+        if is_assumed:
             motion.air_std = inputs.ambient_std
-    elif assumed or motion.air_std > 0.0:
+    elif is_assumed or motion.air_std > 0.0:
         weight = 0.0
         for i in range(inputs.load.shape[0]):
             weight += inputs.load[i]
-        correct_air(k, carried, scratch, inputs.speed, weight, inputs.ambient, inputs.ambient_std, assumed)
+        correct_air(k, state, scratch, inputs.speed, weight, inputs.ambient, inputs.ambient_std, is_assumed)
     dt = elapsed * NANOSECOND
     if dt > k.number.gap:
         memory.counters[channel, GAP] += 1
-    advance(k, carried, scratch, inputs, dt, out)  # with the age that was allowed while it waited
-    longest = longest_age(k, memory)
-    motion.longest_age = longest if longest > k.number.speed_max_age else 0.0
-    found = int(Results(out).reasons)
+    advance(k, state, scratch, inputs, dt, row)  # with the age that was allowed while it waited
+    oldest = longest_age(k, memory)
+    motion.longest_age = oldest if oldest > k.number.speed_max_age else 0.0
+    reasons = int(Results(row).reasons)
     for bit in range(memory.reasons.shape[0]):
-        memory.reasons[bit] += (found >> bit) & 1
+        memory.reasons[bit] += (reasons >> bit) & 1
     return True
 
 
@@ -391,18 +398,18 @@ def feed(
 def feed_all(
     k: Constants,
     memory: Memory,
-    carried: State,
+    state: State,
     scratch: Scratch,
     messages: Messages,
-    out: Annotated[Array, (None, None)],
+    rows: Annotated[Array, (None, None)],
     out_stamps: IntArray,
     out_arrivals: IntArray,
 ) -> int:
-    """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
+    """`feed` for many messages; fills one row of `rows` with its stamp and arrival [ns] for each step, returns their number."""
     steps = 0
     for i in range(messages.channels.shape[0]):
         message = messages.channels[i], messages.stamps[i], messages.arrivals[i], messages.values[i]
-        if feed(k, memory, carried, scratch, *message, out[steps]):
+        if feed(k, memory, state, scratch, *message, rows[steps]):
             of_speed = Times(memory.times[layout.SPEED])
             out_stamps[steps], out_arrivals[steps] = of_speed.last_stamp, of_speed.last_arrival
             steps += 1
@@ -410,9 +417,9 @@ def feed_all(
 
 
 @kernel
-def advance_once(k: Constants, carried: State, scratch: Scratch, inputs: Inputs, dt: float, out: Array) -> bool:
-    """`advance` for inputs from outside; false for values that `records.checked` refuses: here a check costs nothing."""
-    usable = (
+def advance_once(k: Constants, state: State, scratch: Scratch, inputs: Inputs, dt: float, row: Array) -> bool:
+    """`advance` for inputs from outside; false for values that `records.check_inputs` refuses: here a check costs nothing."""
+    is_usable = (
         inputs.ambient_std >= 0.0
         and inputs.reasons >= 0
         and inputs.fed >= 0.0
@@ -424,29 +431,29 @@ def advance_once(k: Constants, carried: State, scratch: Scratch, inputs: Inputs,
         inputs.distance, inputs.measured_torque, inputs.slope_by_place, inputs.torque_by_place, inputs.torque_by_place_std,
         inputs.fed, inputs.load_std,
     ):  # fmt: skip
-        usable = usable and not abs(value) > LARGEST
+        is_usable = is_usable and not abs(value) > LARGEST
     for i in range(inputs.belt_measured.shape[0]):
-        usable = usable and not abs(inputs.belt_measured[i]) > LARGEST
+        is_usable = is_usable and not abs(inputs.belt_measured[i]) > LARGEST
     total = 0.0
     for i in range(inputs.load.shape[0]):
-        usable = usable and 0.0 <= inputs.load[i] <= LARGEST
+        is_usable = is_usable and 0.0 <= inputs.load[i] <= LARGEST
         total += inputs.load[i]
-    if not usable or total <= 0.0:
+    if not is_usable or total <= 0.0:
         return False
-    advance(k, carried, scratch, inputs, dt, out)
+    advance(k, state, scratch, inputs, dt, row)
     return True
 
 
 @kernel
 def advance_along(
     k: Constants,
-    carried: State,
+    state: State,
     scratch: Scratch,
     series: DriveSeries,
     ambient_std: float,
-    out: Annotated[Array, (None, None)],
+    rows: Annotated[Array, (None, None)],
 ) -> None:
-    """`advance` along a drive. One row of `out` a time."""
+    """`advance` along a drive. One row of `rows` a time."""
     loads, no_belts = scratch.loads, scratch.belt_measured
     for j in range(no_belts.shape[0]):
         no_belts[j] = math.nan
@@ -459,40 +466,40 @@ def advance_along(
             series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, slope, torque,
             series.torque_stds_by_place[i], place_reason(k, series.places_known[i] > 0.0, grade, slope, torque), 1.0, 0.0,
         )  # fmt: skip
-        advance(k, carried, scratch, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
+        advance(k, state, scratch, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, rows[i])
 
 
 @kernel
 def predict_along(
     k: Constants,
-    carried: State,
+    state: State,
     scratch: Scratch,
     count: Array,
     series: DriveSeries,
-    out: Annotated[Array, (None, PREDICTED)],
+    rows: Annotated[Array, (None, PREDICTED)],
 ) -> None:
-    """`predict` along a drive, from a state that was started or rested. One row of `out` a time."""
+    """`predict` along a drive, from a state that was started or rested. One row of `rows` a time."""
     for i in range(series.times.shape[0]):
-        predict(k, carried, scratch, count, series, i, out[i])
+        predict(k, state, scratch, count, series, i, rows[i])
 
 
 @kernel
-def rest(k: Constants, carried: State, scratch: Scratch, ambient: float, ambient_std: float, seconds: float) -> None:
+def rest(k: Constants, state: State, scratch: Scratch, ambient: float, ambient_std: float, seconds: float) -> None:
     """Let the vehicle stand for some time [s] at an ambient temperature [degC], nan for the last known: all cools."""
-    motion = Motion(carried.motion)
+    motion = Motion(state.motion)
     motion.filtered_speed = motion.filtered_accel = motion.last_speed = motion.rolls = 0.0
     motion.feedforward = motion.feedforward_target = motion.last_drive = motion.last_others = 0.0
     motion.update_age = motion.to_zero = 0.0
     if motion.started > 0.0:
         motion.started = layout.RESTS
-    assumed = math.isnan(ambient)
-    air = motion.air if assumed else ambient
+    is_assumed = math.isnan(ambient)
+    air = motion.air if is_assumed else ambient
     effects = scratch.effects
-    correct_air(k, carried, scratch, 0.0, effects.conditions[FACT.weight], air, ambient_std, assumed)
-    rest_effects(k.effects, k.effect_values, carried.effects, effects, air, seconds)
-    for i in range(carried.belts.shape[0]):
-        assembly, belt = Assembly(k.assembly[i]), carried.belts[i]
-        roll(k, effects.terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, air, ambient_std, seconds)
+    correct_air(k, state, scratch, 0.0, effects.conditions[FACT.weight], air, ambient_std, is_assumed)
+    rest_effects(k.effects, k.effect_values, state.effects, effects, air, seconds)
+    for i in range(state.belts.shape[0]):
+        assembly, belt = Assembly(k.assembly[i]), state.belts[i]
+        roll_belt(k, effects.terms, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, air, ambient_std, seconds)
     reset_terms(effects.terms)
 
 

@@ -39,26 +39,26 @@ FRESH_LOAD_NS = 2_000_000_000  # an older load is reported as held, while it is 
 
 
 @kernel
-def towards(here: float, there: float, room: float) -> float:
+def step_towards(start: float, goal: float, room: float) -> float:
     """From one value to another, by no more than `room`; nowhere if one of the three is no number."""
-    way = there - here
+    way = goal - start
     if abs(way) > room >= 0.0:
-        return here + math.copysign(room, way)
-    return there if abs(way) <= room else here
+        return start + math.copysign(room, way)
+    return goal if abs(way) <= room else start
 
 
 @kernel
-def follow(reference: float, value: float, elapsed: int, rate: float, slack: float) -> tuple[float, bool]:
+def follow_reference(reference: float, value: float, elapsed: int, rate: float, slack: float) -> tuple[float, bool]:
     """The reference after some time [ns], and whether a value is within `slack` of it (ours).
 
     It moves towards the value by `rate` [1/s] times the time at most.
     """
-    moved = towards(reference, value, rate * (elapsed * NANOSECOND))
-    return moved, abs(value - moved) <= slack
+    level = step_towards(reference, value, rate * (elapsed * NANOSECOND))
+    return level, abs(value - level) <= slack
 
 
 @kernel
-def trust(times: Times, run: Run, value: float) -> None:
+def trust_value(times: Times, run: Run, value: float) -> None:
     """Accept a value, independent of its history."""
     run.reference, run.doubted = value, math.nan
     times.doubts = 0
@@ -74,24 +74,24 @@ def is_in_reach(
     but a run does. It must then be within reach of the last accepted value, and last as long as the doubt before it,
     `LONGEST_RUN_NS` at most.
     """
-    reached, near = follow(run.reference, value, elapsed, rate, slack)
-    if near and (times.doubts == 0 or lasting > 0):
-        run.reference, times.doubts = reached, 0
+    follow_level, is_close = follow_reference(run.reference, value, elapsed, rate, slack)
+    if is_close and (times.doubts == 0 or lasting > 0):
+        run.reference, times.doubts = follow_level, 0
         return True
-    agrees, moved = False, value
+    agrees, level = False, value
     if times.doubts > 0:
-        moved, agrees = follow(run.doubted, value, stamp - times.doubt_stamp, rate, slack)
+        level, agrees = follow_reference(run.doubted, value, stamp - times.doubt_stamp, rate, slack)
     if agrees:
         times.doubts += 1
-        run.doubted = moved
+        run.doubted = level
     else:
         times.doubts, times.doubt_since = 1, stamp
         run.doubted = value
     times.doubt_stamp = stamp
-    lasted = stamp - times.doubt_since
-    before = lasting if lasting > 0 else min(times.doubt_since - times.last_stamp, LONGEST_RUN_NS)
-    if (near or lasting > 0) and times.doubts >= k.number.jumps_to_accept and lasted >= before:
-        trust(times, run, run.doubted)
+    run_ns = stamp - times.doubt_since
+    least_ns = lasting if lasting > 0 else min(times.doubt_since - times.last_stamp, LONGEST_RUN_NS)
+    if (is_close or lasting > 0) and times.doubts >= k.number.jumps_to_accept and run_ns >= least_ns:
+        trust_value(times, run, run.doubted)
         return True
     return False
 
@@ -114,18 +114,18 @@ def nominal_of(k: Constants, channel: int) -> float:
 def load_is_plausible(k: Constants, times: Times, run: Run, channel: int, stamp: int, elapsed: int, value: float) -> bool:
     """Whether to accept a load, or a number of passengers, of a vehicle that drives."""
     nominal = nominal_of(k, channel)
-    since = min(elapsed, LONGEST_STEP_NS)
-    return is_in_reach(k, times, run, stamp, since, value, FOLLOWED_PER_S * nominal, LOAD_SLACK * nominal, LOAD_LASTS_NS)
+    step_ns = min(elapsed, LONGEST_STEP_NS)
+    return is_in_reach(k, times, run, stamp, step_ns, value, FOLLOWED_PER_S * nominal, LOAD_SLACK * nominal, LOAD_LASTS_NS)
 
 
 @kernel
-def load_std(k: Constants, times: Times, run: Run, channel: int, value: float, now: int) -> float:
+def load_std(k: Constants, times: Times, run: Run, channel: int, value: float, time_ns: int) -> float:
     """Standard deviation of a load [N] that is held, or of a number of passengers: it may have changed since, or is doubted.
 
     Nobody boards a vehicle that drives: the number of passengers does not age.
     """
-    nominal, age = nominal_of(k, channel), max(now - times.last_arrival - FRESH_LOAD_NS, 0) * NANOSECOND
-    std = 0.0 if channel == layout.PASSENGERS else min(LOAD_PER_S * age, LOAD_SLACK) * nominal
+    nominal, age_s = nominal_of(k, channel), max(time_ns - times.last_arrival - FRESH_LOAD_NS, 0) * NANOSECOND
+    std = 0.0 if channel == layout.PASSENGERS else min(LOAD_PER_S * age_s, LOAD_SLACK) * nominal
     return max(std, abs(run.doubted - value)) if times.doubts > 0 else std
 
 
@@ -146,17 +146,17 @@ def slack_of(k: Constants, quantum: float) -> float:
 
 
 @kernel
-def move_clock(times: Times, by: int) -> None:
-    """Move all that is remembered of the speed's clock by a jump of it [ns]."""
-    times.last_stamp += by
-    times.doubt_since += by
-    times.doubt_stamp += by
+def move_clock(times: Times, shift: int) -> None:
+    """Shift the remembered stamps of the speed by a jump of its clock [ns]."""
+    times.last_stamp += shift
+    times.doubt_since += shift
+    times.doubt_stamp += shift
 
 
 @kernel
 def is_near(k: Constants, run: Run, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether the vehicle can have reached a speed some time [ns] after the last accepted one."""
-    return follow(run.reference, speed, elapsed, k.number.max_acceleration, slack_of(k, quantum))[1]
+    return follow_reference(run.reference, speed, elapsed, k.number.max_acceleration, slack_of(k, quantum))[1]
 
 
 @kernel
@@ -172,68 +172,74 @@ def speed_is_plausible(k: Constants, times: Times, run: Run, stamp: int, elapsed
 
 
 @kernel
-def forget_way(tracked: Tracked) -> None:
+def forget_way(odometer: Tracked) -> None:
     """Restart the comparison with the odometer."""
-    tracked.began, tracked.way, tracked.net = math.nan, 0.0, 0.0
-    tracked.apart = 0.0
+    odometer.began, odometer.way, odometer.net = math.nan, 0.0, 0.0
+    odometer.apart = 0.0
 
 
 @kernel
-def odometer_came(k: Constants, tracked: Tracked, distance: float, elapsed: int) -> None:
+def take_odometer(k: Constants, odometer: Tracked, distance: float, elapsed: int) -> None:
     """Process a distance [m] some time [ns] after the last one; compare it with the integrated speed where both are long enough.
 
     Of two changes in a row, the smaller one is a step of the odometer: a pause or a reset makes only one large change (ours).
     """
-    moved = abs(distance - tracked.last)
-    if 0.0 < moved <= FARTHEST_M:
-        tracked.step = max(tracked.step, min(moved, tracked.change))
-        tracked.change = moved
-    tracked.last = distance
+    step_m = abs(distance - odometer.last)
+    if 0.0 < step_m <= FARTHEST_M:
+        odometer.step = max(odometer.step, min(step_m, odometer.change))
+        odometer.change = step_m
+    odometer.last = distance
     if elapsed * NANOSECOND > k.number.bridge:
-        forget_way(tracked)
-    within = SHARE * max(COMPARED_M, COMPARED_STEPS * tracked.step) + tracked.step  # the tolerance of a comparison
-    if math.isnan(tracked.began) or moved > within:
-        tracked.began, tracked.way, tracked.net = distance, 0.0, 0.0
-    by_odometer, step = abs(distance - tracked.began), tracked.step if tracked.step > 0.0 else tracked.change
-    longest = max(by_odometer, tracked.way)
-    if step > 0.0 and longest >= max(COMPARED_M, COMPARED_STEPS * step):
-        off = min(abs(by_odometer - tracked.way), abs(by_odometer - abs(tracked.net)))
-        apart = 1.0 if off > SHARE * longest + step else 0.0
-        forget_way(tracked)
-        tracked.began, tracked.apart = distance, apart
+        forget_way(odometer)
+    tolerance = SHARE * max(COMPARED_M, COMPARED_STEPS * odometer.step) + odometer.step  # the tolerance of a comparison
+    if math.isnan(odometer.began) or step_m > tolerance:
+        odometer.began, odometer.way, odometer.net = distance, 0.0, 0.0
+    by_odometer, step = abs(distance - odometer.began), odometer.step if odometer.step > 0.0 else odometer.change
+    length = max(by_odometer, odometer.way)
+    if step > 0.0 and length >= max(COMPARED_M, COMPARED_STEPS * step):
+        error = min(abs(by_odometer - odometer.way), abs(by_odometer - abs(odometer.net)))
+        mismatch = 1.0 if error > SHARE * length + step else 0.0
+        forget_way(odometer)
+        odometer.began, odometer.apart = distance, mismatch
 
 
 @kernel
-def integrate_speed(k: Constants, tracked: Tracked, speed: float, elapsed: int) -> None:
+def integrate_speed(k: Constants, odometer: Tracked, speed: float, elapsed: int) -> None:
     """Integrate a speed [m/s] over its duration [ns]; restart after an unknown gap."""
     seconds = elapsed * NANOSECOND
     if seconds > k.number.bridge:
-        forget_way(tracked)
+        forget_way(odometer)
         return
-    tracked.way += abs(speed) * seconds
-    tracked.net += speed * seconds
+    odometer.way += abs(speed) * seconds
+    odometer.net += speed * seconds
 
 
 @kernel
-def disagrees(k: Constants, times: IntArray, values: Array, last_speed: float, speed: float, now: int) -> bool:
+def speeds_disagree(k: Constants, times: IntArray, values: Array, last_speed: float, speed: float, time_ns: int) -> bool:
     """Whether, at an arrival [ns], two speeds [m/s] have contradicted all wheel speeds for longer than the speed may pause.
 
     Only fresh wheel speeds are compared, up to the age that a speed may have: they came between the two. Without any the verdict
     stays, but no longer than a gap is bridged (ours).
     """
-    slow, fast, low, high, newest = min(abs(last_speed), abs(speed)), max(abs(last_speed), abs(speed)), math.inf, 0.0, 0
+    low_speed, high_speed, low, high, newest_ns = (
+        min(abs(last_speed), abs(speed)),
+        max(abs(last_speed), abs(speed)),
+        math.inf,
+        0.0,
+        0,
+    )
     hold_ns = max(k.number.motion_hold_ns, k.number.disagreeing_ns)
     for channel in range(k.number.first_wheel, times.shape[0]):
         if times[channel, SEEN]:
-            newest = max(newest, times[channel, LAST_ARRIVAL])
-            if now - times[channel, LAST_ARRIVAL] <= hold_ns:
+            newest_ns = max(newest_ns, times[channel, LAST_ARRIVAL])
+            if time_ns - times[channel, LAST_ARRIVAL] <= hold_ns:
                 low, high = min(low, abs(values[channel])), max(high, abs(values[channel]))
     of_speed = Times(times[SPEED])
-    compared = low < math.inf
-    apart = slow > (1.0 + SHARE) * high + SLOW_MPS or fast < (1.0 - SHARE) * low - SLOW_MPS
-    if (compared and not apart) or (not compared and (now - newest) * NANOSECOND > k.number.bridge):
+    has_wheels = low < math.inf
+    is_apart = low_speed > (1.0 + SHARE) * high + SLOW_MPS or high_speed < (1.0 - SHARE) * low - SLOW_MPS
+    if (has_wheels and not is_apart) or (not has_wheels and (time_ns - newest_ns) * NANOSECOND > k.number.bridge):
         of_speed.disagrees_since = 0
-    elif compared and of_speed.disagrees_since == 0:
-        of_speed.disagrees_since = now
-    until = min(now, newest + hold_ns)
-    return of_speed.disagrees_since != 0 and until - of_speed.disagrees_since > k.number.disagreeing_ns
+    elif has_wheels and of_speed.disagrees_since == 0:
+        of_speed.disagrees_since = time_ns
+    end_ns = min(time_ns, newest_ns + hold_ns)
+    return of_speed.disagrees_since != 0 and end_ns - of_speed.disagrees_since > k.number.disagreeing_ns

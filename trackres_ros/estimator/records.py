@@ -135,7 +135,7 @@ class GroundSeries(NamedTuple):
     known: Array  # 1 where the place on the route is known, else 0
 
 
-def floats(given: ArrayLike, where: str, shape: tuple[int, ...] | None = None) -> Array:
+def floats(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> Array:
     """Copy to an array of floats, of a given shape or any; nan where masked.
 
     Kernels read arrays without a check of their bounds, and are compiled for arrays that can be written and are contiguous: each
@@ -146,111 +146,113 @@ def floats(given: ArrayLike, where: str, shape: tuple[int, ...] | None = None) -
     InputError
         For another shape, dates, durations, or what is no number.
     """
-    array = _of_numbers(given, where)
+    array = _of_numbers(values, name)
     try:
-        found = np.array(array, dtype=float, order="C")
+        numbers = np.array(array, dtype=float, order="C")
     except (TypeError, ValueError, OverflowError):  # objects: dates, texts, huge whole numbers
-        raise InputError(where, given, "numbers", IN_SECONDS) from None
+        raise InputError(name, values, "numbers", IN_SECONDS) from None
     if isinstance(array, np.ma.MaskedArray):
-        found[np.ma.getmaskarray(array)] = math.nan
-    if shape is not None and found.shape != shape:
-        raise InputError(where, f"an array of shape {found.shape}", f"shape {shape}" if shape else "one number")
-    return found
+        numbers[np.ma.getmaskarray(array)] = math.nan
+    if shape is not None and numbers.shape != shape:
+        raise InputError(name, f"an array of shape {numbers.shape}", f"shape {shape}" if shape else "one number")
+    return numbers
 
 
-def whole_numbers(given: ArrayLike, where: str, low: int, high: int) -> IntArray:
+def whole_numbers(values: ArrayLike, name: str, low: int, high: int) -> IntArray:
     """Copy to an array of whole numbers from `low` to `high`, of floats the nearest ones. Raises InputError for others."""
-    array = _of_numbers(given, where)
+    array = _of_numbers(values, name)
     if array.dtype.kind not in "iu" or isinstance(array, np.ma.MaskedArray):
-        array = np.rint(floats(array, where))
+        array = np.rint(floats(array, name))
     if array.size and not (low <= array.min() and array.max() <= high):
-        raise InputError(where, given, f"whole numbers from {low} to {high}")
+        raise InputError(name, values, f"whole numbers from {low} to {high}")
     return np.array(array, dtype=np.int64, order="C")
 
 
-def _of_numbers(given: ArrayLike, where: str) -> NDArray[Any]:
+def _of_numbers(values: ArrayLike, name: str) -> NDArray[Any]:
     try:
-        array = np.asanyarray(given)
+        array = np.asanyarray(values)
     except (TypeError, ValueError):  # rows of different lengths
-        raise InputError(where, given, "numbers") from None
+        raise InputError(name, values, "numbers") from None
     if array.dtype.kind in NOT_NUMBERS:
-        raise InputError(where, given, "numbers", IN_SECONDS if array.dtype.kind in DATES else "")
+        raise InputError(name, values, "numbers", IN_SECONDS if array.dtype.kind in DATES else "")
     return array
 
 
-def bounded(
-    given: ArrayLike, where: str, shape: tuple[int, ...] | None = None, least: float = -LARGEST, unknown: bool = False
+def bounded_array(
+    values: ArrayLike, name: str, shape: tuple[int, ...] | None = None, low: float = -LARGEST, nan_allowed: bool = False
 ) -> Array:
-    """`floats` from `least` to `LARGEST`, nan only where values may be unknown. Raises InputError with the first other one."""
-    found = floats(given, where, shape)
-    if found.size <= FEW:  # then without numpy, which takes ten times as long
-        for one in found.ravel().tolist():
-            if not (least <= one <= LARGEST or (unknown and one != one)):
+    """`floats` from `low` to `LARGEST`, nan only where values may be unknown. Raises InputError with the first other one."""
+    array = floats(values, name, shape)
+    if array.size <= FEW:  # then without numpy, which takes ten times as long
+        for element in array.ravel().tolist():
+            if not (low <= element <= LARGEST or (nan_allowed and element != element)):
                 break
         else:
-            return found
-    wrong = ~((found >= least) & (found <= LARGEST) | (unknown & np.isnan(found)))
-    if wrong.any():
-        first = int(np.argmax(wrong))
-        place, value = (f"{where}[{first}]", float(found.flat[first])) if found.ndim else (where, given)
-        raise InputError(place, value, f"a number from {least:g} to {LARGEST:g}{', or nan if unknown' if unknown else ''}")
-    return found
+            return array
+    is_wrong = ~((array >= low) & (array <= LARGEST) | (nan_allowed & np.isnan(array)))
+    if is_wrong.any():
+        index = int(np.argmax(is_wrong))
+        place, value = (f"{name}[{index}]", float(array.flat[index])) if array.ndim else (name, values)
+        raise InputError(place, value, f"a number from {low:g} to {LARGEST:g}{', or nan if unknown' if nan_allowed else ''}")
+    return array
 
 
-def number(given: Any, where: str, least: float = -LARGEST, unknown: bool = False) -> float:
-    """One number, as `bounded` takes it."""
-    if type(given) in (float, int) and (least <= given <= LARGEST or (unknown and given != given)):
-        return float(given)
-    return float(bounded(given, where, (), least, unknown))
+def number(value: Any, name: str, low: float = -LARGEST, nan_allowed: bool = False) -> float:
+    """One number, as `bounded_array` takes it."""
+    if type(value) in (float, int) and (low <= value <= LARGEST or (nan_allowed and value != value)):
+        return float(value)
+    return float(bounded_array(value, name, (), low, nan_allowed))
 
 
-def checked(given: Inputs, assemblies: int, belts: int) -> Inputs:
+def check_inputs(inputs: Inputs, assemblies: int, belts: int) -> Inputs:
     """Inputs that a step can use, with arrays of their own. Raises InputError: after one nan all later estimates would be nan."""
-    if not isinstance(given, Inputs):
-        raise InputError("inputs", given, "what Estimator.inputs makes")
-    load = bounded(given.load, "load", (assemblies,), least=0.0)
+    if not isinstance(inputs, Inputs):
+        raise InputError("inputs", inputs, "what Estimator.inputs makes")
+    load = bounded_array(inputs.load, "load", (assemblies,), low=0.0)
     if not sum(load.tolist()) > 0.0:
-        raise InputError("load", given.load, "loads with a sum above 0")
-    known = number(given.ambient, "ambient"), number(given.ambient_std, "ambient_std", least=0.0)
-    degc = bounded(given.belt_measured, "belt_measured", (belts,), unknown=True)
-    others = [v if v is math.nan else number(v, name, unknown=True) for v, name in zip(given[5:-3], MAYBE_UNKNOWN, strict=True)]
-    last = (
-        int(number(given.reasons, "reasons", least=0.0)),
-        number(given.fed, "fed", least=0.0),
-        number(given.load_std, "load_std", least=0.0),
+        raise InputError("load", inputs.load, "loads with a sum above 0")
+    ambient = number(inputs.ambient, "ambient"), number(inputs.ambient_std, "ambient_std", low=0.0)
+    degc = bounded_array(inputs.belt_measured, "belt_measured", (belts,), nan_allowed=True)
+    motion = [
+        v if v is math.nan else number(v, name, nan_allowed=True) for v, name in zip(inputs[5:-3], MAYBE_UNKNOWN, strict=True)
+    ]
+    measurements = (
+        int(number(inputs.reasons, "reasons", low=0.0)),
+        number(inputs.fed, "fed", low=0.0),
+        number(inputs.load_std, "load_std", low=0.0),
     )
-    return Inputs._make((number(given.speed, "speed"), load, *known, degc, *others, *last))
+    return Inputs._make((number(inputs.speed, "speed"), load, *ambient, degc, *motion, *measurements))
 
 
 def is_as_compiled(inputs: Inputs, assemblies: int, belts: int) -> bool:
-    """Whether inputs have the types and shapes of `checked` ones: for others a kernel would be compiled again, for seconds."""
+    """Whether inputs have the types and shapes of `check_inputs`: for others a kernel would be compiled again, for seconds."""
     if type(inputs) is not Inputs or tuple(map(type, inputs)) != KINDS:
         return False
     load, degc = inputs.load, inputs.belt_measured
-    shaped = load.shape == (assemblies,) and degc.shape == (belts,)
-    return shaped and load.dtype == degc.dtype == FLOAT and load.flags.carray and degc.flags.carray
+    has_shapes = load.shape == (assemblies,) and degc.shape == (belts,)
+    return has_shapes and load.dtype == degc.dtype == FLOAT and load.flags.carray and degc.flags.carray
 
 
-def duration(given: ArrayLike, where: str, most: float = math.inf, remedy: str = "") -> float:
-    """A duration [s]; InputError for a negative or infinite one, one above `most`, or none."""
-    found = float(given if isinstance(given, float) else floats(given, where, ()))
-    if not 0.0 <= found <= most or found == math.inf:
-        allowed = "a finite number of seconds, at least 0" if most == math.inf else f"a number of seconds from 0 to {most:g}"
-        raise InputError(where, found, allowed, remedy if found > most else "")
-    return found
+def duration(value: ArrayLike, name: str, limit: float = math.inf, remedy: str = "") -> float:
+    """A duration [s]; InputError for a negative or infinite one, one above `limit`, or none."""
+    seconds = float(value if isinstance(value, float) else floats(value, name, ()))
+    if not 0.0 <= seconds <= limit or seconds == math.inf:
+        allowed = "a finite number of seconds, at least 0" if limit == math.inf else f"a number of seconds from 0 to {limit:g}"
+        raise InputError(name, seconds, allowed, remedy if seconds > limit else "")
+    return seconds
 
 
-def times(given: ArrayLike, where: str) -> Array:
+def times(values: ArrayLike, name: str) -> Array:
     """Times of a series [s]; InputError unless they are finite and do not fall."""
-    found = floats(given, where)
-    if found.ndim != 1:
-        raise InputError(where, f"an array of shape {found.shape}", "shape (times,)")
-    is_wrong = ~np.isfinite(found)
-    is_wrong[1:] |= found[1:] < found[:-1]
+    array = floats(values, name)
+    if array.ndim != 1:
+        raise InputError(name, f"an array of shape {array.shape}", "shape (times,)")
+    is_wrong = ~np.isfinite(array)
+    is_wrong[1:] |= array[1:] < array[:-1]
     if is_wrong.any():
-        first = int(np.argmax(is_wrong))
-        raise InputError(f"{where}[{first}]", float(found[first]), "finite times that do not fall")
-    return found
+        index = int(np.argmax(is_wrong))
+        raise InputError(f"{name}[{index}]", float(array[index]), "finite times that do not fall")
+    return array
 
 
 # Results

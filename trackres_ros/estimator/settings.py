@@ -3,7 +3,7 @@
 
 """Holds the settings of the estimator: one table of units, limits and meanings, from which docs and parameters are made.
 
-A topics file gives some of them: age limits, the belt sensor, and the mass of a passenger.
+A topics file gives some of them: age limits, the belt sensor, where a torque is measured, and the mass of a passenger.
 """
 
 from __future__ import annotations
@@ -97,6 +97,14 @@ class Settings:
         },
     )
 
+    torque_at: Literal["sprockets", "motor"] = field(
+        default="sprockets",
+        metadata={
+            "meaning": "where the measured torque acts: at the sprockets or wheels, or at the motor; the vehicle file's ratio "
+            "and efficiency then convert it"
+        },
+    )
+
     def __post_init__(self) -> None:
         check_values(self, "setting")
 
@@ -121,7 +129,7 @@ LIKE_MOTION = ("yaw_rate", "heading", "wheel_speed", "specific_force")
 FAST = ("speed", "accel", "grade")
 """Roles whose age limit follows the period in which they come, unless a topics file gives the limit of one of them."""
 SLOWEST_S = 0.01
-FIELDS = {"passenger_kg": "kg_each", "belt_sensor": "sensor", "belt_measured_std_k": "std_k"}
+FIELDS = {"passenger_kg": "kg_each", "belt_sensor": "sensor", "belt_measured_std_k": "std_k", "torque_at": "at"}
 """Field of a topics file behind a setting; behind all others it is `max_age_s`."""
 ENABLE_HOLD_S = 0.5
 """Default duration of an enable [s]; as the age limit of a trusted speed."""
@@ -179,5 +187,6 @@ def settings_of(topics: Topics) -> dict[str, Any]:
         raise InputError(f"{topics.origin}: belt", sorted(map(str, kinds)), "one sensor and std_k for all belts")
     sensor, std_k = kinds.pop() if kinds else ("", None)
     kg_each = topics["passengers"].kg_each if "passengers" in topics else None
-    of_fields = {"passenger_kg": kg_each, "belt_sensor": sensor or None, "belt_measured_std_k": std_k}
+    torque_at = topics["torque"].at or None if "torque" in topics else None
+    of_fields = {"passenger_kg": kg_each, "belt_sensor": sensor or None, "belt_measured_std_k": std_k, "torque_at": torque_at}
     return changes | {name: value for name, value in of_fields.items() if value is not None}

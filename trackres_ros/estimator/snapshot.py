@@ -59,39 +59,39 @@ LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an eff
 
 def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
     """Raise ValueError for belts or a motion that no drive can produce."""
-    _within("belt temperatures", belts[:, :, layout.Belt.temperature], *BELT_DEGC)
-    _within("departures of belt temperatures", belts[:, :, layout.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _check_range("belt temperatures", belts[:, :, layout.Belt.temperature], *BELT_DEGC)
+    _check_range("departures of belt temperatures", belts[:, :, layout.FIRST_DEPARTURE :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
     speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
     k = estimator.constants.assembly
     torque = TORQUE_REACH * float(k[:, layout.Assembly.nominal_load] @ k[:, layout.Assembly.radius])
-    left = layout.Motion(motion)
+    motion_row = layout.Motion(motion)
     for name, value, low, high in (
-        ("filtered speed", left.filtered_speed, -speed, speed),
-        ("last speed", left.last_speed, -speed, speed),
-        ("acceleration", left.filtered_accel, -LARGEST_ACCEL, LARGEST_ACCEL),
-        ("covariance of the speed", left.cov_speed, -ROUNDING, LARGEST_COVARIANCE),
-        ("covariance of speed and acceleration", left.cov_both, -LARGEST_COVARIANCE, LARGEST_COVARIANCE),
-        ("covariance of the acceleration", left.cov_accel, -ROUNDING, LARGEST_COVARIANCE),
-        ("smallest step of the speed", left.quantum, 0.0, NO_QUANTUM),
-        ("feed-forward", left.feedforward, -torque, torque),
-        ("target of the feed-forward", left.feedforward_target, -torque, torque),
-        ("mark of rolling", left.rolls, 0.0, 1.0),
-        ("drive torque", left.last_drive, -torque, torque),
-        ("drive torque but for belts and effects", left.last_others, -torque, torque),
-        ("turn of the feed-forward", left.update_age, 0.0, LONGEST_TURN),
-        ("mark of no feed-forward", left.to_zero, 0.0, 1.0),
-        ("air", left.air, *BELT_DEGC),
-        ("standard deviation of the air", left.air_std, 0.0, LARGEST_DEPARTURE),
-        ("longest age of the speed", left.longest_age, 0.0, LONGEST_AGE),
+        ("filtered speed", motion_row.filtered_speed, -speed, speed),
+        ("last speed", motion_row.last_speed, -speed, speed),
+        ("acceleration", motion_row.filtered_accel, -LARGEST_ACCEL, LARGEST_ACCEL),
+        ("covariance of the speed", motion_row.cov_speed, -ROUNDING, LARGEST_COVARIANCE),
+        ("covariance of speed and acceleration", motion_row.cov_both, -LARGEST_COVARIANCE, LARGEST_COVARIANCE),
+        ("covariance of the acceleration", motion_row.cov_accel, -ROUNDING, LARGEST_COVARIANCE),
+        ("smallest step of the speed", motion_row.quantum, 0.0, NO_QUANTUM),
+        ("feed-forward", motion_row.feedforward, -torque, torque),
+        ("target of the feed-forward", motion_row.feedforward_target, -torque, torque),
+        ("mark of rolling", motion_row.rolls, 0.0, 1.0),
+        ("drive torque", motion_row.last_drive, -torque, torque),
+        ("drive torque but for belts and effects", motion_row.last_others, -torque, torque),
+        ("turn of the feed-forward", motion_row.update_age, 0.0, LONGEST_TURN),
+        ("mark of no feed-forward", motion_row.to_zero, 0.0, 1.0),
+        ("air", motion_row.air, *BELT_DEGC),
+        ("standard deviation of the air", motion_row.air_std, 0.0, LARGEST_DEPARTURE),
+        ("longest age of the speed", motion_row.longest_age, 0.0, LONGEST_AGE),
     ):
-        _within(name, value, low, high)
-    if left.started not in STARTED:
+        _check_range(name, value, low, high)
+    if motion_row.started not in STARTED:
         raise ValueError("started is none of its values")
 
 
 def check_effects(memory: Array) -> None:
     """Raise ValueError for an impossible memory of effects; nan is an effect that has not acted yet."""
-    _within("memory of effects", memory[~np.isnan(memory)], -LARGEST_EFFECT, LARGEST_EFFECT)
+    _check_range("memory of effects", memory[~np.isnan(memory)], -LARGEST_EFFECT, LARGEST_EFFECT)
 
 
 def check_learned(estimator: Estimator, learned: Array) -> None:
@@ -99,41 +99,41 @@ def check_learned(estimator: Estimator, learned: Array) -> None:
     k = estimator.constants.assembly
     torque = TORQUE_REACH * float(k[:, layout.Assembly.nominal_load] @ k[:, layout.Assembly.radius])
     departures = learned[layout.Learned.departures]
-    _within("mark of what acts", learned[layout.Learned.on], 0.0, 1.0)
-    _within("departures", np.delete(departures, layout.OF_BELT), -1.0, MOST_DEPARTURE)
-    _within("departure of the belts", departures[layout.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
-    _within("torques that were learned", learned[layout.Learned.torque : layout.Learned.factor.start], -torque, torque)
-    _within("covariance of what was learned", learned[layout.Learned.factor], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
-    _within("sensitivities", learned[layout.Learned.sensitivities], -torque, torque)
+    _check_range("mark of what acts", learned[layout.Learned.on], 0.0, 1.0)
+    _check_range("departures", np.delete(departures, layout.OF_BELT), -1.0, MOST_DEPARTURE)
+    _check_range("departure of the belts", departures[layout.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _check_range("torques that were learned", learned[layout.Learned.torque : layout.Learned.factor.start], -torque, torque)
+    _check_range("covariance of what was learned", learned[layout.Learned.factor], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _check_range("sensitivities", learned[layout.Learned.sensitivities], -torque, torque)
 
 
 def check_memory(memory: Memory, limits: Array) -> None:
     """Raise ValueError for a memory of the guards that no stream of messages can produce."""
-    known = ~np.isnan(memory.values)
-    if ((memory.values < limits[:, 0]) | (memory.values > limits[:, 1]))[known].any():
+    is_known = ~np.isnan(memory.values)
+    if ((memory.values < limits[:, 0]) | (memory.values > limits[:, 1]))[is_known].any():
         raise ValueError("last values outside of the plausible range of their channels")
-    _within("times", memory.times, -FARTHEST_NS, FARTHEST_NS)
-    _within("marks of channels", memory.times[:, [layout.Times.seen, layout.Times.fresh]], 0, 1)
-    _within("suspects", memory.times[:, layout.Times.suspects], 0, MOST_SUSPECTS)
-    if (known != (memory.times[:, layout.Times.seen] == 1)).any():
+    _check_range("times", memory.times, -FARTHEST_NS, FARTHEST_NS)
+    _check_range("marks of channels", memory.times[:, [layout.Times.seen, layout.Times.fresh]], 0, 1)
+    _check_range("suspects", memory.times[:, layout.Times.suspects], 0, MOST_SUSPECTS)
+    if (is_known != (memory.times[:, layout.Times.seen] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
-    _within("doubts", memory.times[:, layout.Times.doubts], 0, FARTHEST_NS)
-    _within("periods", memory.times[:, layout.Times.period], 0, FARTHEST_NS)
-    _within("references", memory.runs[~np.isnan(memory.runs)], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
+    _check_range("doubts", memory.times[:, layout.Times.doubts], 0, FARTHEST_NS)
+    _check_range("periods", memory.times[:, layout.Times.period], 0, FARTHEST_NS)
+    _check_range("references", memory.runs[~np.isnan(memory.runs)], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
     for name, values, at_first in (
         ("comparison with the odometer", memory.tracked, NOTHING_TRACKED),
         ("place on a route", memory.followed, NOTHING_YET),
     ):
         is_number = ~np.isnan(values)
-        _within(name, values[is_number], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
+        _check_range(name, values[is_number], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
         if not is_number[~np.isnan(at_first)].all():
             raise ValueError(f"{name}: no number where there is always one")
-    _within("counters", memory.counters, 0, FARTHEST_NS)
-    _within("counts of reasons", memory.reasons, 0, FARTHEST_NS)
+    _check_range("counters", memory.counters, 0, FARTHEST_NS)
+    _check_range("counts of reasons", memory.reasons, 0, FARTHEST_NS)
 
 
-def _within(name: str, given: ArrayLike, low: float, high: float) -> None:
-    values: NDArray[Any] = np.asarray(given)
+def _check_range(name: str, raw: ArrayLike, low: float, high: float) -> None:
+    values: NDArray[Any] = np.asarray(raw)
     if not ((values >= low) & (values <= high)).all():  # nan is not either
         raise ValueError(f"{name} outside of {low:g} to {high:g}")
 
@@ -167,14 +167,14 @@ def key(estimator: Estimator) -> str:
     values = {path: q.value for path, q in vehicle.parameters.items()}
     parts = [
         VERSION,
-        {one.name: getattr(vehicle, one.name) for one in fields(vehicle) if one.name not in NOT_IN_KEY},
+        {entry.name: getattr(vehicle, entry.name) for entry in fields(vehicle) if entry.name not in NOT_IN_KEY},
         estimator.channels,
         estimator.columns,
         layout.BELT_COLUMNS,
         layout.Motion.columns,
         layout.Learned.columns,
         values,
-        [[(active.effect.name, dict(active.values)) for active in some] for some in (vehicle.effects, vehicle.surroundings)],
+        [[(effect.effect.name, dict(effect.values)) for effect in group] for group in (vehicle.effects, vehicle.surroundings)],
         hashlib.sha256(estimator.constants.route_places.tobytes()).hexdigest(),
     ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=_plain).encode()).hexdigest()[:32]
@@ -186,19 +186,19 @@ def _plain(part: Any) -> Any:
     return dict(part) if isinstance(part, Mapping) else part.tolist()
 
 
-def state_file(path: str | PathLike[str], where: str) -> Path:
+def state_file(path: str | PathLike[str], argument: str) -> Path:
     """The path, if a state can be saved there.
 
-    Raises InputError for no such folder, or something in its place that is not a state file; `where` names the argument.
+    Raises InputError for no such folder, or something in its place that is not a state file; `argument` names the argument.
     """
-    file = checks.path(path, where)
+    file = checks.path(path, argument)
     if not file.parent.is_dir() or (file.exists() and not file.is_file()):
-        raise InputError(where, str(file), "a file in a folder that exists")
+        raise InputError(argument, str(file), "a file in a folder that exists")
     try:
         if file.exists() and is_other_kind(file):
-            raise InputError(where, f"{file}, which is another kind of file", "a new file, or a state file to replace")
+            raise InputError(argument, f"{file}, which is another kind of file", "a new file, or a state file to replace")
     except OSError as error:
-        raise InputError(where, f"{file}: {error.strerror}", "a new file, or a state file to replace") from error
+        raise InputError(argument, f"{file}: {error.strerror}", "a new file, or a state file to replace") from error
     return file
 
 
@@ -208,8 +208,8 @@ def is_other_kind(file: Path) -> bool:
 
     Raises OSError if it cannot be read.
     """
-    with file.open("rb") as now:
-        return _is_other_head(now.read(len(HEAD)))
+    with file.open("rb") as stream:
+        return _is_other_head(stream.read(len(HEAD)))
 
 
 def _is_other_head(head: bytes) -> bool:
@@ -217,7 +217,7 @@ def _is_other_head(head: bytes) -> bool:
 
 
 def place_aside(path: Path, of_key: str) -> Path:
-    """Where a state file that was not used is kept, by the key of its vehicle: beside it, and one for each key."""
+    """Path of the copy of an unused state file: next to it, one for each key of a vehicle."""
     return path.with_name(f"{path.stem}.unused-{''.join(filter(str.isalnum, of_key))[:8]}{path.suffix}")
 
 
@@ -297,16 +297,16 @@ def resume(estimator: Estimator, path: Path) -> Session:
         If the file is missing, damaged, of another version or of another vehicle; the message says which.
     """
     session = estimator.session()
-    _take(session, path)
+    _read_state(session, path)
     return session
 
 
-def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float | None = None) -> tuple[Session, float]:
+def after_time_off(estimator: Estimator, path: Path, wall_s: float, ambient: float | None = None) -> tuple[Session, float]:
     """Begin a new session with belts that have cooled since the file was written; return it and the time since then [s].
 
     Parameters
     ----------
-    now
+    wall_s
         Wall-clock time [s since 1970]. A clock before `saved_at` means no time off; the returned time is negative.
     ambient
         Ambient temperature while off [degC]; by default the last known, else the vehicle file's.
@@ -316,40 +316,40 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
     InputError
         As `resume`.
     """
-    before = estimator.session()
-    saved_at = _take(before, path)
-    since = now - saved_at
-    return rested(before, since, ambient), since
+    session = estimator.session()
+    saved_at = _read_state(session, path)
+    off_s = wall_s - saved_at
+    return rest_session(session, off_s, ambient), off_s
 
 
-def rested(before: Session, seconds: float, ambient: float | None = None) -> Session:
+def rest_session(old: Session, seconds: float, ambient: float | None = None) -> Session:
     """A new session with the belts of another, cooled for some time [s] as in `after_time_off`; of a reset one, the air."""
-    estimator, session = before.estimator, before.estimator.session()
-    if before.started:
-        session.begin(estimator.rest(before.state, ambient, min(max(0.0, seconds), LONGEST_OFF)))
-    elif before.has_past:
-        motion, air = layout.Motion(session.motion), layout.Motion(before.motion).air
+    estimator, session = old.estimator, old.estimator.session()
+    if old.started:
+        session.begin(estimator.rest(old.state, ambient, min(max(0.0, seconds), LONGEST_OFF)))
+    elif old.has_past:
+        motion, air = layout.Motion(session.motion), layout.Motion(old.motion).air
         motion.started, motion.air = layout.START_COLD, air if ambient is None else ambient
     return session
 
 
 def _arrays(session: Session) -> dict[str, NDArray[Any]]:
     memory = session.memory
-    carried = session.belts, session.motion, session.effects, session.learned
+    arrays = session.belts, session.motion, session.effects, session.learned
     floats = memory.values, memory.followed, memory.tracked, memory.runs
-    return dict(zip((*FLOATS, *INTEGERS), (*carried, *floats, memory.times, memory.counters, memory.reasons), strict=True))
+    return dict(zip((*FLOATS, *INTEGERS), (*arrays, *floats, memory.times, memory.counters, memory.reasons), strict=True))
 
 
-def _take(session: Session, path: Path) -> float:
+def _read_state(session: Session, path: Path) -> float:
     """Fill a new session from a state file; returns when it was saved [s since 1970]."""
-    where = f"state file {path}"
+    place = f"state file {path}"
     content = _read(session.estimator, path)
     try:
         for name, array in _arrays(session).items():
-            given = content[name]
-            if not isinstance(given, list) or len(given) != array.size:
+            hex_values = content[name]
+            if not isinstance(hex_values, list) or len(hex_values) != array.size:
                 raise ValueError(f"{name} of another length")
-            numbers = [read_float(one) for one in given] if name in FLOATS else [_integer(one) for one in given]
+            numbers = [read_float(text) for text in hex_values] if name in FLOATS else [_integer(text) for text in hex_values]
             array[:] = np.array(numbers, dtype=array.dtype).reshape(array.shape)
         saved_at = read_time(content["saved_at"], "saved_at")
         if content["started"] is not session.started:
@@ -359,61 +359,61 @@ def _take(session: Session, path: Path) -> float:
         check_learned(session.estimator, session.learned)
         check_memory(session.memory, session.estimator.constants.channel_limits)
     except KeyError as error:
-        raise InputError(where, f"no {error.args[0]}", "a complete file written by this program", REMEDY) from error
+        raise InputError(place, f"no {error.args[0]}", "a complete file written by this program", REMEDY) from error
     except (TypeError, ValueError, OverflowError) as error:
-        given = f"inconsistent numbers: {str(error)[:80]}"
-        raise InputError(where, given, "the state of a vehicle in this program's format", REMEDY) from error
+        hex_values = f"inconsistent numbers: {str(error)[:80]}"
+        raise InputError(place, hex_values, "the state of a vehicle in this program's format", REMEDY) from error
     return saved_at
 
 
-def read_time(given: object, name: str) -> float:
+def read_time(value: object, name: str) -> float:
     """A time of saving or learning [s since 1970]. Raises ValueError if it is none."""
-    if isinstance(given, bool) or not isinstance(given, int | float) or not abs(given) <= FARTHEST_SAVED_AT:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= FARTHEST_SAVED_AT:
         raise ValueError(f"{name} is no time")
-    return float(given)
+    return float(value)
 
 
-def read_float(given: str) -> float:
+def read_float(text: str) -> float:
     """A number, bit by bit. Raises TypeError or ValueError if it is not as this program writes it."""
-    value = float.fromhex(given)
-    if value.hex() != given:  # more than is written can be read: "abc" is 2748
+    value = float.fromhex(text)
+    if value.hex() != text:  # more than is written can be read: "abc" is 2748
         raise ValueError("a number in another notation than this program's")
     return value
 
 
-def _integer(given: Any) -> int:
-    if isinstance(given, bool) or not isinstance(given, int):
+def _integer(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError("a count or time that is not a whole number")
-    return given
+    return value
 
 
 def _is_intact(data: bytes) -> bool:
-    found = SEAL.search(data)
-    return found is not None and hashlib.sha256(data[: found.start()]).hexdigest().encode() == found.group(1)
+    match = SEAL.search(data)
+    return match is not None and hashlib.sha256(data[: match.start()]).hexdigest().encode() == match.group(1)
 
 
 def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     """Read a state file: nothing of it is used unless its seal is intact."""
-    where, whole = f"state file {path}", "a complete file written by this program"
+    place, complete = f"state file {path}", "a complete file written by this program"
     try:
         data = own_files.read(path, LARGEST)
     except OSError as error:
-        raise InputError(where, error.strerror or str(error), "a file written by this program") from error
+        raise InputError(place, error.strerror or str(error), "a file written by this program") from error
     if _is_other_head(data[: len(HEAD)]):
-        raise InputError(where, "another kind of file", f"a file of format {FORMAT}", REMEDY)
+        raise InputError(place, "another kind of file", f"a file of format {FORMAT}", REMEDY)
     try:
         content: dict[str, Any] = parse_json(data)
     except ValueError as error:
-        raise InputError(where, "a damaged file", whole, REMEDY) from error
+        raise InputError(place, "a damaged file", complete, REMEDY) from error
     version = content.get("version")
     if version != VERSION:
-        given = f"version {version}" if isinstance(version, int) and 0 <= version < 1000 else "no version"
-        raise InputError(where, given, f"version {VERSION}", REMEDY)
+        found_version = f"version {version}" if isinstance(version, int) and 0 <= version < 1000 else "no version"
+        raise InputError(place, found_version, f"version {VERSION}", REMEDY)
     if not _is_intact(data):
-        raise InputError(where, "a damaged file: its checksum does not match", whole, REMEDY)
+        raise InputError(place, "a damaged file: its checksum does not match", complete, REMEDY)
     if content.get("key") != key(estimator):
         raise InputError(
-            where,
+            place,
             f"a state of vehicle {str(content.get('vehicle'))[:80]}, or with other values in its file",
             f"a state of this vehicle, {estimator.vehicle.name}",
             REMEDY,

@@ -17,8 +17,8 @@ def as_arrow(column: NDArray[Any]) -> Any:
 
     if column.dtype.kind not in "fiu":
         return pa.array(column, from_pandas=True)
-    present = ~np.isnan(column)
-    bits = None if present.all() else pa.py_buffer(np.packbits(present, bitorder="little"))
+    has_value = ~np.isnan(column)
+    bits = None if has_value.all() else pa.py_buffer(np.packbits(has_value, bitorder="little"))
     data = pa.py_buffer(np.ascontiguousarray(column))
     return pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), len(column), [bits, data])
 
@@ -38,5 +38,5 @@ def as_numpy(column: Any) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     values = np.frombuffer(data, kind)[rows]
     if bits is None:
         return values, np.ones(len(values), np.bool_)
-    present = np.unpackbits(np.frombuffer(bits, np.uint8), bitorder="little")[rows].astype(np.bool_)
-    return np.where(present, values, missing_value), present
+    has_value = np.unpackbits(np.frombuffer(bits, np.uint8), bitorder="little")[rows].astype(np.bool_)
+    return np.where(has_value, values, missing_value), has_value

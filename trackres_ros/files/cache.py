@@ -43,7 +43,7 @@ def cached_arrays(
     other, so the shapes define the size of the file. `cache`: the folder, by default `files.resources.cache_dir`; if it cannot be
     used the next start computes again. The oldest tables are removed where all have more than `MOST_KEPT` bytes.
     """
-    folder, name = usable(cache or cache_dir()), f"{key}{SUFFIX}"
+    folder, name = usable_folder(cache or cache_dir()), f"{key}{SUFFIX}"
     sizes = [math.prod(shape) for shape in shapes.values()]
     data = fetched(folder, name, sum(sizes) * STORED.itemsize + own_files.SEAL().digest_size)
     if data is not None and len(data) == sum(sizes) * STORED.itemsize:
@@ -56,7 +56,7 @@ def cached_arrays(
     return arrays
 
 
-def usable(folder: Path | None) -> Path | None:
+def usable_folder(folder: Path | None) -> Path | None:
     """The folder, created if needed, if it is safe as a cache; None if not, which is logged once."""
     if folder is None:
         _warn("there is no home folder")
@@ -75,7 +75,7 @@ def fetched(folder: Path | None, name: str, limit: int) -> bytes | None:
         return None
     path = folder / name
     try:
-        payload = own_files.unsealed(name, own_files.read(path, limit)) if path.stat().st_uid in _ours() else None
+        payload = own_files.unsealed(name, own_files.read(path, limit)) if path.stat().st_uid in _own_ids() else None
     except FileNotFoundError:
         return None
     except OSError:
@@ -90,7 +90,7 @@ def keep(folder: Path | None, name: str, payload: bytes) -> None:
     if folder is None:
         return
     try:
-        own_files.write(folder / name, own_files.sealed(name, payload), private=True)
+        own_files.write(folder / name, own_files.seal_payload(name, payload), is_private=True)
     except OSError as error:
         _warn(f"{folder}: {error.strerror or error}")
 
@@ -123,18 +123,18 @@ def trim(folder: Path | None, pattern: str, limit: int) -> None:
 
 def why_not(folder: Path) -> str:
     """Why another user could write to files in a folder; empty if none could."""
-    real = folder.resolve()
-    for place in (real, *real.parents):
+    real_folder = folder.resolve()
+    for place in (real_folder, *real_folder.parents):
         try:
             status = place.stat()
         except OSError as error:
             return f"{place}: {error.strerror}"
-        if status.st_uid not in _ours():
+        if status.st_uid not in _own_ids():
             return f"{place} belongs to another user"
         by_group = status.st_mode & stat.S_IWGRP and not _group_of_one(status.st_gid)
         by_all = status.st_mode & stat.S_IWOTH
         # In a sticky folder such as /tmp others can add files, but not replace ours: good above the cache, not as the cache.
-        if (by_group or by_all) and not (status.st_mode & stat.S_ISVTX and place != real):
+        if (by_group or by_all) and not (status.st_mode & stat.S_ISVTX and place != real_folder):
             return f"other users can write to {place}"
     return ""
 
@@ -154,7 +154,7 @@ def _make(folder: Path) -> str:
     return ""
 
 
-def _ours() -> tuple[int, int]:
+def _own_ids() -> tuple[int, int]:
     return os.geteuid(), 0
 
 

@@ -38,7 +38,7 @@ class Field(NamedTuple):
 
     name: str
     kind: Any
-    required: bool
+    is_required: bool
 
 
 def _fields_of(part: Any) -> tuple[Field, ...]:
@@ -46,8 +46,8 @@ def _fields_of(part: Any) -> tuple[Field, ...]:
     kinds, keys = get_type_hints(part, include_extras=True), []
     for item in fields(part):
         limits, kind = item.metadata.get("limits"), kinds[item.name]
-        required = item.default is MISSING and item.default_factory is MISSING
-        keys.append(Field(item.name, Annotated[kind, limits] if limits else kind, required))
+        is_required = item.default is MISSING and item.default_factory is MISSING
+        keys.append(Field(item.name, Annotated[kind, limits] if limits else kind, is_required))
     return tuple(keys)
 
 
@@ -66,8 +66,8 @@ def notes_of(kind: Any) -> tuple[Any, ...]:
 
 def words_of(kind: Any) -> tuple[str, ...]:
     """The words that a kind allows, or a list of it; empty if it is of another form."""
-    inner = get_args(kind)[0] if get_origin(kind) is tuple else kind
-    return get_args(inner) if get_origin(inner) is Literal else ()
+    element_kind = get_args(kind)[0] if get_origin(kind) is tuple else kind
+    return get_args(element_kind) if get_origin(element_kind) is Literal else ()
 
 
 def check_values(part: Any, origin: str) -> None:
@@ -90,15 +90,15 @@ class DataReader:
         """Place of a key, for messages."""
         return f"{self.origin}: {key}" if key else str(self.origin)
 
-    def below(self, key: str, name: object) -> str:
+    def subkey(self, key: str, name: object) -> str:
         """A key within that of a mapping."""
         return f"{key}{self.mark}{name}" if key else str(name)
 
-    def read(self, kind: Any, value: Any, key: str = "", filled: bool = False) -> Any:
-        """Read a value of any kind. `filled`: whether a list or mapping must have an entry."""
+    def read(self, kind: Any, value: Any, key: str = "", is_filled: bool = False) -> Any:
+        """Read a value of any kind. `is_filled`: whether a list or mapping must have an entry."""
         notes = notes_of(kind)
         if notes:
-            return self.noted(get_args(kind)[0], notes[0], value, key)
+            return self.read_noted(get_args(kind)[0], notes[0], value, key)
         form = get_origin(kind) or kind
         if is_dataclass(kind):
             return self.part(kind, value, key)
@@ -107,17 +107,17 @@ class DataReader:
         if form in (Union, UnionType):
             return self._one_of_kinds(get_args(kind), value, key)
         if form is tuple:
-            return self._list(get_args(kind)[0], value, key, filled)
+            return self._list(get_args(kind)[0], value, key, is_filled)
         if form is Mapping:
-            return self._mapping(get_args(kind)[1], value, key, filled)
+            return self._mapping(get_args(kind)[1], value, key, is_filled)
         if kind in CHECKS:
             return CHECKS[kind](value, self.where(key))
         return value  # of any kind
 
-    def noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
+    def read_noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
         """Read a value with a note: its limits, `FILLED`, or a function of the value and its place that checks it."""
         if note is FILLED:
-            return self.read(kind, value, key, filled=True)
+            return self.read(kind, value, key, is_filled=True)
         if not isinstance(note, Limits):
             return note(value, self.where(key))
         unit = "" if note.unit == "1" else note.unit
@@ -126,32 +126,33 @@ class DataReader:
         return checks.number(value, self.where(key), note.low, note.high, unit)
 
     def part(
-        self, kind: Any, mapping: Any, key: str = "", only: Iterable[str] = (), other_keys: Iterable[str] = (), **values: Any
+        self, kind: Any, mapping: Any, key: str = "", selection: Iterable[str] = (), other_keys: Iterable[str] = (), **values: Any
     ) -> Any:
         """Read a dataclass.
 
-        `only`: its keys, if not all fields have one; `other_keys`: keys that the caller reads; `values`: fields that are no keys.
+        `selection`: its keys, if not all fields have one; `other_keys`: keys that the caller reads;
+        `values`: fields that are no keys.
         """
-        key_fields = [f for f in fields_of(kind) if f.name not in values and (not only or f.name in only)]
-        required = [f.name for f in key_fields if f.required]
-        self.keys(mapping, key, required, [*(f.name for f in key_fields if not f.required), *other_keys])
+        key_fields = [f for f in fields_of(kind) if f.name not in values and (not selection or f.name in selection)]
+        required_keys = [f.name for f in key_fields if f.is_required]
+        self.keys(mapping, key, required_keys, [*(f.name for f in key_fields if not f.is_required), *other_keys])
         for field in key_fields:
             if field.name in mapping:
-                values[field.name] = self.read(field.kind, mapping[field.name], self.below(key, field.name))
+                values[field.name] = self.read(field.kind, mapping[field.name], self.subkey(key, field.name))
                 if field.name == "name" and key.endswith("]"):
-                    key = self.below(key.rpartition("[")[0], values["name"])
+                    key = self.subkey(key.rpartition("[")[0], values["name"])
         return kind(**values)
 
-    def keys(self, mapping: Any, key: str, required: Iterable[str], optional: Iterable[str] = ()) -> None:
+    def keys(self, mapping: Any, key: str, required_keys: Iterable[str], optional_keys: Iterable[str] = ()) -> None:
         """Refuse anything but a mapping with all required keys and no unknown ones."""
-        allowed = [*required, *optional]
+        allowed = [*required_keys, *optional_keys]
         if not isinstance(mapping, Mapping):
             raise InputError(self.where(key), mapping, f"a mapping with the keys {', '.join(allowed)}")
         for name in mapping:
-            checks.one_of(name, self.where(self.below(key, name)), allowed)
-        for name in required:
+            checks.one_of(name, self.where(self.subkey(key, name)), allowed)
+        for name in required_keys:
             if name not in mapping:
-                raise InputError(self.where(self.below(key, name)), "nothing", "this key is required")
+                raise InputError(self.where(self.subkey(key, name)), "nothing", "this key is required")
 
     def _choice(self, allowed: tuple[Any, ...], value: Any, key: str) -> Any:
         words = [word for word in allowed if isinstance(word, str) and word]
@@ -161,17 +162,17 @@ class DataReader:
             raise InputError(self.where(key), value, ", ".join(map(str, allowed)))
         return value
 
-    def _list(self, kind: Any, value: Any, key: str, filled: bool) -> tuple[Any, ...]:
-        if not isinstance(value, list | tuple) or (filled and not value):
-            raise InputError(self.where(key), value, "a list with at least one entry" if filled else "a list")
+    def _list(self, kind: Any, value: Any, key: str, is_filled: bool) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple) or (is_filled and not value):
+            raise InputError(self.where(key), value, "a list with at least one entry" if is_filled else "a list")
         return tuple(self.read(kind, entry, f"{key}[{i}]") for i, entry in enumerate(value))
 
-    def _mapping(self, kind: Any, value: Any, key: str, filled: bool) -> dict[str, Any]:
-        if not isinstance(value, Mapping) or (filled and not value):
-            raise InputError(self.where(key), value, "a mapping with at least one entry" if filled else "a mapping")
+    def _mapping(self, kind: Any, value: Any, key: str, is_filled: bool) -> dict[str, Any]:
+        if not isinstance(value, Mapping) or (is_filled and not value):
+            raise InputError(self.where(key), value, "a mapping with at least one entry" if is_filled else "a mapping")
         if is_dataclass(kind) and any(field.name == "name" for field in fields_of(kind)):
-            return {str(name): self.part(kind, entry, self.below(key, name), name=str(name)) for name, entry in value.items()}
-        return {str(name): self.read(kind, entry, self.below(key, name)) for name, entry in value.items()}
+            return {str(name): self.part(kind, entry, self.subkey(key, name), name=str(name)) for name, entry in value.items()}
+        return {str(name): self.read(kind, entry, self.subkey(key, name)) for name, entry in value.items()}
 
     def _one_of_kinds(self, kinds: tuple[Any, ...], value: Any, key: str) -> Any:
         """The first kind that a value has the form of; of several dataclasses the one that the key ``form`` names."""
@@ -180,7 +181,7 @@ class DataReader:
             form = value.get("form") if isinstance(value, Mapping) else None
             if form is None:
                 raise InputError(self.where(key), value, f"a mapping with a form, one of {', '.join(parts)}")
-            form = checks.one_of(form, self.where(self.below(key, "form")), parts)
+            form = checks.one_of(form, self.where(self.subkey(key, "form")), parts)
             return self.part(parts[form], value, key, other_keys=("form",))
         kind = next((kind for kind in kinds if _has_form(kind, value)), None)
         if kind is None:
@@ -211,5 +212,5 @@ def _form_of(kind: Any) -> tuple[Any, str]:
 
 
 def _has_form(kind: Any, value: Any) -> bool:
-    plain = _form_of(kind)[0]
-    return isinstance(value, plain) and (plain is bool or not isinstance(value, bool))
+    plain_kind = _form_of(kind)[0]
+    return isinstance(value, plain_kind) and (plain_kind is bool or not isinstance(value, bool))

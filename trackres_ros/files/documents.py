@@ -187,12 +187,12 @@ def is_there(path: Path) -> bool:
 def parse_json(data: bytes | str) -> Any:
     """Plain data of JSON in UTF-8. Raises ValueError if it is no JSON, has a number that is not finite, or nests too deep."""
     try:
-        return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_integer)
+        return json.loads(data, parse_constant=_finite_number, parse_float=_finite_number, parse_int=_integer)
     except RecursionError:
         raise ValueError("lists and mappings in each other without end") from None
 
 
-def _finite(text: str) -> float:
+def _finite_number(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text[:20]} is not a finite number")

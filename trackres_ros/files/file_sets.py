@@ -49,7 +49,7 @@ class Member:
     place: Path  # without symbolic links
     content: bytes | Path | None
     mode: int = 0o666
-    exact: bool = False  # whether the umask does not narrow the mode
+    is_exact: bool = False  # whether the umask does not narrow the mode
 
     def neighbour(self, token: str, kind: Literal["new", "old"]) -> Path:
         """Name of its new or its old file until all are in place."""
@@ -69,7 +69,7 @@ class FileSet:
 
     def get(self, path: Path) -> Member | None:
         """The member for a path, if the set has one."""
-        return self._members.get(_real(path)) or self._members.get(_place(path))
+        return self._members.get(_real_path(path)) or self._members.get(_place(path))
 
     def drop(self) -> None:
         """Remove the finished files that will not be used."""
@@ -91,10 +91,10 @@ class FileSet:
             while True:
                 for root in roots:
                     settle(root)
-                with _locked(roots) as locked:
+                with _lock_folders(roots) as is_locked:
                     if any(_journal_in(root) for root in roots):
                         continue  # of one that was killed meanwhile
-                    if locked:
+                    if is_locked:
                         for root in roots:
                             _remove_leftovers(root)
                     return _Replacement(members, roots).run()
@@ -108,7 +108,7 @@ class FileSet:
             raise
 
 
-_open: ContextVar[FileSet | None] = ContextVar("open set", default=None)
+_open_file_set: ContextVar[FileSet | None] = ContextVar("open set", default=None)
 
 
 @contextmanager
@@ -118,40 +118,40 @@ def file_set() -> Iterator[FileSet]:
     After an exception none is replaced. A set within another one belongs to it. Raises OSError if the files cannot be replaced;
     none is then.
     """
-    outer = open_set()
-    if outer is not None:
-        yield outer
+    outer_set = open_set()
+    if outer_set is not None:
+        yield outer_set
         return
     files = FileSet()
-    token = _open.set(files)
+    token = _open_file_set.set(files)
     try:
         yield files
     except BaseException:
         files.drop()
         raise
     finally:
-        _open.reset(token)
+        _open_file_set.reset(token)
     files.commit()
 
 
 @contextmanager
 def trial_folder() -> Iterator[Path]:
     """A folder whose files are written at once, to be read again, and go at the end of the block: they belong to no set."""
-    token = _open.set(None)
+    token = _open_file_set.set(None)
     try:
         with TemporaryDirectory() as folder:
             yield Path(folder)
     finally:
-        _open.reset(token)
+        _open_file_set.reset(token)
 
 
 def open_set() -> FileSet | None:
     """The set that is open now; a process that was forked meanwhile has none, as nobody would replace its files."""
-    files = _open.get()
+    files = _open_file_set.get()
     return files if files is not None and files.process == os.getpid() else None
 
 
-def present(path: Path) -> bytes | None:
+def present_content(path: Path) -> bytes | None:
     """Bytes of a file, as the open set will leave it; None if there is no file."""
     member = None if (files := open_set()) is None else files.get(path)
     content = path if member is None else member.content
@@ -166,11 +166,11 @@ def is_free(path: Path) -> bool:
     return not path.exists() if member is None else member.content is None
 
 
-def write_new(path: Path, data: bytes, mode: int = 0o666, exact: bool = False) -> None:
-    """Write a file that must be new, to the disk; `exact`: no umask narrows its mode. Raises OSError."""
+def write_new(path: Path, data: bytes, mode: int = 0o666, is_exact: bool = False) -> None:
+    """Write a file that must be new, to the disk; `is_exact`: no umask narrows its mode. Raises OSError."""
     fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     try:
-        if exact:
+        if is_exact:
             os.fchmod(fd, mode)
         rest = memoryview(data)
         while rest:
@@ -191,7 +191,7 @@ def settle(folder: Path) -> None:
     while (path := _journal_in(folder)) is not None:
         try:
             journal = _Journal.read(path)
-            with _locked(journal.roots):
+            with _lock_folders(journal.roots):
                 if _journal_in(folder) == path and _Journal.read(path).token == journal.token:
                     journal.complete()
         except OSError as error:
@@ -217,7 +217,7 @@ class _Replacement:
         journal.entries = [_Entry(m.place, None, None) for m in self._members]
         try:
             write_new(plan, json.dumps(names).encode())
-            journal.entries = [self._prepared(m) for m in self._members]
+            journal.entries = [self._prepare_entry(m) for m in self._members]
             write_new(draft, journal.text())
             folders = {m.place.parent for m in self._members}
             for root in self._roots[1:]:
@@ -238,7 +238,7 @@ class _Replacement:
             raise
         journal.clean()
 
-    def _prepared(self, member: Member) -> _Entry:
+    def _prepare_entry(self, member: Member) -> _Entry:
         try:
             return self._write_beside(member)
         except OSError as error:  # a full disk names none, and nobody knows the file beside
@@ -246,25 +246,25 @@ class _Replacement:
 
     def _write_beside(self, member: Member) -> _Entry:
         """Write the new file beside the old one, and give that one a second name."""
-        new = None
-        new_file, old = member.neighbour(self._token, "new"), member.neighbour(self._token, "old")
+        new_seal = None
+        new_file, old_file = member.neighbour(self._token, "new"), member.neighbour(self._token, "old")
         if isinstance(member.content, bytes):
-            write_new(new_file, member.content, member.mode, member.exact)
-            new = _seal(new_file)
+            write_new(new_file, member.content, member.mode, member.is_exact)
+            new_seal = _seal(new_file)
         elif member.content is not None:
             _sync(member.content)
             member.content.replace(new_file)
-            new = _seal(new_file)
+            new_seal = _seal(new_file)
         old_seal = _seal(member.place)
         if old_seal is not None:
             try:
-                os.link(member.place, old)
+                os.link(member.place, old_file)
             except OSError as error:
                 if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL):
                     raise
-                shutil.copy2(member.place, old)  # a file system without second names, such as that of a USB stick
-                _sync(old)
-        return _Entry(member.place, new, old_seal)
+                shutil.copy2(member.place, old_file)  # a file system without second names, such as that of a USB stick
+                _sync(old_file)
+        return _Entry(member.place, new_seal, old_seal)
 
 
 @dataclass(slots=True)
@@ -272,26 +272,26 @@ class _Entry:
     """A file of a journal: the seals of the new one and of the old one, None where there is none."""
 
     place: Path
-    new: Seal | None
-    old: Seal | None
+    new_seal: Seal | None
+    old_seal: Seal | None
 
     def go_forward(self, token: str) -> bool:
         """Put the new file in place, or remove the old one; return whether that was still to do."""
-        new, old = (_neighbour(self.place, token, kind) for kind in ("new", "old"))
-        if self.new is not None and os.path.lexists(new):
-            new.replace(self.place)
+        new_file, old_file = (_neighbour(self.place, token, kind) for kind in ("new", "old"))
+        if self.new_seal is not None and os.path.lexists(new_file):
+            new_file.replace(self.place)
             return True
-        if self.new is None and os.path.lexists(old) and _seal(self.place) == self.old:
+        if self.new_seal is None and os.path.lexists(old_file) and _seal(self.place) == self.old_seal:
             self.place.unlink()
             return True
         return False
 
     def go_back(self, token: str) -> None:
         """Put the old file back, or remove the new one where there was none."""
-        old = _neighbour(self.place, token, "old")
-        if self.old is not None and os.path.lexists(old):
-            old.replace(self.place)
-        elif self.old is None and self.new is not None and _seal(self.place) == self.new:
+        old_file = _neighbour(self.place, token, "old")
+        if self.old_seal is not None and os.path.lexists(old_file):
+            old_file.replace(self.place)
+        elif self.old_seal is None and self.new_seal is not None and _seal(self.place) == self.new_seal:
             self.place.unlink()
 
 
@@ -310,13 +310,13 @@ class _Journal:
         content = _content(path)
         home, token = path.parent, str(content["token"])
         if content["home"]:
-            home = _real(path.parent / str(content["home"]))
+            home = _real_path(path.parent / str(content["home"]))
             journal = next((home / name for name in (FORWARD, BACK) if os.path.lexists(home / name)), None)
             if journal is None or _content(journal)["token"] != token:  # not begun, or completed: nothing is left to do
                 return cls(path, token, [path.parent], [])
             path, content = journal, _content(journal)
-        entries = [_Entry(_place(home / name), new, old) for name, new, old in content["files"]]
-        roots = [_real(home / name) for name in content["roots"]]
+        entries = [_Entry(_place(home / name), new_seal, old_seal) for name, new_seal, old_seal in content["files"]]
+        roots = [_real_path(home / name) for name in content["roots"]]
         return cls(path, token, [home, *(root for root in roots if root.is_dir())], entries)
 
     def text(self, seen_from: Path | None = None) -> bytes:
@@ -327,7 +327,7 @@ class _Journal:
             content["home"] = _name(home, seen_from)
         else:
             content["roots"] = [_name(root, home) for root in self.roots[1:]]
-            content["files"] = [[_name(e.place, home), e.new, e.old] for e in self.entries]
+            content["files"] = [[_name(e.place, home), e.new_seal, e.old_seal] for e in self.entries]
         return json.dumps(content).encode()
 
     def complete(self) -> None:
@@ -348,11 +348,11 @@ class _Journal:
 
     def go_forward(self) -> bool:
         """Put all new files in place; return whether any was still to do."""
-        moves = [entry.go_forward(self.token) for entry in self.entries]
+        moves_made = [entry.go_forward(self.token) for entry in self.entries]
         for folder in {entry.place.parent for entry in self.entries}:
             if folder.is_dir():  # nobody has removed it since
                 _sync(folder)
-        return any(moves)
+        return any(moves_made)
 
     def go_back(self) -> None:
         """Take everything back. Where that is impossible too, the journal stays for the next run."""
@@ -398,12 +398,12 @@ def _content(path: Path) -> Mapping[str, Any]:
     """What a journal says. Raises OSError if it is not one of ours."""
     try:
         content = json.loads(_bytes(path))
-        sound = content["format"] == FORMAT and TOKEN.fullmatch(content["token"]) and isinstance(content["home"], str)
-        sound = sound and all(isinstance(root, str) for root in content["roots"])
-        sound = sound and all(isinstance(name, str) and len(seals) == 2 for name, *seals in content["files"])
+        is_sound = content["format"] == FORMAT and TOKEN.fullmatch(content["token"]) and isinstance(content["home"], str)
+        is_sound = is_sound and all(isinstance(root, str) for root in content["roots"])
+        is_sound = is_sound and all(isinstance(name, str) and len(seals) == 2 for name, *seals in content["files"])
     except (ValueError, KeyError, TypeError):
-        sound = False
-    if not sound:
+        is_sound = False
+    if not is_sound:
         raise OSError(errno.EINVAL, f"{path} is damaged", str(path))
     return content  # type: ignore[no-any-return]
 
@@ -440,13 +440,13 @@ def _neighbour(place: Path, token: str, kind: str) -> Path:
     return place.with_name(f".trackres-set.{token}.{digest}.{kind}")
 
 
-def _real(path: Path) -> Path:
+def _real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
 def _place(path: Path) -> Path:
     """A path without symbolic links but for itself: what is beside it decides, not what it leads to."""
-    return _real(path.parent) / path.name
+    return _real_path(path.parent) / path.name
 
 
 def _name(path: Path, home: Path) -> str:
@@ -482,15 +482,15 @@ def _close(fd: int) -> None:
 
 
 @contextmanager
-def _locked(folders: Iterable[Path]) -> Iterator[bool]:
+def _lock_folders(folders: Iterable[Path]) -> Iterator[bool]:
     """Hold the locks of folders, which the system frees when a process ends; whether the file system has any."""
     with ExitStack() as stack:
-        locked = True
+        is_locked = True
         for folder in sorted(set(folders)):  # in one order, so that no two wait for each other
             fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
             stack.callback(_close, fd)
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX)
             except OSError:
-                locked = False
-        yield locked
+                is_locked = False
+        yield is_locked

@@ -36,7 +36,7 @@ def python(module: str, *words: object, **variables: str) -> dict[str, Any]:
 
 
 @contextmanager
-def unread(name: str) -> Iterator[None]:
+def leave_unread(name: str) -> Iterator[None]:
     """Import a library that reads a file of this name in the current folder, from the root folder if there is one.
 
     An older matplotlib can be made to run code by such a file. It has no option to leave it out.

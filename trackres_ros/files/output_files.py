@@ -45,9 +45,9 @@ def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFF
     if not file.exists():
         _try_to_write(file.parent, file, argument)
     if file.suffix.lower() in WRITTEN_WITH:
-        feature, module, extra = WRITTEN_WITH[file.suffix.lower()]
+        feature, module, extra_name = WRITTEN_WITH[file.suffix.lower()]
         if find_spec(module) is None:
-            raise MissingExtraError(feature, module, extra)
+            raise MissingExtraError(feature, module, extra_name)
     return file
 
 
@@ -103,8 +103,8 @@ def no_two_alike(outputs: Mapping[str, Path | None]) -> None:
     """Check that no output replaces another; keys are the names of their arguments. Raises InputError for the same file."""
     arguments: dict[Path, str] = {}
     for argument, file in outputs.items():
-        if file is not None and (first := arguments.setdefault(file.resolve(), argument)) != argument:
-            raise InputError(f"{first}, {argument}", str(file), "a file for each output")
+        if file is not None and (first_argument := arguments.setdefault(file.resolve(), argument)) != argument:
+            raise InputError(f"{first_argument}, {argument}", str(file), "a file for each output")
 
 
 def not_an_input(file: Path | None, inputs: Iterable[str | PathLike[str] | None], argument: str) -> None:

@@ -62,31 +62,31 @@ def _check(path: Path, status: os.stat_result, limit: int) -> None:
         raise NotOurFileError(errno.EFBIG, f"{status.st_size} bytes; a file of this kind has at most {limit}", str(path))
 
 
-def write(path: Path, data: bytes, private: bool = False) -> None:
+def write(path: Path, data: bytes, is_private: bool = False) -> None:
     """Write a temporary file in the same folder, flush it to the disk and move it in place; within a `file_set`, at its end.
 
-    The permissions of an older file stay; a `private` file is for its owner alone. A symbolic link stays one: the file that it
-    leads to is replaced.
+    The permissions of an older file stay; `is_private`: the file is for its owner alone. A symbolic link stays one: the
+    file that it leads to is replaced.
 
     Raises OSError if it cannot be written; an older file is then unchanged. Also if the older file is write-protected, or
     something other than a file is there, as moving there would destroy a device or a pipe.
     """
-    mode = PRIVATE if private else OF_ALL
-    old = path.stat() if path.exists() else None
-    if old is not None:
-        _check(path, old, sys.maxsize)
-        if not private:
-            mode = stat.S_IMODE(old.st_mode)
+    mode = PRIVATE if is_private else OF_ALL
+    old_status = path.stat() if path.exists() else None
+    if old_status is not None:
+        _check(path, old_status, sys.maxsize)
+        if not is_private:
+            mode = stat.S_IMODE(old_status.st_mode)
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     place = Path(os.path.realpath(path))
-    exact = old is not None  # no umask narrows what was there
+    is_exact = old_status is not None  # no umask narrows what was there
     if (files := open_set()) is not None:
-        files.add(Member(place, data, mode, exact))
+        files.add(Member(place, data, mode, is_exact))
         return
     part = place.with_name(f"{place.name}{secrets.token_hex(4)}{PART}")
     try:
-        write_new(part, data, mode, exact)
+        write_new(part, data, mode, is_exact)
         part.replace(place)
     except BaseException as error:
         part.unlink(missing_ok=True)
@@ -114,7 +114,7 @@ def remove(path: Path) -> None:
         files.add(Member(path.parent.resolve() / path.name, None))
 
 
-def sealed(name: str, payload: bytes) -> bytes:
+def seal_payload(name: str, payload: bytes) -> bytes:
     """The payload behind a digest of itself and of the name it is kept under: moved to another name it is another's."""
     return _digest(name, payload) + payload
 

@@ -30,7 +30,7 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CC") or "cc")
 
 
-def compiled(text: str, *options: str) -> bytes | None:
+def compile_text(text: str, *options: str) -> bytes | None:
     """The content of a shared library of some C; None without a compiler, or if it refuses the text."""
     path = compiler()
     if path is None:
@@ -39,13 +39,13 @@ def compiled(text: str, *options: str) -> bytes | None:
         source, library = Path(folder, "source.c"), Path(folder, "library.so")
         source.write_text(text, encoding="utf-8")
         command = [path, *FLAGS, *options, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, cwd=folder, check=False)
-        return library.read_bytes() if done.returncode == 0 else None
+        process = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, cwd=folder, check=False)
+        return library.read_bytes() if process.returncode == 0 else None
 
 
-def loaded(name: str, text: str, *options: str) -> ModuleType | None:
+def load_module(name: str, text: str, *options: str) -> ModuleType | None:
     """A module of Python from its C; None without a compiler or Python.h. Its file is gone as soon as it is loaded."""
-    library = compiled(text, f"-I{sysconfig.get_paths()['include']}", *options)
+    library = compile_text(text, f"-I{sysconfig.get_paths()['include']}", *options)
     if library is None:
         return None
     with tempfile.TemporaryDirectory(prefix="trackres") as folder:

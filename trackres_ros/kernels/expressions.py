@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.kernels.functions import Instance, Translator, refused
+from trackres_ros.kernels.functions import Instance, Translator, refusal_at
 from trackres_ros.kernels.kinds import (
     BOOL,
     FAILED,
@@ -35,10 +35,10 @@ from trackres_ros.kernels.kinds import (
     Length,
     Record,
     Scalar,
-    joined,
-    narrowed,
-    safe,
-    widened,
+    join_kinds,
+    narrow_kind,
+    safe_name,
+    widen_kind,
 )
 
 # Names, tuples and arrays
@@ -55,7 +55,7 @@ class Value:
 
     kind: Kind
     code: str
-    binds: int = ATOM
+    precedence: int = ATOM
     root: str | None = None
     by_pointer: bool = False
     parts: tuple[Value, ...] = ()
@@ -74,8 +74,8 @@ class Value:
 class Expressions:
     """Translates the expressions of one function; `Operators` has those with operators."""
 
-    def __init__(self, translator: Translator, one: Instance) -> None:
-        self.translator, self.one = translator, one
+    def __init__(self, translator: Translator, instance: Instance) -> None:
+        self.translator, self.instance = translator, instance
         self.kinds: dict[str, Kind] = {}
         self.pointers: set[str] = set()  # records that are parameters
         self.written: set[str] = set()
@@ -84,9 +84,9 @@ class Expressions:
 
     # Refusals
 
-    def refuse(self, node: ast.AST, given: str, allowed: str) -> InputError:
+    def refuse(self, node: ast.AST, code: str, allowed: str) -> InputError:
         """The refusal of a part of the source."""
-        return refused(self.one.source, node, given, allowed)
+        return refusal_at(self.instance.source, node, code, allowed)
 
     # Names
 
@@ -95,19 +95,19 @@ class Expressions:
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
             raise self.refuse(node, ast.unparse(node)[:80], "an expression of numbers, arrays and calls")
-        found: Value = method(node)
-        return found
+        value: Value = method(node)
+        return value
 
-    def later(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
+    def guarded_value(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
         """Translate a part of an expression that Python computes only sometimes."""
         return read(node)
 
     def const(self, value: Any) -> Value:
         """A value known at translation."""
-        known = isinstance(value, bool | int | float | np.number | np.bool_)
+        is_literal = isinstance(value, bool | int | float | np.number | np.bool_)
         if isinstance(value, np.generic):
             value = value.item()
-        code = self.translator.literal(value) if known else ""
+        code = self.translator.literal(value) if is_literal else ""
         return Value(Const(value), code, UNARY if code.startswith("-") else ATOM)
 
     def _constant(self, node: ast.Constant) -> Value:
@@ -122,8 +122,8 @@ class Expressions:
             self.note_place(name)
             if isinstance(kind, Const):
                 return self.const(kind.value)
-            return Value(kind, safe(name), ATOM, name, name in self.pointers)
-        function = self.one.function
+            return Value(kind, safe_name(name), ATOM, name, name in self.pointers)
+        function = self.instance.function
         closure = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         if name in closure:
             return self.const(closure[name].cell_contents)
@@ -137,54 +137,56 @@ class Expressions:
         """Record that a variable is used in the present block."""
 
     def _attribute(self, node: ast.Attribute) -> Value:
-        of = self.value(node.value)
-        if of.is_const:
-            value = of.const
+        owner = self.value(node.value)
+        if owner.is_const:
+            value = owner.const
             if isinstance(value, np.ndarray) and node.attr == "shape":
                 return self.const(value.shape)
             if (isinstance(value, ModuleType | tuple | type) or hasattr(value, "_fields")) and hasattr(value, node.attr):
                 return self.const(getattr(value, node.attr))
-            given = f"{ast.unparse(node)} of {'self' if value is None else type(value).__name__}"
-            raise self.refuse(node, given[:80], "an argument, a constant of the file, or math")
-        if isinstance(of.kind, ArrayOf) and node.attr == "shape":
-            if None in of.kind.shape:
+            access = f"{ast.unparse(node)} of {'self' if value is None else type(value).__name__}"
+            raise self.refuse(node, access[:80], "an argument, a constant of the file, or math")
+        if isinstance(owner.kind, ArrayOf) and node.attr == "shape":
+            if None in owner.kind.shape:
                 raise self.refuse(node, ast.unparse(node), "the length of a whole array")
-            lengths = [self.length(of, axis) for axis in range(len(of.kind.shape))]
-            return Value(Record("", tuple((f"f{i}", one.kind) for i, one in enumerate(lengths))), "", parts=tuple(lengths))
-        if isinstance(of.kind, ArrayOf) and node.attr in of.kind.names:
-            code = f"{self.pointer(of)}[{of.kind.names.index(node.attr)} /* {node.attr} */]"
-            if (count := of.kind.names.count(node.attr)) > 1:
-                return self.array(ArrayOf(of.kind.of, (count,)), code, (None,), of.root)
-            return Value(of.kind.of, code, ATOM, of.root)
-        if isinstance(of.kind, Record) and (part := of.kind.kind_of(node.attr)) is not None:
-            return self.part(of, node.attr, part)
+            lengths = [self.length(owner, axis) for axis in range(len(owner.kind.shape))]
+            return Value(Record("", tuple((f"f{i}", length.kind) for i, length in enumerate(lengths))), "", parts=tuple(lengths))
+        if isinstance(owner.kind, ArrayOf) and node.attr in owner.kind.names:
+            code = f"{self.pointer(owner)}[{owner.kind.names.index(node.attr)} /* {node.attr} */]"
+            if (count := owner.kind.names.count(node.attr)) > 1:
+                return self.array(ArrayOf(owner.kind.element, (count,)), code, (None,), owner.root)
+            return Value(owner.kind.element, code, ATOM, owner.root)
+        if isinstance(owner.kind, Record) and (part := owner.kind.kind_of(node.attr)) is not None:
+            return self.part(owner, node.attr, part)
         raise self.refuse(node, ast.unparse(node)[:80], "an attribute that it has")
 
-    def length(self, of: Value, axis: int) -> Value:
+    def length(self, array: Value, axis: int) -> Value:
         """The length of an array along an axis."""
-        assert isinstance(of.kind, ArrayOf)
-        known = of.kind.shape[axis]
-        return Value(INT, f"{self.within(of, ATOM)}.{of.kind.place_of(axis)}") if known is LENGTH else self.const(known)
+        assert isinstance(array.kind, ArrayOf)
+        length = array.kind.shape[axis]
+        return (
+            Value(INT, f"{self.code_within(array, ATOM)}.{array.kind.place_of(axis)}") if length is LENGTH else self.const(length)
+        )
 
-    def pointer(self, of: Value) -> str:
+    def pointer(self, array: Value) -> str:
         """The code of the pointer to the first entry of an array that is no constant."""
-        brings_lengths = isinstance(of.kind, ArrayOf) and of.kind.lengths
-        return f"{self.within(of, ATOM)}.at" if brings_lengths else self.within(of, ATOM)
+        brings_lengths = isinstance(array.kind, ArrayOf) and array.kind.lengths
+        return f"{self.code_within(array, ATOM)}.at" if brings_lengths else self.code_within(array, ATOM)
 
-    def array(self, kind: ArrayOf, first: str, lengths: Sequence[Value | None], root: str | None) -> Value:
+    def array(self, kind: ArrayOf, entry: str, lengths: Sequence[Value | None], root: str | None) -> Value:
         """An array of a kind that begins at an entry, with the lengths that it brings along."""
         if not kind.lengths:
-            return Value(kind, f"&{first}", UNARY, root)
-        brought = [one.code for one, length in zip(lengths, kind.shape, strict=True) if one is not None and length is LENGTH]
-        return Value(kind, f"({self.translator.array(kind)}){{&{first}, {', '.join(brought)}}}", ATOM, root)
+            return Value(kind, f"&{entry}", UNARY, root)
+        codes = [length.code for length, size in zip(lengths, kind.shape, strict=True) if length is not None and size is LENGTH]
+        return Value(kind, f"({self.translator.array(kind)}){{&{entry}, {', '.join(codes)}}}", ATOM, root)
 
-    def part(self, of: Value, name: str, kind: Kind) -> Value:
+    def part(self, record: Value, name: str, kind: Kind) -> Value:
         """A part of a record."""
         if isinstance(kind, Const):
             return self.const(kind.value)
-        if isinstance(kind, Record) and not list(kind.stored()):
+        if isinstance(kind, Record) and not list(kind.stored_fields()):
             return Value(kind, "")
-        return Value(kind, f"{of.code}{'->' if of.by_pointer else '.'}{safe(name)}", ATOM, of.root)
+        return Value(kind, f"{record.code}{'->' if record.by_pointer else '.'}{safe_name(name)}", ATOM, record.root)
 
     # Tuples
 
@@ -193,26 +195,26 @@ class Expressions:
 
     def spread(self, nodes: Sequence[ast.expr]) -> list[Value]:
         """Values one by one, including those of a starred tuple."""
-        found: list[Value] = []
+        values: list[Value] = []
         for node in nodes:
-            found += self.parts(node, self.value(node.value)) if isinstance(node, ast.Starred) else [self.value(node)]
-        return found
+            values += self.parts(node, self.value(node.value)) if isinstance(node, ast.Starred) else [self.value(node)]
+        return values
 
-    def parts(self, node: ast.AST, of: Value) -> list[Value]:
+    def parts(self, node: ast.AST, value: Value) -> list[Value]:
         """The parts of a tuple."""
-        if of.parts:
-            return list(of.parts)
-        if isinstance(of.const, tuple):
-            return [self.const(one) for one in of.const]
-        if isinstance(of.kind, Record):
-            return [self.part(of, name, kind) for name, kind in of.kind.fields]
+        if value.parts:
+            return list(value.parts)
+        if isinstance(value.const, tuple):
+            return [self.const(item) for item in value.const]
+        if isinstance(value.kind, Record):
+            return [self.part(value, name, kind) for name, kind in value.kind.fields]
         raise self.refuse(node, ast.unparse(node)[:80], "a tuple")
 
     def tuple_of(self, values: Sequence[Value], kind: Record | None = None) -> Value:
         """A tuple of values, as a compound literal."""
         if kind is None and all(v.is_const for v in values):
             return self.const(tuple(v.const for v in values))
-        record = kind or Record("", tuple((f"f{i}", narrowed(v.kind)) for i, v in enumerate(values)))
+        record = kind or Record("", tuple((f"f{i}", narrow_kind(v.kind)) for i, v in enumerate(values)))
         for v in values:
             if isinstance(v.kind, ArrayOf):
                 self.note_written(v)  # the owner of the pointer may change its target
@@ -221,24 +223,24 @@ class Expressions:
 
     def initial(self, values: Sequence[Value], kind: Record) -> str:
         """The parts of a struct in its initializer."""
-        stored = [self.as_kind(v, part) for v, (_, part) in zip(values, kind.fields, strict=True) if not isinstance(part, Const)]
-        return ", ".join(stored)
+        codes = [self.as_kind(v, part) for v, (_, part) in zip(values, kind.fields, strict=True) if not isinstance(part, Const)]
+        return ", ".join(codes)
 
     def as_kind(self, value: Value, kind: Kind) -> str:
         """The code of a value, converted to another kind."""
         if isinstance(kind, Record):
             if value.is_const and isinstance(value.const, tuple):
-                inner = self.initial([self.const(one) for one in value.const], kind)
+                inner = self.initial([self.const(item) for item in value.const], kind)
                 return f"({self.translator.struct(kind)}){{{inner}}}"
-            if isinstance(value.kind, Record) and tuple(value.kind.stored()) != tuple(kind.stored()):
-                parts = value.parts or [self.part(value, name, of) for name, of in value.kind.fields]
+            if isinstance(value.kind, Record) and tuple(value.kind.stored_fields()) != tuple(kind.stored_fields()):
+                parts = value.parts or [self.part(value, name, part_kind) for name, part_kind in value.kind.fields]
                 return f"({self.translator.struct(kind)}){{{self.initial(parts, kind)}}}"
             return f"*{value.code}" if value.by_pointer else value.code
         if isinstance(kind, Scalar) and kind in REALS:
             if value.is_const and not isinstance(value.const, np.ndarray):
                 return self.translator.literal(float(value.const))
             if self.translator.single and (value.kind == INT or (value.kind, kind) == (WIDE, REAL)):
-                return f"({self.translator.number(kind)}){self.within(value, UNARY)}"
+                return f"({self.translator.number(kind)}){self.code_within(value, UNARY)}"
         if isinstance(kind, ArrayOf) and isinstance(value.const, np.ndarray):
             return self.table(value, "table")
         if isinstance(kind, ArrayOf) and not kind.lengths:
@@ -254,43 +256,43 @@ class Expressions:
     def _subscript(self, node: ast.Subscript) -> Value:
         return self.subscript(node, self.value(node.value))
 
-    def subscript(self, node: ast.Subscript, of: Value) -> Value:
+    def subscript(self, node: ast.Subscript, owner: Value) -> Value:
         """An entry of an array or tuple, or a view."""
         indices = list(node.slice.elts) if isinstance(node.slice, ast.Tuple) else [node.slice]
-        if isinstance(of.const, tuple) or isinstance(of.kind, Record):
+        if isinstance(owner.const, tuple) or isinstance(owner.kind, Record):
             index = self.value(indices[0])
             if index.is_const and isinstance(index.const, int):
-                parts = self.parts(node, of)
+                parts = self.parts(node, owner)
                 return parts[self._known_place(node, index.const, len(parts))]
-            if of.const and isinstance(of.const, tuple) and all(isinstance(x, int | float) for x in of.const):
-                place = self.offset(node, of, ArrayOf(REAL, (len(of.const),)), [index], indices)
-                return Value(widened(Const(sum(of.const))), f"{self.table(of, ast.unparse(node.value))}[{place}]")
+            if owner.const and isinstance(owner.const, tuple) and all(isinstance(x, int | float) for x in owner.const):
+                place = self.offset(node, owner, ArrayOf(REAL, (len(owner.const),)), [index], indices)
+                return Value(widen_kind(Const(sum(owner.const))), f"{self.table(owner, ast.unparse(node.value))}[{place}]")
             raise self.refuse(node, ast.unparse(node)[:80], "a place in a tuple that is known")
-        array = self.array_kind(node, of)
+        array = self.array_kind(node, owner)
         if len(indices) > len(array.shape):
             raise self.refuse(node, ast.unparse(node)[:80], f"at most {len(array.shape)} places")
         if isinstance(indices[-1], ast.Slice):
-            return self._view(node, of, array, indices)
+            return self._view(node, owner, array, indices)
         places = [self.value(index) for index in indices]
-        if len(places) == len(array.shape) and isinstance(of.const, np.ndarray) and all(p.is_const for p in places):
-            known = [self._known_place(node, p.const, n) for p, n in zip(places, array.shape, strict=True)]
-            return self.const(of.const[tuple(known)].item())
-        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.pointer(of)
-        offset = self.offset(node, of, array, places, indices)
+        if len(places) == len(array.shape) and isinstance(owner.const, np.ndarray) and all(p.is_const for p in places):
+            constants = [self._known_place(node, p.const, n) for p, n in zip(places, array.shape, strict=True)]
+            return self.const(owner.const[tuple(constants)].item())
+        name = self.table(owner, ast.unparse(node.value)) if isinstance(owner.const, np.ndarray) else self.pointer(owner)
+        offset = self.offset(node, owner, array, places, indices)
         if len(places) == len(array.shape):
-            return Value(array.of, f"{name}[{offset}]", ATOM, of.root)
-        inner = ArrayOf(array.of, array.shape[len(places) :])
+            return Value(array.element, f"{name}[{offset}]", ATOM, owner.root)
+        inner = ArrayOf(array.element, array.shape[len(places) :])
         lengths = [
-            self.length(of, axis) if array.shape[axis] is LENGTH else None for axis in range(len(places), len(array.shape))
+            self.length(owner, axis) if array.shape[axis] is LENGTH else None for axis in range(len(places), len(array.shape))
         ]
-        return self.array(inner, f"{name}[{offset}]", lengths, of.root)
+        return self.array(inner, f"{name}[{offset}]", lengths, owner.root)
 
-    def array_kind(self, node: ast.AST, of: Value) -> ArrayOf:
+    def array_kind(self, node: ast.AST, value: Value) -> ArrayOf:
         """The kind of an array, constant or not."""
-        if isinstance(of.kind, ArrayOf):
-            return of.kind
-        if isinstance(of.const, np.ndarray):
-            return ArrayOf(INT if of.const.dtype.kind in "iu" else REAL, of.const.shape)
+        if isinstance(value.kind, ArrayOf):
+            return value.kind
+        if isinstance(value.const, np.ndarray):
+            return ArrayOf(INT if value.const.dtype.kind in "iu" else REAL, value.const.shape)
         raise self.refuse(node, ast.unparse(node)[:80], "an array or a tuple")
 
     def _known_place(self, node: ast.AST, place: int, length: Length) -> int:
@@ -301,68 +303,82 @@ class Expressions:
         raise self.refuse(node, ast.unparse(node)[:80], "a place that the array or tuple has")
 
     def _place(self, node: ast.AST, place: Value, length: Length) -> Value:
-        """A place in an axis as Python counts it; kernels have only those within it."""
-        if not self.translator.checked:
+        """A place in an axis, negative ones counted from its end as in Python. Kernels have no place outside the axis."""
+        if not self.translator.is_checked:
             return place
         if not isinstance(length, int):
             raise self.refuse(node, ast.unparse(node)[:80], "places that are known, or an array of known length")
         return Value(INT, f"tr_place({place.code}, {length}, {FAILED})")
 
     def offset(
-        self, node: ast.AST, of: Value, array: ArrayOf, places: Sequence[Value], nodes: Sequence[ast.expr], sliced: bool = False
+        self,
+        node: ast.AST,
+        owner: Value,
+        array: ArrayOf,
+        places: Sequence[Value],
+        nodes: Sequence[ast.expr],
+        is_slice: bool = False,
     ) -> str:
         """Index of an entry of an array in C order, or of the first one of a slice of its last axis."""
-        known, terms = 0, []
+        constant, terms = 0, []
         for axis, place in enumerate(places):
-            inner, length = array.shape[axis + 1 :], None if sliced and axis == len(places) - 1 else array.shape[axis]
+            inner, length = array.shape[axis + 1 :], None if is_slice and axis == len(places) - 1 else array.shape[axis]
             if None in inner or not (place.kind in (INT, BOOL) or isinstance(place.const, int)):
                 raise self.refuse(node, ast.unparse(node)[:80], "whole numbers as places, in an array of known shape")
             stride = math.prod(n for n in inner if isinstance(n, int))
-            brought = [self.length(of, axis + 1 + i).code for i, n in enumerate(inner) if n is LENGTH]
-            factors = [*([str(stride)] if stride != 1 else []), *brought]
+            length_codes = [self.length(owner, axis + 1 + i).code for i, n in enumerate(inner) if n is LENGTH]
+            factors = [*([str(stride)] if stride != 1 else []), *length_codes]
             if place.is_const:
-                first = self._known_place(node, place.const, length)
-                known += 0 if brought else stride * first
-                terms += [" * ".join([str(first), *factors])] if brought and first else []
+                index = self._known_place(node, place.const, length)
+                constant += 0 if length_codes else stride * index
+                terms += [" * ".join([str(index), *factors])] if length_codes and index else []
             else:
-                found = self._place(node, place, length)
-                terms.append(" * ".join([self.within(found, PRODUCT), *factors]) if factors else self.within(found, SUM))
-        named = [ast.unparse(n).rpartition(".")[2] for n in nodes if isinstance(n, ast.Name | ast.Attribute)]
-        named = [name for name in named if name.isupper()]
-        text = [*terms, f"{known}{f' /* {named[-1]} */' if named else ''}"] if known or not terms or named else terms
+                place_value = self._place(node, place, length)
+                terms.append(
+                    " * ".join([self.code_within(place_value, PRODUCT), *factors])
+                    if factors
+                    else self.code_within(place_value, SUM)
+                )
+        constant_names = [ast.unparse(n).rpartition(".")[2] for n in nodes if isinstance(n, ast.Name | ast.Attribute)]
+        constant_names = [name for name in constant_names if name.isupper()]
+        text = (
+            [*terms, f"{constant}{f' /* {constant_names[-1]} */' if constant_names else ''}"]
+            if constant or not terms or constant_names
+            else terms
+        )
         return " + ".join(text)
 
-    def _view(self, node: ast.Subscript, of: Value, array: ArrayOf, indices: Sequence[ast.expr]) -> Value:
+    def _view(self, node: ast.Subscript, owner: Value, array: ArrayOf, indices: Sequence[ast.expr]) -> Value:
         """A part of the last axis of an array."""
-        last = indices[-1]
-        if not isinstance(last, ast.Slice) or last.step is not None or len(indices) != len(array.shape):
+        last_index = indices[-1]
+        if not isinstance(last_index, ast.Slice) or last_index.step is not None or len(indices) != len(array.shape):
             raise self.refuse(node, ast.unparse(node)[:80], "a slice of the last axis, without a step")
-        first = self.value(last.lower) if last.lower else self.const(0)
+        lower = self.value(last_index.lower) if last_index.lower else self.const(0)
         count = array.shape[-1] if isinstance(array.shape[-1], int) else None
-        if array.shape[-1] is LENGTH and last.lower is last.upper is None:
-            end, length = self.length(of, len(array.shape) - 1), LENGTH
+        if array.shape[-1] is LENGTH and last_index.lower is last_index.upper is None:
+            end, length = self.length(owner, len(array.shape) - 1), LENGTH
         else:
-            end, length = self.value(last.upper) if last.upper else self.const(count), None
-        if first.is_const and end.is_const and end.const is not None:
+            end, length = self.value(last_index.upper) if last_index.upper else self.const(count), None
+        if lower.is_const and end.is_const and end.const is not None:
             if count is not None:
-                begin, stop, _ = slice(first.const, end.const).indices(count)
-                first, end = self.const(begin), self.const(stop)
-            length = max(self._known_place(node, end.const, None) - first.const, 0)
-        elif self.translator.checked:
+                begin, stop, _ = slice(lower.const, end.const).indices(count)
+                lower, end = self.const(begin), self.const(stop)
+            length = max(self._known_place(node, end.const, None) - lower.const, 0)
+        elif self.translator.is_checked:
             raise self.refuse(node, ast.unparse(node)[:80], "a slice with known ends, of an array of known length")
-        places = [*(self.value(index) for index in indices[:-1]), first]
-        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else self.pointer(of)
-        offset = self.offset(node, of, array, places, [*indices[:-1], *([last.lower] if last.lower else [])], True)
-        return self.array(ArrayOf(array.of, (length,)), f"{name}[{offset}]", (end,), of.root)
+        places = [*(self.value(index) for index in indices[:-1]), lower]
+        name = self.table(owner, ast.unparse(node.value)) if isinstance(owner.const, np.ndarray) else self.pointer(owner)
+        offset = self.offset(node, owner, array, places, [*indices[:-1], *([last_index.lower] if last_index.lower else [])], True)
+        return self.array(ArrayOf(array.element, (length,)), f"{name}[{offset}]", (end,), owner.root)
 
     def note_written(self, value: Value) -> None:
         """Record that the owner of an array or record is changed here."""
         if value.root is not None:
             self.written.add(value.root)
 
-    def within(self, value: Value, binds: int) -> str:
+    def code_within(self, value: Value, precedence: int) -> str:
         """The code of a value inside of an operator."""
-        return value.code if value.binds >= binds else f"({value.code})"
+        return value.code if value.precedence >= precedence else f"({value.code})"
 
 
 # Operators
@@ -403,51 +419,57 @@ class Operators(Expressions):
         if value.kind == BOOL:
             return value
         if value.kind in (INT, *REALS):
-            return Value(BOOL, f"{self.within(value, SHIFTED)} != 0", COMPARED)
+            return Value(BOOL, f"{self.code_within(value, SHIFTED)} != 0", COMPARED)
         raise self.refuse(node, ast.unparse(node)[:80], "a condition")
 
     def _binop(self, node: ast.BinOp) -> Value:
         return self.binary(node, node.op, self.value(node.left), self.value(node.right))
 
-    def binary(self, node: ast.AST, op: ast.operator, left: Value, right: Value) -> Value:
+    def binary(self, node: ast.AST, op: ast.operator, left_value: Value, right_value: Value) -> Value:
         """Two numbers and an operator between them."""
-        if type(op) not in OPERATORS or not all(isinstance(widened(v.kind), Scalar) for v in (left, right)):
+        if type(op) not in OPERATORS or not all(isinstance(widen_kind(v.kind), Scalar) for v in (left_value, right_value)):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers, with operators of numbers between them")
-        sign, binds, python = OPERATORS[type(op)]
-        if left.is_const and right.is_const:
+        sign, precedence, python = OPERATORS[type(op)]
+        if left_value.is_const and right_value.is_const:
             try:
-                return self.const(python(left.const, right.const))
+                return self.const(python(left_value.const, right_value.const))
             except (ArithmeticError, ValueError, TypeError):
                 pass
-        kind = joined(joined(INT, left.kind), right.kind) or REAL
+        kind = join_kinds(join_kinds(INT, left_value.kind), right_value.kind) or REAL
         if sign == "**":
-            return self._power(left, right)
+            return self._power(left_value, right_value)
         if sign in ("%", "/") and isinstance(op, ast.Mod | ast.FloorDiv):
-            which = "modulo" if isinstance(op, ast.Mod) else "floored"
-            return self.helped(f"{which}_{'real' if kind in REALS else 'int'}", [left, right], narrowed(kind))
+            helper = "modulo" if isinstance(op, ast.Mod) else "floored"
+            return self.helper_call(
+                f"{helper}_{'real' if kind in REALS else 'int'}", [left_value, right_value], narrow_kind(kind)
+            )
         if sign == "/":
-            kind = joined(kind, REAL) or REAL
-            if left.kind not in REALS and right.kind not in REALS:
-                left = Value(REAL, self.as_real(left), UNARY)
+            kind = join_kinds(kind, REAL) or REAL
+            if left_value.kind not in REALS and right_value.kind not in REALS:
+                left_value = Value(REAL, self.as_real(left_value), UNARY)
         if sign in OF_WHOLE_NUMBERS and kind in REALS:
             raise self.refuse(node, ast.unparse(node)[:80], "whole numbers")
-        if self.translator.checked and sign in ("<<", ">>") and not (right.is_const and 0 <= right.const < BITS_OF_INT):
+        if (
+            self.translator.is_checked
+            and sign in ("<<", ">>")
+            and not (right_value.is_const and 0 <= right_value.const < BITS_OF_INT)
+        ):
             raise self.refuse(node, ast.unparse(node)[:80], f"a known number of bits below {BITS_OF_INT}")
-        if sign in OF_WHOLE_NUMBERS and left.kind == right.kind == BOOL:
+        if sign in OF_WHOLE_NUMBERS and left_value.kind == right_value.kind == BOOL:
             kind = BOOL
         if kind in REALS:
-            left, right = self._real_pair(left, right, kind)
-        low = SUM if sign in ("<<", ">>") else UNARY if sign in ("&", "|", "^") else binds
-        code = f"{self.within(left, low)} {sign} {self.within(right, low if sign in OF_WHOLE_NUMBERS else binds + 1)}"
-        return Value(kind, code, binds)
+            left_value, right_value = self._real_pair(left_value, right_value, kind)
+        low = SUM if sign in ("<<", ">>") else UNARY if sign in ("&", "|", "^") else precedence
+        right_low = low if sign in OF_WHOLE_NUMBERS else precedence + 1
+        return Value(kind, f"{self.code_within(left_value, low)} {sign} {self.code_within(right_value, right_low)}", precedence)
 
-    def _real_pair(self, left: Value, right: Value, kind: Kind) -> tuple[Value, Value]:
+    def _real_pair(self, left_value: Value, right_value: Value, kind: Kind) -> tuple[Value, Value]:
         """Convert both to real numbers, constants none wider than a `float`."""
-        both = []
-        for v in (left, right):
+        pair = []
+        for v in (left_value, right_value):
             code = self.as_kind(v, kind)
-            both.append(v if code == v.code else replace(v, code=code, binds=UNARY))
-        return both[0], both[1]
+            pair.append(v if code == v.code else replace(v, code=code, precedence=UNARY))
+        return pair[0], pair[1]
 
     def as_real(self, value: Value) -> str:
         """The code of a number as a real one."""
@@ -455,96 +477,104 @@ class Operators(Expressions):
             return self.translator.literal(float(value.const))
         if value.kind in REALS:
             return self.as_kind(value, REAL)
-        return f"({self.translator.number(REAL)}){self.within(value, UNARY)}"
+        return f"({self.translator.number(REAL)}){self.code_within(value, UNARY)}"
 
     def _power(self, base: Value, exponent: Value) -> Value:
         if exponent.is_const and exponent.const == 2 and base.kind == INT and base.code.replace("_", "").isalnum():
-            return Value(widened(base.kind), f"{base.code} * {base.code}", PRODUCT)
+            return Value(widen_kind(base.kind), f"{base.code} * {base.code}", PRODUCT)
         return Value(REAL, f"{self.translator.call('pow')}({self.as_real(base)}, {self.as_real(exponent)})")
 
     def _unaryop(self, node: ast.UnaryOp) -> Value:
         if isinstance(node.op, ast.Not):
             truth = self.condition(node.operand)
-            return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.within(truth, UNARY)}", UNARY)
-        of = self.value(node.operand)
-        if not isinstance(widened(of.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
+            return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.code_within(truth, UNARY)}", UNARY)
+        operand = self.value(node.operand)
+        if not isinstance(widen_kind(operand.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
             raise self.refuse(node, ast.unparse(node)[:80], "a number with a sign, or not")
         if isinstance(node.op, ast.UAdd):
-            return of
-        return self.const(-of.const) if of.is_const else Value(widened(of.kind), f"-{self.within(of, ATOM)}", UNARY)
+            return operand
+        return (
+            self.const(-operand.const)
+            if operand.is_const
+            else Value(widen_kind(operand.kind), f"-{self.code_within(operand, ATOM)}", UNARY)
+        )
 
     def condition(self, node: ast.expr) -> Value:
-        """An expression of which only its truth is asked."""
+        """An expression that is only tested for its truth."""
         if isinstance(node, ast.BoolOp):
             return self._logical(node, self._until_decided(node, self.condition))
         return self.truth(node, self.value(node))
 
     def _until_decided(self, node: ast.BoolOp, read: Callable[[ast.expr], Value]) -> list[Value]:
         """The operands of `and` or `or`, up to one that is known to decide."""
-        found: list[Value] = []
-        for one in node.values:
-            found.append(self.later(one, read) if found else read(one))
-            if self.truth(one, found[-1]).const is isinstance(node.op, ast.Or):
+        operands: list[Value] = []
+        for operand in node.values:
+            operands.append(self.guarded_value(operand, read) if operands else read(operand))
+            if self.truth(operand, operands[-1]).const is isinstance(node.op, ast.Or):
                 break
-        return found
+        return operands
 
     def _logical(self, node: ast.BoolOp, values: Sequence[Value]) -> Value:
         """Operands that are truth values."""
-        stops = isinstance(node.op, ast.Or)  # the value that decides
-        kept = [v for v in values if not v.is_const or v.const is stops]
-        if len(kept) < 2:
-            return kept[0] if kept else self.const(not stops)
-        sign, binds = ("||", OR) if stops else ("&&", AND)
-        return Value(BOOL, f" {sign} ".join(self.within(v, COMPARED) for v in kept), binds)
+        decider = isinstance(node.op, ast.Or)  # the value that decides
+        operands = [v for v in values if not v.is_const or v.const is decider]
+        if len(operands) < 2:
+            return operands[0] if operands else self.const(not decider)
+        sign, precedence = ("||", OR) if decider else ("&&", AND)
+        return Value(BOOL, f" {sign} ".join(self.code_within(v, COMPARED) for v in operands), precedence)
 
     def _boolop(self, node: ast.BoolOp) -> Value:
         values = self._until_decided(node, self.value)
-        if all(widened(v.kind) == BOOL for v in values):
+        if all(widen_kind(v.kind) == BOOL for v in values):
             return self._logical(node, values)
         result = values[-1]
         for value in values[-2::-1]:  # the answer is an operand, not its truth
-            if any(one.writes and f"{one.name}(" in value.code for one in self.calls):
+            if any(call.writes and f"{call.name}(" in value.code for call in self.calls):
                 raise self.refuse(node, ast.unparse(node)[:80], "operands that change nothing")
-            both = (value, result) if isinstance(node.op, ast.Or) else (result, value)
-            result = self._choice(node, self.truth(node, value), *both)
+            branches = (value, result) if isinstance(node.op, ast.Or) else (result, value)
+            result = self._choice(node, self.truth(node, value), *branches)
         return result
 
     def _compare(self, node: ast.Compare) -> Value:
-        values = [self.value(one) for one in (node.left, *node.comparators)]
-        found: list[str] = []
-        for op, left, right in zip(node.ops, values, values[1:], strict=False):
-            if type(op) not in COMPARISONS or not all(isinstance(widened(v.kind), Scalar) for v in (left, right)):
+        values = [self.value(operand) for operand in (node.left, *node.comparators)]
+        comparisons: list[str] = []
+        for op, left_value, right_value in zip(node.ops, values, values[1:], strict=False):
+            if type(op) not in COMPARISONS or not all(isinstance(widen_kind(v.kind), Scalar) for v in (left_value, right_value)):
                 raise self.refuse(node, ast.unparse(node)[:80], "numbers that are compared")
             sign, python = COMPARISONS[type(op)]
-            if left.is_const and right.is_const:
-                if not python(left.const, right.const):
+            if left_value.is_const and right_value.is_const:
+                if not python(left_value.const, right_value.const):
                     return self.const(False)
                 continue
-            if left.kind in REALS or right.kind in REALS:
-                left, right = self._real_pair(left, right, WIDE if WIDE in (left.kind, right.kind) else REAL)
-            found.append(f"{self.within(left, SHIFTED)} {sign} {self.within(right, SHIFTED)}")
-        if not found:
+            if left_value.kind in REALS or right_value.kind in REALS:
+                left_value, right_value = self._real_pair(
+                    left_value, right_value, WIDE if WIDE in (left_value.kind, right_value.kind) else REAL
+                )
+            comparisons.append(f"{self.code_within(left_value, SHIFTED)} {sign} {self.code_within(right_value, SHIFTED)}")
+        if not comparisons:
             return self.const(True)
-        return Value(BOOL, found[0], COMPARED) if len(found) == 1 else Value(BOOL, " && ".join(found), AND)
+        return Value(BOOL, comparisons[0], COMPARED) if len(comparisons) == 1 else Value(BOOL, " && ".join(comparisons), AND)
 
     def _ifexp(self, node: ast.IfExp) -> Value:
         test = self.condition(node.test)
         if test.is_const:
             return self.value(node.body if test.const else node.orelse)
-        return self._choice(node, test, self.later(node.body, self.value), self.later(node.orelse, self.value))
+        return self._choice(node, test, self.guarded_value(node.body, self.value), self.guarded_value(node.orelse, self.value))
 
-    def _choice(self, node: ast.AST, test: Value, one: Value, other: Value) -> Value:
+    def _choice(self, node: ast.AST, test: Value, then_value: Value, else_value: Value) -> Value:
         """One of two values, by a condition."""
         if test.is_const:
-            return one if test.const else other
-        kind = joined(widened(one.kind), other.kind)
+            return then_value if test.const else else_value
+        kind = join_kinds(widen_kind(then_value.kind), else_value.kind)
         if kind is None or isinstance(kind, Const):
             raise self.refuse(node, ast.unparse(node)[:80], "two values of one kind")
-        codes = [v.code if isinstance(kind, Scalar) and not v.is_const else self.as_kind(v, kind) for v in (one, other)]
-        first = codes[0] if one.binds > TERNARY else f"({codes[0]})"
-        return Value(kind, f"{self.within(test, OR)} ? {first} : {codes[1]}", TERNARY)
+        codes = [
+            v.code if isinstance(kind, Scalar) and not v.is_const else self.as_kind(v, kind) for v in (then_value, else_value)
+        ]
+        then_code = codes[0] if then_value.precedence > TERNARY else f"({codes[0]})"
+        return Value(kind, f"{self.code_within(test, OR)} ? {then_code} : {codes[1]}", TERNARY)
 
-    def helped(self, name: str, values: Sequence[Value], kind: Kind) -> Value:
+    def helper_call(self, name: str, values: Sequence[Value], kind: Kind) -> Value:
         """A call of a function of the file's own, see templates/helpers.c."""
         codes = [self.as_kind(v, kind) for v in values]
         return Value(kind, f"tr_{name}({', '.join(codes)})")

@@ -22,7 +22,7 @@ from trackres_ros.kernels.kinds import (
     Record,
     Scalar,
     kinds_of,
-    safe,
+    safe_name,
 )
 
 TAKEN = {REAL: "tr_real", INT: "tr_int", BOOL: "tr_truth"}
@@ -55,9 +55,9 @@ class Extension:
         self.translator, self._module, self._constants = translator, module, dict(constants or {})
         self.entries = {name: translator.instance(function, kinds_of(function)) for name, function in entries.items()}
         self._records: dict[str, Record] = {}
-        given = [kind for one in self.entries.values() for kind in one.arguments.values() if isinstance(kind, Record)]
-        self._given = set(map(self._name, given))
-        for kind in given:
+        records = [kind for instance in self.entries.values() for kind in instance.arguments.values() if isinstance(kind, Record)]
+        self._given = set(map(self._name, records))
+        for kind in records:
             self._register(kind)
 
     def _register(self, kind: Record) -> None:
@@ -69,8 +69,8 @@ class Extension:
     def _name(self, kind: Record) -> str:
         return kind.name or self.translator.struct(kind).removeprefix("struct ")
 
-    def text(self, more: str = "", prototypes: str = "", roots: Sequence[Instance] = ()) -> str:
-        """The file; with `more` functions behind the kernels, which their prototypes announce."""
+    def text(self, extra_functions: str = "", prototypes: str = "", roots: Sequence[Instance] = ()) -> str:
+        """The file; with `extra_functions` functions behind the kernels, which their prototypes announce."""
         functions = self.translator.text_of_functions([*roots, *self.entries.values()])
         binding = self._binding()
         views = max(1, *(self._views(kind) for kind in self._records.values()), *map(self._views_of, self.entries.values()))
@@ -82,7 +82,7 @@ class Extension:
                 self.translator.text_of_tables(),
                 prototypes,
                 functions,
-                more,
+                extra_functions,
                 f"#define TR_MOST_VIEWS {views}",
                 (TEMPLATES / "binding.c").read_text(encoding="utf-8"),
                 binding,
@@ -93,28 +93,28 @@ class Extension:
 
     def _views(self, kind: Kind) -> int:
         if isinstance(kind, Record):
-            return sum(self._views(part) for _, part in kind.stored())
+            return sum(self._views(part) for _, part in kind.stored_fields())
         return int(isinstance(kind, ArrayOf))
 
-    def _views_of(self, one: Instance) -> int:
-        return sum(map(self._views, one.arguments.values()))
+    def _views_of(self, instance: Instance) -> int:
+        return sum(map(self._views, instance.arguments.values()))
 
-    def _taken(self, kind: Kind, given: str, place: str, name: str, writes: bool) -> str:
+    def _take_code(self, kind: Kind, source: str, place: str, name: str, writes: bool) -> str:
         """The condition that an argument could be taken to a place."""
         if isinstance(kind, Scalar):
-            return f"{TAKEN[kind]}({given}, &{place})"
+            return f"{TAKEN[kind]}({source}, &{place})"
         if isinstance(kind, Record):
-            return f"fill_{self._name(kind)}(held, {given}, &{place})"
+            return f"fill_{self._name(kind)}(held, {source}, &{place})"
         if not isinstance(kind, ArrayOf):
             raise TypeError(f"no argument of {kind}")
         shape = ", ".join("-1" if length is LENGTH else str(length) for length in kind.shape)
         pointer, lengths = (f"{place}.at", f"&{place}.n0") if kind.lengths else (place, "NULL")
-        said = f'(const int64_t[]){{{shape}}}, {str(writes).lower()}, "{name}", {lengths}'
-        return f"({pointer} = tr_array(held, {given}, '{LETTERS[kind.of]}', {len(kind.shape)}, {said})) != NULL"
+        shape_text = f'(const int64_t[]){{{shape}}}, {str(writes).lower()}, "{name}", {lengths}'
+        return f"({pointer} = tr_array(held, {source}, '{LETTERS[kind.element]}', {len(kind.shape)}, {shape_text})) != NULL"
 
     def _binding(self) -> str:
         parts = [part for kind in self._records.values() for part in self._of_record(kind)]
-        parts += [self._of_entry(name, one) for name, one in self.entries.items()]
+        parts += [self._of_entry(name, instance) for name, instance in self.entries.items()]
         methods = [f'    {{"{name}", (PyCFunction)(void (*)(void))call_{name}, METH_FASTCALL, NULL}},' for name in self.entries]
         methods += [f'    {{"bind_{name}", bind_{name}, METH_O, NULL}},' for name in sorted(self._given)]
         constants = "".join(f'    PyModule_AddStringConstant(made, "{k}", "{v}");\n' for k, v in self._constants.items())
@@ -128,15 +128,15 @@ class Extension:
         return "\n".join(parts)
 
     def _of_record(self, kind: Record) -> Iterator[str]:
-        """Functions that fill its struct from a tuple, take it from a tuple or what was bound, and bind it."""
+        """Functions that fill the struct from a tuple, read it from a tuple or a bound record, and bind it."""
         name, struct = self._name(kind), self.translator.struct(kind)
         conditions = [f'tr_is_record(given, {len(kind.fields)}, "{name}")']
         for place, (field, part) in enumerate(kind.fields):
-            given = f"PyTuple_GetItem(given, {place})"
-            conditions.append(self._taken(part, given, f"found->{safe(field)}", f"{name}.{field}", False))
-        held = "held" if self._views(kind) else "Py_UNUSED(held)"
+            source = f"PyTuple_GetItem(given, {place})"
+            conditions.append(self._take_code(part, source, f"found->{safe_name(field)}", f"{name}.{field}", False))
+        holder = "held" if self._views(kind) else "Py_UNUSED(held)"
         yield (
-            f"static bool fill_{name}(struct tr_held *{held}, PyObject *given, {struct} *found)\n{{\n    return "
+            f"static bool fill_{name}(struct tr_held *{holder}, PyObject *given, {struct} *found)\n{{\n    return "
             + "\n        && ".join(conditions)
             + ";\n}\n"
         )
@@ -157,40 +157,40 @@ class Extension:
             "    if (found == NULL) {\n        tr_release(&made->held);\n        PyMem_Free(made);\n    }\n    return found;\n}\n"
         )
 
-    def _of_entry(self, name: str, one: Instance) -> str:
+    def _of_entry(self, name: str, instance: Instance) -> str:
         """The function that Python calls."""
-        used = dict(one.given)
+        used = dict(instance.given)
         lines = [f"static PyObject *call_{name}(PyObject *Py_UNUSED(self), PyObject *const *given, Py_ssize_t count)", "{"]
         lines += ["    struct tr_held here, *held = &here;", "    PyObject *answer = NULL;"]
-        conditions, codes = [f'tr_counted(count, {len(one.arguments)}, "{name}")'], []
-        for place, (parameter, kind) in enumerate(one.arguments.items()):
+        conditions, codes = [f'tr_counted(count, {len(instance.arguments)}, "{name}")'], []
+        for place, (parameter, kind) in enumerate(instance.arguments.items()):
             if parameter not in used:
                 continue
             variable = f"of_{parameter}"
             if isinstance(kind, Record):
                 struct = self.translator.struct(kind)
                 lines += [f"    {struct} here_{parameter};", f"    const {struct} *{variable} = NULL;"]
-                taken = f"take_{self._name(kind)}(held, given[{place}], &here_{parameter})"
-                conditions.append(f"({variable} = {taken}) != NULL")
+                pointer = f"take_{self._name(kind)}(held, given[{place}], &here_{parameter})"
+                conditions.append(f"({variable} = {pointer}) != NULL")
             else:
-                lines.append(f"    {self.translator.declared(kind)}{variable};")
-                writes = parameter in one.writes
-                conditions.append(self._taken(kind, f"given[{place}]", variable, f"{name}: {parameter}", writes))
+                lines.append(f"    {self.translator.declaration(kind)}{variable};")
+                writes = parameter in instance.writes
+                conditions.append(self._take_code(kind, f"given[{place}]", variable, f"{name}: {parameter}", writes))
             codes.append(variable)
-        call = f"{one.name}({', '.join(codes)})"
-        kept = "" if one.returns is None else f"const {self.translator.declared(one.returns)}found = "
+        call = f"{instance.name}({', '.join(codes)})"
+        target = "" if instance.returns is None else f"const {self.translator.declaration(instance.returns)}found = "
         lines += ["    here.used = 0;", f"    if ({chr(10).join(conditions).replace(chr(10), chr(10) + '        && ')}) {{"]
-        lines += ["        PyThreadState *state = PyEval_SaveThread();", f"        {kept}{call};"]
-        lines += ["        PyEval_RestoreThread(state);", f"        answer = {self._answer(one.returns)};", "    }"]
+        lines += ["        PyThreadState *state = PyEval_SaveThread();", f"        {target}{call};"]
+        lines += ["        PyEval_RestoreThread(state);", f"        answer = {self._answer_code(instance.returns)};", "    }"]
         return "\n".join([*lines, "    tr_release(held);", "    return answer;", "}", ""])
 
-    def _answer(self, kind: Kind | None) -> str:
+    def _answer_code(self, kind: Kind | None) -> str:
         if kind is None or isinstance(kind, Const):
             return "Py_NewRef(Py_None)"
         if isinstance(kind, Scalar):
             return GIVEN_BACK[kind].format("found")
         if isinstance(kind, Record) and all(isinstance(part, Scalar) for _, part in kind.fields):
-            parts = [GIVEN_BACK[part].format(f"found.{name}") for name, part in kind.stored() if isinstance(part, Scalar)]
+            parts = [GIVEN_BACK[part].format(f"found.{name}") for name, part in kind.stored_fields() if isinstance(part, Scalar)]
             return f'Py_BuildValue("({"N" * len(parts)})", {", ".join(parts)})'
         raise TypeError(f"no entry gives back {kind}")
 
@@ -205,14 +205,14 @@ def used_helpers(translator: Translator, functions: str) -> str:
         "HALF": translator.literal(0.5),
         "FMOD": translator.call("fmod"),
     }
-    found = []
-    for block in filled((TEMPLATES / "helpers.c").read_text(encoding="utf-8"), values).split("\n\n"):
+    blocks = []
+    for block in fill_template((TEMPLATES / "helpers.c").read_text(encoding="utf-8"), values).split("\n\n"):
         name = re.search(r"(tr_\w+)\(", block)
         if name and f"{name[1]}(" in functions:
-            found.append(block.strip("\n"))
-    return "\n\n".join(found) + "\n"
+            blocks.append(block.strip("\n"))
+    return "\n\n".join(blocks) + "\n"
 
 
-def filled(template: str, values: Mapping[str, str]) -> str:
+def fill_template(template: str, values: Mapping[str, str]) -> str:
     """A template with its places filled."""
     return re.sub(r"@([A-Z_]+)@", lambda match: values.get(match[1], match[0]), template)

@@ -37,7 +37,7 @@ from trackres_ros.kernels.kinds import (
     Record,
     Scalar,
     literal,
-    safe,
+    safe_name,
     words,
 )
 
@@ -85,8 +85,8 @@ class Instance:
     reads: set[str] = field(default_factory=set)  # parameters that it reads
     writes: set[str] = field(default_factory=set)  # arrays among them that it changes
     calls: list[Instance] = field(default_factory=list)  # the instances that it calls
-    fails: bool = False  # whether it, or a function that it calls, may note a failure
-    done: bool = False
+    has_failure: bool = False  # whether it, or a function that it calls, may note a failure
+    is_done: bool = False
 
     @property
     def given(self) -> list[tuple[str, Kind]]:
@@ -122,7 +122,7 @@ class Translator:
         self.intrinsics: dict[Any, Callable[..., Any]] = {}
         self.sources: dict[Any, Source] = {}
         self.table_names: dict[int, str] = {}
-        self.checked = True
+        self.is_checked = True
         self._names = set(NAMES_OF_HELPERS)
         self._running: list[Instance] = []
 
@@ -136,21 +136,21 @@ class Translator:
         InputError
             With file and line, if it cannot be written in C.
         """
-        key = (id(function), tuple(kinds), self.checked)
+        key = (id(function), tuple(kinds), self.is_checked)
         if key not in self.instances:
             source = self.source(function)
             names = [argument.arg for argument in source.tree.args.args]
-            one = Instance(function, source, "", dict(zip(names, kinds, strict=True)))
-            one.name = self.unused(f"tr_{function.__name__}")
-            self.instances[key] = one
-            self._running.append(one)
-            self._translate(self, one)
-            one.done = True
+            instance = Instance(function, source, "", dict(zip(names, kinds, strict=True)))
+            instance.name = self.unused_name(f"tr_{function.__name__}")
+            self.instances[key] = instance
+            self._running.append(instance)
+            self._translate(self, instance)
+            instance.is_done = True
             self._running.pop()
-        found = self.instances[key]
-        if not found.done:
-            raise refused(found.source, found.source.tree, f"{function.__name__} calls itself", "a loop instead")
-        return found
+        previous = self.instances[key]
+        if not previous.is_done:
+            raise refusal_at(previous.source, previous.source.tree, f"{function.__name__} calls itself", "a loop instead")
+        return previous
 
     def source(self, function: FunctionType) -> Source:
         """The source of a function."""
@@ -162,37 +162,37 @@ class Translator:
         """Register the source of a function that is in no file."""
         self.sources[function] = Source(cast(ast.FunctionDef, ast.parse(text).body[0]), "<export>", 1)
 
-    def unused(self, name: str) -> str:
+    def unused_name(self, name: str) -> str:
         """A unique name in C."""
-        found, number = name, 1
-        while found in self._names:
+        free_name, number = name, 1
+        while free_name in self._names:
             number += 1
-            found = f"{name}_{number}"
-        self._names.add(found)
-        return found
+            free_name = f"{name}_{number}"
+        self._names.add(free_name)
+        return free_name
 
     # Structs and tables
 
     def struct(self, kind: Record) -> str:
         """The struct of a record."""
-        key = tuple(kind.stored()), kind.name
+        key = tuple(kind.stored_fields()), kind.name
         if key not in self.structs:
-            short = {REAL: "d", INT: "i", BOOL: "b"}
-            letters = "".join(short.get(part, "p") if isinstance(part, Scalar) else "p" for _, part in kind.stored())
-            for _, part in kind.stored():
-                self.declared(part)
-            self.structs[key] = (self.unused(f"tr_{kind.name or letters}"), kind)
+            letter_of = {REAL: "d", INT: "i", BOOL: "b"}
+            letters = "".join(letter_of.get(part, "p") if isinstance(part, Scalar) else "p" for _, part in kind.stored_fields())
+            for _, part in kind.stored_fields():
+                self.declaration(part)
+            self.structs[key] = (self.unused_name(f"tr_{kind.name or letters}"), kind)
         return f"struct {self.structs[key][0]}"
 
-    def declared(self, kind: Kind | None, changes: bool = True) -> str:
+    def declaration(self, kind: Kind | None, changes: bool = True) -> str:
         """The type of a variable of this kind; of an array a pointer, with a blank or star at its end."""
         if kind is None:
             return "void "
         if isinstance(kind, ArrayOf) and kind.lengths:
-            self.arrays.add((kind.of, kind.lengths))
+            self.arrays.add((kind.element, kind.lengths))
             return f"{self.array(kind)} "
         if isinstance(kind, ArrayOf):
-            return f"{'' if changes else 'const '}{self.number(kind.of)} *"
+            return f"{'' if changes else 'const '}{self.number(kind.element)} *"
         if isinstance(kind, Record):
             return f"{self.struct(kind)} "
         if isinstance(kind, Scalar):
@@ -201,8 +201,8 @@ class Translator:
 
     def array(self, kind: ArrayOf) -> str:
         """The struct of an array with lengths."""
-        self.arrays.add((kind.of, kind.lengths))
-        return f"struct tr_{words(kind.of.name)}s_{kind.lengths}"
+        self.arrays.add((kind.element, kind.lengths))
+        return f"struct tr_{words(kind.element.name)}s_{kind.lengths}"
 
     def number(self, kind: Scalar) -> str:
         """The type of a number."""
@@ -212,7 +212,7 @@ class Translator:
         """The name in C of a constant array or tuple of numbers."""
         if id(value) not in self.tables:
             known_as = self.table_names.get(id(value), name.rpartition(".")[2])
-            self.tables[id(value)] = (self.unused(f"TR_{words(known_as).strip('_').upper()}"), value)
+            self.tables[id(value)] = (self.unused_name(f"TR_{words(known_as).strip('_').upper()}"), value)
         return self.tables[id(value)][0]
 
     def literal(self, value: Any) -> str:
@@ -227,19 +227,21 @@ class Translator:
 
     def text_of_structs(self, functions: str) -> str:
         """Declarations of the structs that functions use."""
-        needed = {name for name, _ in self.structs.values() if re.search(rf"struct {name}\b", functions)}
+        names = {name for name, _ in self.structs.values() if re.search(rf"struct {name}\b", functions)}
         for name, kind in reversed(self.structs.values()):
-            if name in needed:
-                needed |= {self.structs[tuple(p.stored()), p.name][0] for _, p in kind.stored() if isinstance(p, Record)}
+            if name in names:
+                names |= {
+                    self.structs[tuple(p.stored_fields()), p.name][0] for _, p in kind.stored_fields() if isinstance(p, Record)
+                }
         lines = []
         for scalar, count in sorted(self.arrays, key=lambda key: (key[0].name, key[1])):
             lengths = "".join(f"    int64_t n{i};\n" for i in range(count))
             array = self.array(ArrayOf(scalar, (LENGTH,) * count))
             lines.append(f"{array} {{\n    {self.number(scalar)} *at;\n{lengths}}};\n")
         for name, kind in self.structs.values():
-            if name not in needed:
+            if name not in names:
                 continue
-            parts = "".join(f"    {self.declared(part)}{safe(field)};\n" for field, part in kind.stored())
+            parts = "".join(f"    {self.declaration(part)}{safe_name(field)};\n" for field, part in kind.stored_fields())
             lines.append(f"struct {name} {{\n{parts or '    char nothing;'}}};\n")
         return "\n".join(lines)
 
@@ -249,7 +251,7 @@ class Translator:
         for name, value in self.tables.values():
             array = np.asarray(value)
             kind = self.number(INT if array.dtype.kind in "iu" else REAL)
-            numbers = [self.literal(one) for one in array.ravel().tolist()]
+            numbers = [self.literal(entry) for entry in array.ravel().tolist()]
             body = ",\n".join(f"    {', '.join(numbers[i : i + A_LINE])}" for i in range(0, len(numbers), A_LINE))
             shape = " x ".join(map(str, array.shape))
             lines.append(f"static const {kind} {name}[{array.size}] = {{ /* {shape} */\n{body}\n}};\n")
@@ -257,36 +259,36 @@ class Translator:
 
     def text_of_functions(self, roots: Sequence[Instance]) -> str:
         """The root functions and all that they call, each after those it calls."""
-        ordered: dict[int, Instance] = {}
+        by_id: dict[int, Instance] = {}
 
-        def visit(one: Instance) -> None:
-            if id(one) not in ordered:
-                for other in one.calls:
-                    visit(other)
-                ordered[id(one)] = one
+        def visit(instance: Instance) -> None:
+            if id(instance) not in by_id:
+                for callee in instance.calls:
+                    visit(callee)
+                by_id[id(instance)] = instance
 
         for root in roots:
             visit(root)
-        return "\n".join(self._text_of(one) for one in ordered.values())
+        return "\n".join(self._text_of(instance) for instance in by_id.values())
 
-    def _text_of(self, one: Instance) -> str:
-        where = one.source.file.partition("trackres_ros/")[2] or one.source.file.rsplit("/", 1)[-1]
-        comment = f"{one.source.summary} ({where})".replace("*/", "* /").encode("ascii", "replace").decode()
-        lines = [f"/* {comment} */", self.head(one), "{", *one.text.splitlines(), "}"]
+    def _text_of(self, instance: Instance) -> str:
+        file = instance.source.file.partition("trackres_ros/")[2] or instance.source.file.rsplit("/", 1)[-1]
+        comment = f"{instance.source.summary} ({file})".replace("*/", "* /").encode("ascii", "replace").decode()
+        lines = [f"/* {comment} */", self.head(instance), "{", *instance.text.splitlines(), "}"]
         return "\n".join(map(_short, lines)) + "\n"
 
-    def head(self, one: Instance) -> str:
+    def head(self, instance: Instance) -> str:
         """Name and parameters of a function."""
         parameters = []
-        for name, kind in one.given:
+        for name, kind in instance.given:
             if isinstance(kind, Record):
-                parameters.append(f"const {self.struct(kind)} *{safe(name)}")
+                parameters.append(f"const {self.struct(kind)} *{safe_name(name)}")
             else:
-                parameters.append(f"{self.declared(kind, name in one.writes)}{safe(name)}")
-        if one.fails:
+                parameters.append(f"{self.declaration(kind, name in instance.writes)}{safe_name(name)}")
+        if instance.has_failure:
             parameters.append(f"bool *{FAILED}")
-        returns = None if isinstance(one.returns, Const) else one.returns
-        return f"static {self.declared(returns)}{one.name}({', '.join(parameters) or 'void'})"
+        return_kind = None if isinstance(instance.returns, Const) else instance.returns
+        return f"static {self.declaration(return_kind)}{instance.name}({', '.join(parameters) or 'void'})"
 
 
 def _short(line: str) -> str:
@@ -297,7 +299,7 @@ def _short(line: str) -> str:
     return textwrap.fill(line, MOST_COLUMNS, subsequent_indent=indent + "    ", break_long_words=False, break_on_hyphens=False)
 
 
-def refused(source: Source, node: ast.AST, given: str, allowed: str) -> InputError:
+def refusal_at(source: Source, node: ast.AST, code: str, allowed: str) -> InputError:
     """The refusal of source that cannot be written in C, with its line."""
     line = source.line + int(getattr(node, "lineno", 1)) - 1
-    return InputError(f"{source.file}:{line}", given, allowed, REMEDY)
+    return InputError(f"{source.file}:{line}", code, allowed, REMEDY)

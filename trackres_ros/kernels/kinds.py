@@ -70,7 +70,7 @@ class ArrayOf:
     if unknown; `names` are those of entries, if any.
     """
 
-    of: Scalar
+    element: Scalar
     shape: tuple[Length, ...]
     names: tuple[str, ...] = ()
 
@@ -95,7 +95,7 @@ class Record:
         """Kind of a part; None for an unknown name."""
         return dict(self.fields).get(name)
 
-    def stored(self) -> Iterator[tuple[str, Kind]]:
+    def stored_fields(self) -> Iterator[tuple[str, Kind]]:
         """The parts in the struct."""
         return ((name, kind) for name, kind in self.fields if not isinstance(kind, Const))
 
@@ -140,41 +140,46 @@ def words(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
-def widened(kind: Kind) -> Kind:
-    """The kind of a variable for such a value; the constant itself, if no variable can hold it."""
+def widen_kind(kind: Kind) -> Kind:
+    """The kind of a variable that holds a value of this kind; the constant itself, if no variable can hold it."""
     if isinstance(kind, Record):
-        return Record(kind.name, tuple((name, widened(part)) for name, part in kind.fields))
+        return Record(kind.name, tuple((name, widen_kind(part)) for name, part in kind.fields))
     if not isinstance(kind, Const):
         return kind
     value = kind.value
     if isinstance(value, tuple):
-        return widened(record_of(value))
+        return widen_kind(record_of(value))
     for python, scalar in ((bool | np.bool_, BOOL), (int | np.integer, INT), (float | np.floating, REAL)):
         if isinstance(value, python):
             return scalar
     return kind
 
 
-def narrowed(kind: Kind) -> Kind:
+def narrow_kind(kind: Kind) -> Kind:
     """The kind of a number where it leaves its function: nothing but an array is wide there."""
     return REAL if kind == WIDE else kind
 
 
-def joined(one: Kind | None, other: Kind) -> Kind | None:
+def join_kinds(kind: Kind | None, new_kind: Kind) -> Kind | None:
     """The common kind of a variable for both; None if C has none."""
-    if one is None or one == other:
-        return other
-    one, other = widened(one), widened(other)
-    if isinstance(one, Scalar) and isinstance(other, Scalar):
-        return max(one, other, key=WIDTHS.__getitem__)
-    if isinstance(one, Record) and isinstance(other, Record) and len(one.fields) == len(other.fields):
-        parts = [joined(a, b) for (_, a), (_, b) in zip(one.fields, other.fields, strict=True)]
+    if kind is None or kind == new_kind:
+        return new_kind
+    kind, new_kind = widen_kind(kind), widen_kind(new_kind)
+    if isinstance(kind, Scalar) and isinstance(new_kind, Scalar):
+        return max(kind, new_kind, key=WIDTHS.__getitem__)
+    if isinstance(kind, Record) and isinstance(new_kind, Record) and len(kind.fields) == len(new_kind.fields):
+        parts = [join_kinds(a, b) for (_, a), (_, b) in zip(kind.fields, new_kind.fields, strict=True)]
         if None not in parts:
-            names = [name for name, _ in one.fields]
-            return Record(one.name or other.name, tuple(zip(names, parts, strict=True)))  # type: ignore[arg-type]
-    if isinstance(one, ArrayOf) and isinstance(other, ArrayOf) and one.of == other.of and len(one.shape) == len(other.shape):
-        return ArrayOf(one.of, tuple(a if a == b else None for a, b in zip(one.shape, other.shape, strict=True)))
-    return one if one == other else None
+            names = [name for name, _ in kind.fields]
+            return Record(kind.name or new_kind.name, tuple(zip(names, parts, strict=True)))  # type: ignore[arg-type]
+    if (
+        isinstance(kind, ArrayOf)
+        and isinstance(new_kind, ArrayOf)
+        and kind.element == new_kind.element
+        and len(kind.shape) == len(new_kind.shape)
+    ):
+        return ArrayOf(kind.element, tuple(a if a == b else None for a, b in zip(kind.shape, new_kind.shape, strict=True)))
+    return kind if kind == new_kind else None
 
 
 def literal(value: Any, single: bool) -> str:
@@ -182,8 +187,8 @@ def literal(value: Any, single: bool) -> str:
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
     if isinstance(value, int | np.integer):
-        whole = int(value)
-        return f"INT64_C({whole})" if abs(whole) > MOST_OF_INT else str(whole)
+        integer = int(value)
+        return f"INT64_C({integer})" if abs(integer) > MOST_OF_INT else str(integer)
     number = float(np.float32(value)) if single else float(value)
     if math.isnan(number):
         return "NAN"
@@ -193,7 +198,7 @@ def literal(value: Any, single: bool) -> str:
     return (text if "e" in text or "." in text else f"{text}.0") + "f" * single
 
 
-def safe(name: str) -> str:
+def safe_name(name: str) -> str:
     """A name that is no word of C, nor one of math.h or of the file itself."""
     return f"{name}_" if name.rstrip("_") in NOT_FOR_NAMES or name.lower().startswith("tr_") else name
 
@@ -222,10 +227,10 @@ def kind_of(hint: Any) -> Kind:
         hint, shape = get_args(hint)
     if isinstance(hint, type) and hasattr(hint, "_fields"):
         fields = get_type_hints(hint, include_extras=True)
-        return Record(record_name(hint), tuple((name, kind_of(of)) for name, of in fields.items()))
+        return Record(record_name(hint), tuple((name, kind_of(field_hint)) for name, field_hint in fields.items()))
     if get_origin(hint) is tuple:
-        return Record("", tuple((f"f{i}", kind_of(of)) for i, of in enumerate(get_args(hint))))
+        return Record("", tuple((f"f{i}", kind_of(field_hint)) for i, field_hint in enumerate(get_args(hint))))
     if get_origin(hint) is np.ndarray:
-        of = get_args(get_args(hint)[1])[0]
-        return ArrayOf(SCALARS[of], tuple(LENGTH if length is None else length for length in shape))
+        field_hint = get_args(get_args(hint)[1])[0]
+        return ArrayOf(SCALARS[field_hint], tuple(LENGTH if length is None else length for length in shape))
     raise TypeError(f"{hint} is no type of a kernel's parameter")

@@ -40,8 +40,8 @@ def sources_digest() -> str:
     """Digest of every source file that compiled code can come from."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    found = [Path(folder, name) for room in ROOMS for folder, _, names in os.walk(package / room) for name in names]
-    for path in (*sorted(path for path in found if path.suffix in (".py", ".c")), *(package / file for file in FILES)):
+    paths = [Path(folder, name) for room in ROOMS for folder, _, names in os.walk(package / room) for name in names]
+    for path in (*sorted(path for path in paths if path.suffix in (".py", ".c")), *(package / file for file in FILES)):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:32]
 
@@ -55,17 +55,21 @@ def _loaded() -> ModuleType | None:
     if interpreted():
         return None
     try:
-        found = import_module(NAME)
+        module = import_module(NAME)
     except ImportError as error:
-        missing = error.name == NAME
-        why = "they were not compiled when the package was built: a C compiler or Python.h was missing" if missing else str(error)
-        found = None
+        is_missing = error.name == NAME
+        reason = (
+            "they were not compiled when the package was built: a C compiler or Python.h was missing"
+            if is_missing
+            else str(error)
+        )
+        module = None
     else:
-        assert found is not None
-        if sources_digest() == found.SOURCES:
-            return found
-        why = f"their sources have changed since they were compiled; in a checkout run {BUILD}"
-    _log.warning("trackres: the kernels run in plain Python, a step about %d times slower, as %s", SLOWER, why)
+        assert module is not None
+        if sources_digest() == module.SOURCES:
+            return module
+        reason = f"their sources have changed since they were compiled; in a checkout run {BUILD}"
+    _log.warning("trackres: the kernels run in plain Python, a step about %d times slower, as %s", SLOWER, reason)
     return None
 
 

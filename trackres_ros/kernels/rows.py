@@ -23,10 +23,10 @@ class Real:
     shape: tuple[int, ...] = ()
 
     @overload
-    def __get__(self, row: None, of: type[Row]) -> int: ...
+    def __get__(self, row: None, owner: type[Row]) -> int: ...
     @overload
-    def __get__(self, row: Row, of: type[Row]) -> float: ...
-    def __get__(self, row: Row | None, of: type[Row]) -> Any:
+    def __get__(self, row: Row, owner: type[Row]) -> float: ...
+    def __get__(self, row: Row | None, owner: type[Row]) -> Any:
         raise NotImplementedError
 
     def __set__(self, row: Row, value: float) -> None:
@@ -38,7 +38,7 @@ class Whole:
 
     shape: tuple[int, ...] = ()
 
-    def __get__(self, row: Row | None, of: type[Row]) -> int:
+    def __get__(self, row: Row | None, owner: type[Row]) -> int:
         raise NotImplementedError
 
     def __set__(self, row: Row, value: int) -> None:
@@ -52,15 +52,15 @@ class Reals:
         self.shape = (count,)
 
     @overload
-    def __get__(self, row: None, of: type[Row]) -> slice: ...
+    def __get__(self, row: None, owner: type[Row]) -> slice: ...
     @overload
-    def __get__(self, row: Row, of: type[Row]) -> Array: ...
-    def __get__(self, row: Row | None, of: type[Row]) -> Any:
+    def __get__(self, row: Row, owner: type[Row]) -> Array: ...
+    def __get__(self, row: Row | None, owner: type[Row]) -> Any:
         raise NotImplementedError
 
 
 class _Places(type):
-    """The class of a row class; that of each row has its places as properties."""
+    """The metaclass of rows: it gives each row class its places as properties."""
 
 
 class Row(metaclass=_Places):
@@ -74,13 +74,13 @@ class Row(metaclass=_Places):
         self.numbers = numbers
 
     def __init_subclass__(cls) -> None:
-        declared = {name: one for name, one in vars(cls).items() if isinstance(one, Real | Whole | Reals)}
-        cls.names = tuple(name for name, one in declared.items() for _ in range(math.prod(one.shape)))
+        fields = {name: field for name, field in vars(cls).items() if isinstance(field, Real | Whole | Reals)}
+        cls.names = tuple(name for name, field in fields.items() for _ in range(math.prod(field.shape)))
         cls.columns = len(cls.names)
         places: dict[str, int | slice] = {}
-        for name, one in declared.items():
-            first = cls.names.index(name)
-            places[name] = slice(first, first + one.shape[0]) if one.shape else first
+        for name, field in fields.items():
+            start = cls.names.index(name)
+            places[name] = slice(start, start + field.shape[0]) if field.shape else start
             setattr(cls, name, _number(places[name]))
         # The class finds a property of its own class first: of the class, a name is a place.
         of_class = {name: property(_constant(place)) for name, place in places.items()}
@@ -93,6 +93,6 @@ def _constant(place: int | slice) -> Callable[[Any], int | slice]:
 
 def _number(place: int | slice) -> property:
     """The property of an index, which is a constant in the code: Python is a tenth faster so."""
-    where, known = f"{place.start}:{place.stop}" if isinstance(place, slice) else place, dict[str, Any]()
-    exec(f"def get(row):\n    return row.numbers[{where}]\ndef change(row, value):\n    row.numbers[{where}] = value", known)
-    return property(known["get"], known["change"])
+    index, namespace = f"{place.start}:{place.stop}" if isinstance(place, slice) else place, dict[str, Any]()
+    exec(f"def get(row):\n    return row.numbers[{index}]\ndef change(row, value):\n    row.numbers[{index}] = value", namespace)
+    return property(namespace["get"], namespace["change"])

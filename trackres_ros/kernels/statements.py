@@ -36,10 +36,10 @@ from trackres_ros.kernels.kinds import (
     Kind,
     Record,
     Scalar,
-    joined,
-    narrowed,
-    safe,
-    widened,
+    join_kinds,
+    narrow_kind,
+    safe_name,
+    widen_kind,
     words,
 )
 from trackres_ros.kernels.rows import Row
@@ -59,7 +59,7 @@ class Scopes:
 
     def begin(self) -> None:
         """Begin a pass, with the records of the one before."""
-        self._blocks = {name: _smallest(uses) for name, uses in self._uses.items()}
+        self._blocks = {name: _smallest_blocks(uses) for name, uses in self._uses.items()}
         self._uses, self._declared = {}, set()
 
     @property
@@ -67,7 +67,7 @@ class Scopes:
         """Variables that must be declared before all statements."""
         return sorted(name for name, blocks in self._blocks.items() if not blocks)
 
-    def see(self, name: str, block: Path, stored: bool) -> None:
+    def add_use(self, name: str, block: Path, stored: bool) -> None:
         """A variable is used in a block: it gets a value, or is looked at."""
         self._uses.setdefault(name, []).append((block, stored))
 
@@ -79,17 +79,19 @@ class Scopes:
         return True
 
 
-def _smallest(uses: list[tuple[Path, bool]]) -> list[Path]:
+def _smallest_blocks(uses: list[tuple[Path, bool]]) -> list[Path]:
     """The outermost blocks that store a variable, if each begins with that and there is no use outside; else none."""
-    stores = {block for block, stored in uses if stored}
-    outermost = [block for block in stores if not any(block != other and block[: len(other)] == other for other in stores)]
-    if any(not any(block[: len(outer)] == outer for outer in outermost) for block, _ in uses):
+    stores = {block for block, is_store in uses if is_store}
+    prefixes = [
+        block for block in stores if not any(block != candidate and block[: len(candidate)] == candidate for candidate in stores)
+    ]
+    if any(not any(block[: len(prefix)] == prefix for prefix in prefixes) for block, _ in uses):
         return []
-    for outer in outermost:
-        first = next(use for use in uses if use[0][: len(outer)] == outer)
-        if first != (outer, True):
+    for prefix in prefixes:
+        first_use = next(use for use in uses if use[0][: len(prefix)] == prefix)
+        if first_use != (prefix, True):
             return []
-    return outermost
+    return prefixes
 
 
 # Calls
@@ -106,7 +108,7 @@ class Calls(Operators):
 
     def _call(self, node: ast.Call) -> Value:
         target = self.value(node.func)
-        function = getattr(target.const, "of", target.const)
+        function = getattr(target.const, "function", target.const)
         if not target.is_const or not callable(function):
             raise self.refuse(node, ast.unparse(node)[:80], "a call of a function that is known")
         if isinstance(function, type) and hasattr(function, "_fields"):
@@ -114,8 +116,10 @@ class Calls(Operators):
         values = self.spread(node.args)
         if isinstance(function, type) and issubclass(function, Row):
             array = self.array_kind(node, values[0])
-            code = self.table(values[0], "row") if values[0].is_const else self.as_kind(values[0], ArrayOf(array.of, (None,)))
-            return replace(values[0], kind=ArrayOf(array.of, (function.columns,), function.names), code=code)
+            code = (
+                self.table(values[0], "row") if values[0].is_const else self.as_kind(values[0], ArrayOf(array.element, (None,)))
+            )
+            return replace(values[0], kind=ArrayOf(array.element, (function.columns,), function.names), code=code)
         if function in self.translator.intrinsics:
             return Value(Const(None), self.translator.intrinsics[function](self, values))
         if isinstance(function, FunctionType):
@@ -130,37 +134,37 @@ class Calls(Operators):
         values = {name: self.const(default) for name, default in cls._field_defaults.items()} | values
         if set(values) != set(cls._fields):
             raise self.refuse(node, ast.unparse(node)[:80], f"each of {', '.join(cls._fields)}")
-        ordered = [values[name] for name in cls._fields]
+        parts = [values[name] for name in cls._fields]
         reals = {name for name, kind in cls.__annotations__.items() if kind in ("float", float)}
-        kinds = [REAL if name in reals else narrowed(widened(v.kind)) for name, v in zip(cls._fields, ordered, strict=True)]
-        return self.tuple_of(ordered, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
+        kinds = [REAL if name in reals else narrow_kind(widen_kind(v.kind)) for name, v in zip(cls._fields, parts, strict=True)]
+        return self.tuple_of(parts, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
 
     def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
         """A call of another translated function."""
         names = [a.arg for a in self.translator.source(function).tree.args.args]
-        given = dict(zip(names, values, strict=False)) | {str(k.arg): self.value(k.value) for k in node.keywords}
+        arguments = dict(zip(names, values, strict=False)) | {str(k.arg): self.value(k.value) for k in node.keywords}
         defaults = dict(zip(names[::-1], (function.__defaults__ or ())[::-1], strict=False))
-        given = {name: self.const(value) for name, value in defaults.items()} | given
-        if set(given) != set(names) or len(values) > len(names):
+        arguments = {name: self.const(value) for name, value in defaults.items()} | arguments
+        if set(arguments) != set(names) or len(values) > len(names):
             raise self.refuse(node, ast.unparse(node)[:80], f"the arguments {', '.join(names)}")
-        ordered = [given[name] for name in names]
-        kinds = [v.kind if isinstance(v.const, np.ndarray) else self._passed(v.kind) for v in ordered]
-        one = self.translator.instance(function, kinds)
-        for name, v in given.items():
-            if name in one.writes:
+        argument_values = [arguments[name] for name in names]
+        kinds = [v.kind if isinstance(v.const, np.ndarray) else self._passed(v.kind) for v in argument_values]
+        instance = self.translator.instance(function, kinds)
+        for name, v in arguments.items():
+            if name in instance.writes:
                 if isinstance(v.const, np.ndarray):
                     raise self.refuse(node, ast.unparse(node)[:80], "an array that may change")
                 self.note_written(v)
-        if not one.writes and (one.returns is None or isinstance(one.returns, Const)):
-            return self.const(one.returns.value if isinstance(one.returns, Const) else None)
-        self.calls.append(one)
-        codes = [self.argument(given[name], kind) for name, kind in one.given] + [FAILED] * one.fails
-        kind = Const(None) if one.returns is None else one.returns
-        return Value(kind, f"{one.name}({', '.join(codes)})")
+        if not instance.writes and (instance.returns is None or isinstance(instance.returns, Const)):
+            return self.const(instance.returns.value if isinstance(instance.returns, Const) else None)
+        self.calls.append(instance)
+        codes = [self.argument(arguments[name], kind) for name, kind in instance.given] + [FAILED] * instance.has_failure
+        kind = Const(None) if instance.returns is None else instance.returns
+        return Value(kind, f"{instance.name}({', '.join(codes)})")
 
     def _passed(self, kind: Kind) -> Kind:
         """The kind of a parameter: single numbers are no constants, so that there is one function for all of them."""
-        return widened(kind) if isinstance(kind, Const) and isinstance(kind.value, bool | int | float) else narrowed(kind)
+        return widen_kind(kind) if isinstance(kind, Const) and isinstance(kind.value, bool | int | float) else narrow_kind(kind)
 
     def argument(self, value: Value, kind: Kind) -> str:
         """The code of an argument; of a record its address."""
@@ -169,68 +173,68 @@ class Calls(Operators):
         if value.by_pointer:
             return value.code
         is_place = value.code.startswith("(struct ") or value.code.replace(".", "").replace("->", "").replace("_", "").isalnum()
-        return f"&{value.code if is_place else self.hoisted(value, kind)}"
+        return f"&{value.code if is_place else self.hoist(value, kind)}"
 
-    def hoisted(self, value: Value, kind: Kind) -> str:
+    def hoist(self, value: Value, kind: Kind) -> str:
         """The name of a variable that holds a value from before the statement."""
         raise NotImplementedError
 
     def _of_library(self, node: ast.Call, function: Any, values: list[Value]) -> Value:
         """A call of a function of Python, math or numpy on numbers."""
         if function is len and len(values) == 1:
-            of = values[0]
-            if isinstance(of.const, tuple | np.ndarray):
-                return self.const(len(of.const))
-            if isinstance(of.kind, ArrayOf) and of.kind.shape[0] is not None:
-                return self.length(of, 0)
-        if not values or not all(isinstance(widened(v.kind), Scalar) for v in values):
+            operand = values[0]
+            if isinstance(operand.const, tuple | np.ndarray):
+                return self.const(len(operand.const))
+            if isinstance(operand.kind, ArrayOf) and operand.kind.shape[0] is not None:
+                return self.length(operand, 0)
+        if not values or not all(isinstance(widen_kind(v.kind), Scalar) for v in values):
             raise self.refuse(node, ast.unparse(node)[:80], "numbers as arguments")
         if all(v.is_const for v in values):
             try:
                 return self.const(function(*(v.const for v in values)))
             except (ArithmeticError, ValueError, TypeError):
                 pass
-        found = self._of_numbers(function, values)
-        if found is None:
+        result = self._of_numbers(function, values)
+        if result is None:
             raise self.refuse(node, ast.unparse(node)[:80], ALLOWED)
-        return found
+        return result
 
     def _of_numbers(self, function: Any, values: list[Value]) -> Value | None:
-        first, name = values[0], getattr(function, "__name__", "")
+        operand, name = values[0], getattr(function, "__name__", "")
         module = "numpy" if isinstance(function, np.ufunc) else getattr(function, "__module__", "")
         name = OF_NUMPY.get(name, name) if module == "numpy" else name
         if function in (min, max) and len(values) > 1:
-            return self._extreme(name, values)
+            return self._extreme_call(name, values)
         if module not in ("math", "numpy", "builtins") or len(values) != SAME_IN_C.get(name, 2 if name in REMAINDERS else 1):
             return None
         if function is float:
-            return Value(REAL, self.as_real(first), first.binds if first.kind == REAL else UNARY)
+            return Value(REAL, self.as_real(operand), operand.precedence if operand.kind == REAL else UNARY)
         if function in (int, math.trunc):
-            return first if first.kind not in REALS else self._whole(self.as_real(first))
+            return operand if operand.kind not in REALS else self._whole_number(self.as_real(operand))
         if function is bool:
-            return self.truth(ast.Constant(0), first)
+            return self.truth(ast.Constant(0), operand)
         if function is abs or name == "fabs":
-            if widened(first.kind) == INT:
-                return Value(INT, f"tr_abs_int({first.code})")
-            return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(first)})")
+            if widen_kind(operand.kind) == INT:
+                return Value(INT, f"tr_abs_int({operand.code})")
+            return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(operand)})")
         if module == "math" and name in TO_WHOLE:
-            return self._whole(f"{self.translator.call(name)}({self.as_real(first)})")
+            return self._whole_number(f"{self.translator.call(name)}({self.as_real(operand)})")
         if name in ASKED:
-            return Value(BOOL, f"{name}({self.as_real(first)})")
+            return Value(BOOL, f"{name}({self.as_real(operand)})")
         if name in REMAINDERS and module == "numpy":
-            return self.helped("modulo_real", values, REAL)
+            return self.helper_call("modulo_real", values, REAL)
         if name in SAME_IN_C:
             return Value(REAL, f"{self.translator.call(name)}({', '.join(map(self.as_real, values))})")
         return None
 
-    def _whole(self, code: str) -> Value:
-        """A whole number; what is none leaves an effect out, as in Python."""
-        return Value(INT, f"tr_whole_number({code}, {FAILED})" if self.translator.checked else f"tr_whole({code})")
+    def _whole_number(self, code: str) -> Value:
+        """A whole number. Without one, nan or infinity, the effect is left out, as in Python."""
+        return Value(INT, f"tr_whole_number({code}, {FAILED})" if self.translator.is_checked else f"tr_whole({code})")
 
-    def _extreme(self, name: str, values: list[Value]) -> Value:
-        kind = narrowed(joined(joined(INT, widened(values[0].kind)), widened(values[1].kind)) or REAL)
-        found = self.helped(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
-        return self._extreme(name, [found, *values[2:]]) if len(values) > 2 else found
+    def _extreme_call(self, name: str, values: list[Value]) -> Value:
+        kind = narrow_kind(join_kinds(join_kinds(INT, widen_kind(values[0].kind)), widen_kind(values[1].kind)) or REAL)
+        result = self.helper_call(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
+        return self._extreme_call(name, [result, *values[2:]]) if len(values) > 2 else result
 
 
 # Statements
@@ -244,20 +248,20 @@ NAME = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 class Statements(Calls):
     """The statements of one function; `flow.Body` has those that branch and repeat."""
 
-    def __init__(self, translator: Translator, one: Instance) -> None:
-        super().__init__(translator, one)
-        self._tree = one.source.tree
-        self._stores = one.source.stores
+    def __init__(self, translator: Translator, instance: Instance) -> None:
+        super().__init__(translator, instance)
+        self._tree = instance.source.tree
+        self._stores = instance.source.stores
         self._parameters = {a.arg for a in self._tree.args.args}
-        self._of_loops = set(one.source.loops)
-        for name, count in one.source.loops.items():
+        self._of_loops = set(instance.source.loops)
+        for name, count in instance.source.loops.items():
             if name in self._parameters or self._stores[name] != count:
                 raise self.refuse(self._tree, f"{name} of a loop that has another meaning too", "a name of its own for it")
         self._within: list[str] = []
         self._read_before: set[str] = set()
         self._scopes = Scopes()
-        self.kinds = {name: widened(kind) if self._stores[name] else kind for name, kind in one.arguments.items()}
-        self.pointers = {n for n, k in one.arguments.items() if isinstance(k, Record)}
+        self.kinds = {name: widen_kind(kind) if self._stores[name] else kind for name, kind in instance.arguments.items()}
+        self.pointers = {n for n, k in instance.arguments.items() if isinstance(k, Record)}
         self.text = ""
         self.found: Any = None
 
@@ -270,25 +274,25 @@ class Statements(Calls):
         self._loops: list[str] = []
         self._within = []
         self._scopes.begin()
-        ended = self.block(self._tree.body, 1)
-        if not ended and self.one.returns is not None:
+        has_ended = self.block(self._tree.body, 1)
+        if not has_ended and self.instance.returns is not None:
             raise self.refuse(self._tree, "a way to its end without a value", "a return at each end")
         at_top = [name for name in self._scopes.at_top if name in self._read_before]
-        declared = [self._declaration(name) for name in at_top if self._is_stored(name)]
-        self.text = "".join(f"    {line}\n" for line in declared) + "".join(self._lines)
+        lines = [self._declaration(name) for name in at_top if self._is_stored(name)]
+        self.text = "".join(f"    {line}\n" for line in lines) + "".join(self._lines)
         for name in [*self.written]:  # a change of a view changes its array
             while (parent := self.parents.get(name)) is not None and parent not in self.written:
                 self.written.add(parent)
                 name = parent
         self._read_before = self._read_names()
-        self.one.reads = self._parameters & self._read_before
-        self.one.writes = self._parameters & self.written
-        self.found = dict(self.kinds), set(self._read_before), set(self.written), self.one.returns, self.text
+        self.instance.reads = self._parameters & self._read_before
+        self.instance.writes = self._parameters & self.written
+        self.found = dict(self.kinds), set(self._read_before), set(self.written), self.instance.returns, self.text
 
     def _read_names(self) -> set[str]:
         """Names whose value is used: not those that are only assigned."""
-        found = {name for line in self._lines for name in NAME.findall(ONLY_STORED.sub("", COMMENT.sub("", line)))}
-        return {name for name in (*self.kinds, *self._parameters) if safe(name) in found}
+        names = {name for line in self._lines for name in NAME.findall(ONLY_STORED.sub("", COMMENT.sub("", line)))}
+        return {name for name in (*self.kinds, *self._parameters) if safe_name(name) in names}
 
     # Lines
 
@@ -299,20 +303,20 @@ class Statements(Calls):
     def temporary(self, name: str) -> str:
         """A new name."""
         self._number += 1
-        found = f"{name}_{self._number}"
-        return self.temporary(name) if found in self._stores or found in self._parameters else found
+        free_name = f"{name}_{self._number}"
+        return self.temporary(name) if free_name in self._stores or free_name in self._parameters else free_name
 
-    def hoisted(self, value: Value, kind: Kind) -> str:
+    def hoist(self, value: Value, kind: Kind) -> str:
         """See `Calls`."""
         name = self.temporary("given")
-        self.line(f"const {self.translator.declared(kind)}{name} = {self.as_kind(value, kind)};", self._depth)
+        self.line(f"const {self.translator.declaration(kind)}{name} = {self.as_kind(value, kind)};", self._depth)
         return name
 
-    def later(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
+    def guarded_value(self, node: ast.expr, read: Callable[[ast.expr], Value]) -> Value:
         """See `Expressions`."""
-        before = len(self._lines)
+        line_count = len(self._lines)
         value = read(node)
-        if len(self._lines) > before:
+        if len(self._lines) > line_count:
             raise self.refuse(node, ast.unparse(node)[:80], "a call with a tuple in a statement of its own, or in an if")
         return value
 
@@ -321,7 +325,7 @@ class Statements(Calls):
         if name in self._of_loops and name not in self._within:
             raise self.refuse(self._tree, f"{name} behind its loop", "a variable that the loop fills")
         if name not in self._of_loops and name not in self._parameters:
-            self._scopes.see(name, self._path, False)
+            self._scopes.add_use(name, self._path, False)
 
     def block(self, statements: Sequence[ast.stmt], depth: int) -> bool:
         """Statements in a row; return whether none of them lets the next one run."""
@@ -338,9 +342,9 @@ class Statements(Calls):
     def braces(self) -> Iterator[None]:
         """Translate what follows within braces."""
         self._blocks += 1
-        outer, self._path = self._path, (*self._path, self._blocks)
+        old_path, self._path = self._path, (*self._path, self._blocks)
         yield
-        self._path = outer
+        self._path = old_path
 
     def inner(self, statements: Sequence[ast.stmt], depth: int) -> bool:
         """A block within braces."""
@@ -351,26 +355,26 @@ class Statements(Calls):
 
     def _is_stored(self, name: str) -> bool:
         kind = self.kinds.get(name)
-        return not isinstance(kind, Const) and not (isinstance(kind, Record) and not list(kind.stored()))
+        return not isinstance(kind, Const) and not (isinstance(kind, Record) and not list(kind.stored_fields()))
 
     def _declaration(self, name: str) -> str:
         kind = self.kinds[name]
         real = self.translator.literal(0.0)
         zero = {INT: "0", REAL: real, WIDE: real}.get(kind, "false") if isinstance(kind, Scalar) else "{0}"
         zero = "0" if isinstance(kind, ArrayOf) and not kind.lengths else zero
-        return f"{self.translator.declared(kind, name in self.written)}{safe(name)} = {zero};"
+        return f"{self.translator.declaration(kind, name in self.written)}{safe_name(name)} = {zero};"
 
     def assign(self, node: ast.AST, name: str, value: Value, depth: int) -> None:
         """A variable gets a value."""
-        kind = value.kind if self._stores[name] == 1 and name not in self._parameters else widened(value.kind)
-        known = joined(self.kinds.get(name), kind) if name in self.kinds else kind
+        kind = value.kind if self._stores[name] == 1 and name not in self._parameters else widen_kind(value.kind)
+        known = join_kinds(self.kinds.get(name), kind) if name in self.kinds else kind
         if known is None or (isinstance(known, Const) and known.value is None and value.code):
             raise self.refuse(node, f"{name} of two kinds", "one kind of value for a variable")
         if isinstance(known, Record) and name in self._parameters:
             raise self.refuse(node, f"{name} in place of an argument", "another name")
         self.kinds[name] = known
         if name not in self._parameters:
-            self._scopes.see(name, self._path, True)
+            self._scopes.add_use(name, self._path, True)
         if isinstance(known, ArrayOf) and value.root is not None:
             self.parents[name] = value.root
             if name in self.written:
@@ -379,16 +383,16 @@ class Statements(Calls):
             return
         if self.found is not None and name not in self._read_before:
             if any(one.writes and one.name in value.code for one in self.calls):
-                self.line(f"(void){self.within(value, 8)};", depth)
+                self.line(f"(void){self.code_within(value, 8)};", depth)
             return
         code = self.as_kind(value, known)
         if name in self._parameters or not self._scopes.declares(name, self._path):
-            self.line(f"{safe(name)} = {code};", depth)
+            self.line(f"{safe_name(name)} = {code};", depth)
             return
         once = "const " if self._stores[name] == 1 and not isinstance(known, ArrayOf) else ""
         if isinstance(known, Record) and code.startswith("(struct "):
             code = code.partition(")")[2]
-        self.line(f"{once}{self.translator.declared(known, name in self.written)}{safe(name)} = {code};", depth)
+        self.line(f"{once}{self.translator.declaration(known, name in self.written)}{safe_name(name)} = {code};", depth)
 
     def _assign_statement(self, node: ast.Assign, depth: int) -> bool:
         first = node.targets[0]
@@ -398,8 +402,8 @@ class Statements(Calls):
         value = self.value(node.value)
         if len(node.targets) > 1 and not value.is_const and isinstance(first, ENTRIES):
             name = self.temporary("same")
-            self.line(f"const {self.translator.declared(widened(value.kind))}{name} = {value.code};", depth)
-            value = Value(widened(value.kind), name)
+            self.line(f"const {self.translator.declaration(widen_kind(value.kind))}{name} = {value.code};", depth)
+            value = Value(widen_kind(value.kind), name)
         for target in node.targets[::-1]:
             self.store(node, target, value, depth)
         return False
@@ -420,12 +424,12 @@ class Statements(Calls):
             self.line(f"{place.code} = {self.as_kind(value, place.kind)};", depth)
             return
         is_row = isinstance(place.kind, ArrayOf) and len(place.kind.shape) == 1 and place.kind.shape[0] is not None
-        if not is_row or not isinstance(widened(value.kind), Scalar):
+        if not is_row or not isinstance(widen_kind(value.kind), Scalar):
             raise self.refuse(node, ast.unparse(target)[:80], "a number into one entry, or into a whole row")
         assert isinstance(place.kind, ArrayOf)
         entry = self.temporary("entry")
         self.line(f"for (int64_t {entry} = 0; {entry} < {self.length(place, 0).code}; {entry}++) {{", depth)
-        self.line(f"    {self.pointer(place)}[{entry}] = {self.as_kind(value, place.kind.of)};", depth)
+        self.line(f"    {self.pointer(place)}[{entry}] = {self.as_kind(value, place.kind.element)};", depth)
         self.line("}", depth)
 
     def _unpack(self, node: ast.Assign, target: ast.Tuple, depth: int) -> None:
@@ -438,7 +442,7 @@ class Statements(Calls):
             whole = self.value(node.value)
             if not whole.is_const and "(" in whole.code:
                 name = self.temporary("found")
-                self.line(f"const {self.translator.declared(whole.kind)}{name} = {self.as_kind(whole, whole.kind)};", depth)
+                self.line(f"const {self.translator.declaration(whole.kind)}{name} = {self.as_kind(whole, whole.kind)};", depth)
                 whole = Value(whole.kind, name)
             values = self.parts(node.value, whole)
         if len(values) != len(target.elts):
@@ -456,7 +460,7 @@ class Statements(Calls):
             looks_up = any(isinstance(n, ast.Call | ENTRIES) for n in ast.walk(node))
             if (stored & names or (entries and looks_up)) and not value.is_const and isinstance(value.kind, Scalar):
                 name = self.temporary("old")
-                self.line(f"const {self.translator.declared(value.kind)}{name} = {value.code};", depth)
+                self.line(f"const {self.translator.declaration(value.kind)}{name} = {value.code};", depth)
                 value = Value(value.kind, name)
             stored |= {n.id for n in ast.walk(one) if isinstance(n, ast.Name)}
             entries |= isinstance(one, ENTRIES)
@@ -475,7 +479,7 @@ class Statements(Calls):
         value = self.value(node.value)
         result = self.binary(node, node.op, place, value)
         if isinstance(node.target, ast.Name):
-            kind = joined(self.kinds.get(node.target.id), widened(result.kind))
+            kind = join_kinds(self.kinds.get(node.target.id), widen_kind(result.kind))
             if kind != self.kinds.get(node.target.id):
                 self.assign(node, node.target.id, result, depth)
                 return False

@@ -30,16 +30,16 @@ class LearningColumns:
         self._values: list[float] = []
         self._second = -2
 
-    def of(self, row: Sequence[float], session: Session) -> list[float]:
+    def row_values(self, row: Sequence[float], session: Session) -> list[float]:
         """The columns of a finished step."""
-        learner, learned = self._learner, session.learned
+        learner, values = self._learner, session.learned
         second = learner.gate.second.number
         if second != self._second:
-            self._values, self._second = shown(learner), second
+            self._values, self._second = learning_values(learner), second
         torque = row[layout.Results.resistance_torque_nm]
-        if learned[layout.Learned.on] == 0.0 and learner.acts and learner.learned.applied.any():
-            moved = learner.learned.applied * learned[layout.Learned.sensitivities]
-            torque += float(moved.sum()) - float(moved[layout.OF_MASS])
+        if values[layout.Learned.on] == 0.0 and learner.is_active and learner.learned.applied.any():
+            torques = learner.learned.applied * values[layout.Learned.sensitivities]
+            torque += float(torques.sum()) - float(torques[layout.OF_MASS])
             torque += learner.learned.lasting_nm * direction(row[layout.Results.speed_mps])
         return [torque, *self._values]
 
@@ -50,50 +50,60 @@ def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
     Learned resistance [Nm], whether it acts or not; share of the required driving; whether learned values are used, or would be;
     and value, standard deviation and state of each learned parameter.
     """
-    each = (name for one in learnables for name in columns_of(one))
-    return (TORQUE, COVERAGE, ACTS, *each)
+    names = (name for learnable in learnables for name in columns_of(learnable))
+    return (TORQUE, COVERAGE, ACTS, *names)
 
 
-def columns_of(one: Learnable) -> tuple[str, str, str]:
+def columns_of(learnable: Learnable) -> tuple[str, str, str]:
     """Value, standard deviation and state of one learned parameter."""
-    unit = "" if one.unit == "1" else f"_{one.unit.lower()}"
-    return f"learned_{one.name}{unit}", f"learned_{one.name}_std{unit}", f"learned_{one.name}_state"
+    unit = "" if learnable.unit == "1" else f"_{learnable.unit.lower()}"
+    return f"learned_{learnable.name}{unit}", f"learned_{learnable.name}_std{unit}", f"learned_{learnable.name}_state"
 
 
-def shown(learner: Learner) -> list[float]:
+def learning_values(learner: Learner) -> list[float]:
     """The columns but for the torque, which change once a second."""
-    found = [learner.buckets.share, float(learner.acts)]
-    frozen, counted, held = bool(learner.frozen), learner.counted, learner.held
+    values = [learner.buckets.share, float(learner.is_active)]
+    is_frozen, has_evidence, is_at_bound = bool(learner.freeze_reason), learner.has_evidence, learner.is_at_bound
     stds = learner.stds(learner.learned.covariance, learner.own)
-    for one in learner.learnables:
-        if one.state == DELAY:
-            found += [*learner.delay.kept.value, float(LEARNED if learner.delay.kept.known else LEARNING)]
+    for learnable in learner.learnables:
+        if learnable.state == DELAY:
+            values += [*learner.delay.kept.value, float(LEARNED if learner.delay.kept.is_known else LEARNING)]
             continue
-        counts = one.state in VEHICLES_OWN and bool(counted[one.state])
-        known = HELD if counts and held[one.state] else LEARNED if counts else LEARNING
-        state = FROZEN if frozen and counts else known
-        found += [one.value(float(learner.learned.mean[one.state])), one.size(float(stds[one.state])), float(state)]
-    return found
+        counts = learnable.state in VEHICLES_OWN and bool(has_evidence[learnable.state])
+        status = HELD if counts and is_at_bound[learnable.state] else LEARNED if counts else LEARNING
+        state = FROZEN if is_frozen and counts else status
+        values += [
+            learnable.value(float(learner.learned.mean[learnable.state])),
+            learnable.size(float(stds[learnable.state])),
+            float(state),
+        ]
+    return values
 
 
 def lines(learner: Learner, row: Sequence[float]) -> list[Line]:
     """Name, message and values of a status for each learned parameter, from a row that ends in the numbers of `shown`."""
     coverage, acts, *values = row[len(row) - 2 - 3 * len(learner.learnables) :]
-    least, most = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
-    found: list[Line] = []
-    for i, one in enumerate(learner.learnables):
+    low, high = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
+    rows: list[Line] = []
+    for i, learnable in enumerate(learner.learnables):
         value, std, state = values[3 * i : 3 + 3 * i]
-        known = (
+        facts = (
             ("value", f"{value:.6g}"),
             ("std", figures(std)),
-            ("unit", one.unit),
-            ("nominal", f"{one.nominal:.6g}"),
-            ("low", f"{one.value(least[one.state]):.6g}"),
-            ("high", f"{one.value(most[one.state]):.6g}"),
+            ("unit", learnable.unit),
+            ("nominal", f"{learnable.nominal:.6g}"),
+            ("low", f"{learnable.value(low[learnable.state]):.6g}"),
+            ("high", f"{learnable.value(high[learnable.state]):.6g}"),
             ("coverage", f"{coverage:.3f}"),
             ("state", STATES_OF[int(state)]),
-            ("acts", str(bool(acts) and int(state) != LEARNING and one.state in VEHICLES_OWN).lower()),
+            ("acts", str(bool(acts) and int(state) != LEARNING and learnable.state in VEHICLES_OWN).lower()),
         )
-        unit = f" {one.unit}" if one.unit != "1" else ""
-        found.append((one.name, f"{one.meaning}: {figures(value, 4)} +- {figures(std, 2)}{unit}, {STATES_OF[int(state)]}", known))
-    return found
+        unit = f" {learnable.unit}" if learnable.unit != "1" else ""
+        rows.append(
+            (
+                learnable.name,
+                f"{learnable.meaning}: {figures(value, 4)} +- {figures(std, 2)}{unit}, {STATES_OF[int(state)]}",
+                facts,
+            )
+        )
+    return rows

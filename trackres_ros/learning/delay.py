@@ -82,27 +82,27 @@ def window_delay(speeds: Array, torques: Array, rolling_nm: float) -> tuple[floa
     """
     if min(len(speeds), len(torques)) < LEAST_SAMPLES:
         return None
-    (kept_speed, spacing), (kept_torque, torque_spacing) = (_near(series[:, 0]) for series in (speeds, torques))
+    (kept_speed, spacing), (kept_torque, torque_spacing) = (_near_samples(series[:, 0]) for series in (speeds, torques))
     smooth = min(max(SMOOTH_S, SMOOTH_SPACINGS * max(spacing, torque_spacing)), MARGIN_S / REACH)
-    speed, resisting, inertia = (np.interp(_TIMES, speeds[:, 0], speeds[:, i]) for i in (1, 2, 3))
+    speed, resistance, inertia = (np.interp(_TIMES, speeds[:, 0], speeds[:, i]) for i in (1, 2, 3))
     torque = np.interp(_TIMES, torques[:, 0], torques[:, 1])
-    usable = kept_speed & (np.abs(speed) > SLOWEST_MPS)
+    is_usable = kept_speed & (np.abs(speed) > SLOWEST_MPS)
     mean, slope = _kernels(smooth)
     accel = np.convolve(speed, slope, "same")
-    expected = np.convolve(resisting, mean, "same") + inertia * accel
-    measured, smooth_speed = np.convolve(torque, mean, "same"), np.convolve(speed, mean, "same")
+    expected = np.convolve(resistance, mean, "same") + inertia * accel
+    measured_torque, smooth_speed = np.convolve(torque, mean, "same"), np.convolve(speed, mean, "same")
     ahead = np.sign(speed)
-    brakes = (accel * ahead < BRAKING_MPS2) & (measured * ahead <= AGAINST_SHARE * rolling_nm)
+    brakes = (accel * ahead < BRAKING_MPS2) & (measured_torque * ahead <= AGAINST_SHARE * rolling_nm)
     reach = REACH * smooth
-    there = _reached(_clear(kept_torque, reach))
-    series = np.stack([expected, measured, smooth_speed])
+    has_torque = _reached_points(_clear_points(kept_torque, reach))
+    series = np.stack([expected, measured_torque, smooth_speed])
     # If the torque follows the braking too, no friction brakes act; else braking is excluded.
-    least = LEAST_EXPLAINED_BRAKING if brakes.any() else LEAST_EXPLAINED
-    found = _fitted(series, there & _clear(usable, reach), smooth, rolling_nm, least)
-    if found is None and brakes.any():
-        usable &= _clear(~brakes, BESIDE_BRAKES_S)
-        found = _fitted(series, there & _clear(usable, reach), smooth, rolling_nm, LEAST_EXPLAINED)
-    return found
+    least_share = LEAST_EXPLAINED_BRAKING if brakes.any() else LEAST_EXPLAINED
+    result = _fit_delay(series, has_torque & _clear_points(is_usable, reach), smooth, rolling_nm, least_share)
+    if result is None and brakes.any():
+        is_usable &= _clear_points(~brakes, BESIDE_BRAKES_S)
+        result = _fit_delay(series, has_torque & _clear_points(is_usable, reach), smooth, rolling_nm, LEAST_EXPLAINED)
+    return result
 
 
 def _kernels(smooth: float) -> tuple[Array, Array]:
@@ -114,45 +114,47 @@ def _kernels(smooth: float) -> tuple[Array, Array]:
     return mean, slope / -(slope * times).sum()
 
 
-def _fitted(series: Array, usable: Mask, smooth: float, rolling_nm: float, least_explained: float) -> tuple[float, float] | None:
+def _fit_delay(
+    series: Array, is_usable: Mask, smooth: float, rolling_nm: float, least_explained: float
+) -> tuple[float, float] | None:
     """Delay and variance by the points of the grid that are usable; see `window_delay`."""
-    expected, measured, speed = series
-    inner = _INNER[usable[_INNER]]
+    expected, torque, speed = series
+    inner = _INNER[is_usable[_INNER]]
     if len(inner) < LEAST_SHARE * WINDOW_S / GRID_S:
         return None
     base = np.linalg.qr(np.column_stack([np.ones(len(inner)), inner - inner.mean()]))[0]
-    by_delay = np.vstack([measured[inner[None, :] + _DELAYS[:, None]], speed[inner], expected[inner]])
+    by_delay = np.vstack([torque[inner[None, :] + _DELAYS[:, None]], speed[inner], expected[inner]])
     by_delay -= (by_delay @ base) @ base.T
-    (over_speed, left), by_delay = by_delay[-2:], by_delay[:-2]
-    alike = 2.0 * math.sqrt(math.pi) * smooth / GRID_S  # smoothed points of the grid per independent one
-    free = max(len(inner) - FITTED * alike, alike)
+    (over_speed, parts), by_delay = by_delay[-2:], by_delay[:-2]
+    correlation = 2.0 * math.sqrt(math.pi) * smooth / GRID_S  # smoothed points of the grid per independent one
+    freedom = max(len(inner) - FITTED * correlation, correlation)
     products = (
         (by_delay**2).sum(axis=1),
         by_delay @ over_speed,
         float(over_speed @ over_speed),
-        by_delay @ left,
-        float(over_speed @ left),
+        by_delay @ parts,
+        float(over_speed @ parts),
     )
-    whole, tied = float(left @ left), (0.0, 0.0)
+    square_sum, priors = float(parts @ parts), (0.0, 0.0)
     for _ in range(2):  # a fit without priors gives the noise, which sets the weight of the priors
-        unexplained, gains, slopes = _least_squares(*products, *tied)
-        best = int(np.argmin(unexplained))
-        noise = max(whole + float(unexplained[best]), ROUNDING * whole) / free
-        tied = noise * alike / GAIN_STD**2, noise * alike / (SPEED_SHARE * rolling_nm) ** 2
-    if not 0 < best < len(_DELAYS) - 1 or not GAINS[0] < gains[best] < GAINS[1]:
+        unexplained, gains, slopes = _least_squares(*products, *priors)
+        index = int(np.argmin(unexplained))
+        noise = max(square_sum + float(unexplained[index]), ROUNDING * square_sum) / freedom
+        priors = noise * correlation / GAIN_STD**2, noise * correlation / (SPEED_SHARE * rolling_nm) ** 2
+    if not 0 < index < len(_DELAYS) - 1 or not GAINS[0] < gains[index] < GAINS[1]:
         return None
-    residual = left - gains[best] * by_delay[best] - slopes[best] * over_speed
-    before, at_best, after = unexplained[best - 1 : best + 2].tolist()
-    bend = before + after - 2.0 * at_best
-    if bend <= 0.0 or float(residual @ residual) > (1.0 - least_explained) * whole:
+    residual = parts - gains[index] * by_delay[index] - slopes[index] * over_speed
+    residual_before, at_best, residual_after = unexplained[index - 1 : index + 2].tolist()
+    bend = residual_before + residual_after - 2.0 * at_best
+    if bend <= 0.0 or float(residual @ residual) > (1.0 - least_explained) * square_sum:
         return None
-    delay = (_DELAYS[best] + 0.5 * (before - after) / bend) * GRID_S
-    moved = gains[best] * (by_delay[best + 1] - by_delay[best - 1]) / (2.0 * GRID_S)  # per second of delay
-    fitted = np.stack([by_delay[best], over_speed])
-    alone = moved - np.linalg.solve(fitted @ fitted.T + np.diag(tied), fitted @ moved) @ fitted
+    delay = (_DELAYS[index] + 0.5 * (residual_before - residual_after) / bend) * GRID_S
+    slope = gains[index] * (by_delay[index + 1] - by_delay[index - 1]) / (2.0 * GRID_S)  # per second of delay
+    basis = np.stack([by_delay[index], over_speed])
+    own_part = slope - np.linalg.solve(basis @ basis.T + np.diag(priors), basis @ slope) @ basis
     spread = np.zeros((2, len(expected)))  # no data between the usable points
-    spread[:, inner] = alone, residual
-    variance = float(residual @ residual) / free * _alike(*spread) / max(float(moved @ alone), 1e-300)
+    spread[:, inner] = own_part, residual
+    variance = float(residual @ residual) / freedom * _correlation_factor(*spread) / max(float(slope @ own_part), 1e-300)
     return (float(delay), variance) if variance < WORST_STD_S**2 else None
 
 
@@ -163,51 +165,51 @@ def _least_squares(
 
     Returns the sum of squares less that of m, gain and slope, each of shape (delays,).
     """
-    first, second, third = uu + of_gain, uv, vv + of_slope
-    determinant = np.maximum(first * third - second**2, 1e-12 * uu * vv + 1e-300)
-    right = um + of_gain
-    gains, slopes = (third * right - second * vm) / determinant, (first * vm - second * right) / determinant
-    return of_gain - gains * right - slopes * vm, gains, slopes
+    a_11, a_12, a_22 = uu + of_gain, uv, vv + of_slope
+    determinant = np.maximum(a_11 * a_22 - a_12**2, 1e-12 * uu * vv + 1e-300)
+    b_1 = um + of_gain
+    gains, slopes = (a_22 * b_1 - a_12 * vm) / determinant, (a_11 * vm - a_12 * b_1) / determinant
+    return of_gain - gains * b_1 - slopes * vm, gains, slopes
 
 
-def _alike(slope: Array, noise: Array) -> float:
+def _correlation_factor(slope: Array, noise: Array) -> float:
     """Effect of the noise on a fitted slope, relative to white noise of the same size.
 
     An acceleration from a noisy speed has alternating noise, which moves the delay much less than other noise would.
     """
     reach = round(ALIKE_S / GRID_S)
-    of_slope, of_noise = (np.correlate(np.pad(one, reach), one, "valid")[reach:] for one in (slope, noise))
+    of_slope, of_noise = (np.correlate(np.pad(signal, reach), signal, "valid")[reach:] for signal in (slope, noise))
     weights = 1.0 - np.arange(reach + 1) / (reach + 1.0)
     weights[1:] *= 2.0
     return max(float((weights * of_slope * of_noise).sum()) / max(float(of_slope[0] * of_noise[0]), 1e-300), LEAST_ALIKE)
 
 
-def _near(times: Array) -> tuple[Mask, float]:
+def _near_samples(times: Array) -> tuple[Mask, float]:
     """Points of the grid outside gaps of the samples, shape of `_TIMES`; and the typical spacing of the samples [s]."""
     spacing = np.diff(times)
     typical = float(np.median(spacing))
-    longest = min(max(GAP_SPACINGS * typical, LEAST_GAP_S), LONGEST_GAP_S)
-    after = np.searchsorted(times, _TIMES, side="right")
-    inside = (after > 0) & (after < len(times))
-    near = np.zeros(len(_TIMES), dtype=bool)
-    near[inside] = spacing[after[inside] - 1] <= longest
-    return near, typical
+    longest_gap = min(max(GAP_SPACINGS * typical, LEAST_GAP_S), LONGEST_GAP_S)
+    next_index = np.searchsorted(times, _TIMES, side="right")
+    inside = (next_index > 0) & (next_index < len(times))
+    is_near = np.zeros(len(_TIMES), dtype=bool)
+    is_near[inside] = spacing[next_index[inside] - 1] <= longest_gap
+    return is_near, typical
 
 
-def _reached(good: Mask) -> Mask:
+def _reached_points(is_good: Mask) -> Mask:
     """Points of `_INNER` where all points used by any delay are good."""
-    bad = np.concatenate([[0], np.cumsum(~good)])
-    found = np.zeros(len(good), dtype=bool)
-    found[_INNER] = bad[_INNER + _DELAYS[-1] + 1] == bad[_INNER + _DELAYS[0]]
-    return found
+    bad_count = np.concatenate([[0], np.cumsum(~is_good)])
+    is_reached = np.zeros(len(is_good), dtype=bool)
+    is_reached[_INNER] = bad_count[_INNER + _DELAYS[-1] + 1] == bad_count[_INNER + _DELAYS[0]]
+    return is_reached
 
 
-def _clear(good: Mask, reach_s: float) -> Mask:
+def _clear_points(is_good: Mask, reach_s: float) -> Mask:
     """Points where all within a reach are good; beyond the ends all are."""
     reach = round(reach_s / GRID_S)
-    bad = np.concatenate([[0], np.cumsum(~good)])
-    at = np.arange(len(good))
-    return np.asarray(bad[np.minimum(at + reach + 1, len(good))] == bad[np.maximum(at - reach, 0)])
+    bad_count = np.concatenate([[0], np.cumsum(~is_good)])
+    index = np.arange(len(is_good))
+    return np.asarray(bad_count[np.minimum(index + reach + 1, len(is_good))] == bad_count[np.maximum(index - reach, 0)])
 
 
 # Several windows
@@ -240,52 +242,52 @@ class KeptDelays:
         self.delays[place], self.variances[place] = delay, max(variance, LEAST_WINDOW_STD_S**2)
         self.count += 1
         self.fresh += 1
-        late = [(self.count - 1 - back) % PAST for back in range(LATE)]
-        before = self.variances.copy()
-        before[late] = 0.0
-        if np.count_nonzero(before) < LATE:
+        recent_places = [(self.count - 1 - lag) % PAST for lag in range(LATE)]
+        old_variances = self.variances.copy()
+        old_variances[recent_places] = 0.0
+        if np.count_nonzero(old_variances) < LATE:
             return
-        old, old_std = _together(self.delays, before)
-        new, new_std = _together(self.delays[late], self.variances[late])
-        if abs(new - old) > max(CHANGED_STDS * math.hypot(old_std, new_std), CHANGED_S):
-            before[before > 0.0] = 0.0
-            before[late] = self.variances[late]
-            self.variances[:] = before
+        old_delay, old_std = _weighted_mean(self.delays, old_variances)
+        recent_delay, recent_std = _weighted_mean(self.delays[recent_places], self.variances[recent_places])
+        if abs(recent_delay - old_delay) > max(CHANGED_STDS * math.hypot(old_std, recent_std), CHANGED_S):
+            old_variances[old_variances > 0.0] = 0.0
+            old_variances[recent_places] = self.variances[recent_places]
+            self.variances[:] = old_variances
 
     @property
     def value(self) -> tuple[float, float]:
         """The delay and its standard deviation [s]."""
-        return _together(self.delays, self.variances)
+        return _weighted_mean(self.delays, self.variances)
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether the delay is known: from enough consistent windows, some of them since the start."""
-        enough = np.count_nonzero(self.variances) >= LEAST_WINDOWS and self.fresh >= LATE
-        return bool(enough) and self.value[1] < KNOWN_STD_S
+        has_windows = np.count_nonzero(self.variances) >= LEAST_WINDOWS and self.fresh >= LATE
+        return bool(has_windows) and self.value[1] < KNOWN_STD_S
 
 
-def _together(delays: Array, variances: Array) -> tuple[float, float]:
+def _weighted_mean(delays: Array, variances: Array) -> tuple[float, float]:
     """Robust weighted mean of windows and its standard deviation [s], from their scatter if that exceeds their variances."""
-    some = variances > 0.0
-    n = int(np.count_nonzero(some))
+    has_window = variances > 0.0
+    n = int(np.count_nonzero(has_window))
     if n == 0:
         return 0.0, FIRST_STD_S
-    x, weights = delays[some], 1.0 / variances[some]
+    x, weights = delays[has_window], 1.0 / variances[has_window]
     order = np.argsort(x, kind="stable")
-    middle = int(np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum()))
-    mean, scale, trust = float(x[order][middle]), 1.0, np.ones(n)
+    median = int(np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum()))
+    mean, scale, trust = float(x[order][median]), 1.0, np.ones(n)
     for _ in range(5):
-        off = np.abs(x - mean) * np.sqrt(weights) / scale
-        trust = OUTLIER / np.maximum(off, OUTLIER)
+        distance = np.abs(x - mean) * np.sqrt(weights) / scale
+        trust = OUTLIER / np.maximum(distance, OUTLIER)
         used = weights * trust
         mean = float((used * x).sum() / used.sum())
         if n > 1:
-            free = AS_SAID + n - 1.0
-            scale = math.sqrt(max((AS_SAID + float((used * (x - mean) ** 2).sum())) / free, 1.0))
-    few = (AS_SAID + n - 1.0) / (AS_SAID + n - 3.0)  # Student's t: the scatter of few is uncertain
-    variance = scale * scale * few / float((weights * trust).sum())
-    known = 1.0 / (1.0 / variance + FIRST_STD_S**-2)
-    return mean * known / variance, math.hypot(math.sqrt(known), LEAST_STD_S)
+            freedom = AS_SAID + n - 1.0
+            scale = math.sqrt(max((AS_SAID + float((used * (x - mean) ** 2).sum())) / freedom, 1.0))
+    small_sample = (AS_SAID + n - 1.0) / (AS_SAID + n - 3.0)  # Student's t: the scatter of few is uncertain
+    variance = scale * scale * small_sample / float((weights * trust).sum())
+    total_weight = 1.0 / (1.0 / variance + FIRST_STD_S**-2)
+    return mean * total_weight / variance, math.hypot(math.sqrt(total_weight), LEAST_STD_S)
 
 
 @dataclass
@@ -325,31 +327,31 @@ class DelayEstimator:
         inertia: float,  # torque of the inertia per m/s^2 [Nm s^2/m]
         torque_ns: int,  # stamp of the measured torque
         torque_nm: float,
-        usable: bool = True,  # whether speed and estimate can be trusted now; if not, the whole window is discarded
+        is_usable: bool = True,  # whether speed and estimate can be trusted now; if not, the whole window is discarded
     ) -> None:
         """Add a speed and the last measured torque."""
         samples, origin = self._samples, self._origin_ns
         passed_ns = stamp_ns - self._seen_ns
-        behind = torque_ns < self._torque_ns  # the clock of the torque was set back
-        if not usable or behind or not samples.speed or not 0 <= passed_ns <= LONGEST_GAP_S * SECOND_NS:
+        is_behind = torque_ns < self._torque_ns  # the clock of the torque was set back
+        if not is_usable or is_behind or not samples.speed or not 0 <= passed_ns <= LONGEST_GAP_S * SECOND_NS:
             self._begin(stamp_ns)
             samples, origin = self._samples, stamp_ns
-            if not usable:
+            if not is_usable:
                 return
         elif passed_ns < APART_NS:
             return
         self._seen_ns = stamp_ns
-        now = (stamp_ns - origin) * NANOSECOND
-        samples.speed.append((now, speed, resisting_nm, inertia))
+        time_s = (stamp_ns - origin) * NANOSECOND
+        samples.speed.append((time_s, speed, resisting_nm, inertia))
         if torque_ns >= self._torque_ns + APART_NS and torque_ns > origin - SECOND_NS and math.isfinite(torque_nm):
             self._torque_ns = torque_ns
             samples.torque.append(((torque_ns - origin) * NANOSECOND, torque_nm))
-        if now < SPAN_S + LONGEST_GAP_S:
+        if time_s < SPAN_S + LONGEST_GAP_S:
             return
         self._advance()
-        found = window_delay(np.array(samples.speed), np.array(samples.torque).reshape(-1, 2), self._rolling_nm)
-        if found:
-            self.kept.add(*found)
+        delay = window_delay(np.array(samples.speed), np.array(samples.torque).reshape(-1, 2), self._rolling_nm)
+        if delay:
+            self.kept.add(*delay)
 
     def _advance(self) -> None:
         """Begin the next window at the end of this one."""

@@ -89,8 +89,8 @@ class Second:
         return self.taken >= LEAST_SHARE * (self.taken + float(self.refused.sum())) and self.taken > 0
 
     @property
-    def mostly(self) -> int:
-        """Why most of the others do not."""
+    def main_reason(self) -> int:
+        """The most frequent reason for a discarded sample."""
         return int(np.argmax(self.refused))
 
 
@@ -125,16 +125,16 @@ class Gate:
 
     def next_second(self, number: int) -> None:
         """Begin another second; reasons for discarded samples, while rolling, are kept for some time."""
-        refused = self.second.refused
-        everything = self.second.taken + float(refused.sum())
-        if everything > 0.0 and not refused[SLOW]:
-            self.of_late += (refused / everything - self.of_late) / LATE_S
+        refusals = self.second.refused
+        total = self.second.taken + float(refusals.sum())
+        if total > 0.0 and not refusals[SLOW]:
+            self.of_late += (refusals / total - self.of_late) / LATE_S
         self.second = Second(number)
 
     def wrong_of_late(self) -> tuple[str, float]:
         """The most frequent defect of recent unusable torques, and its share."""
-        worst = max(OF_SENSOR, key=lambda why: self.of_late[why])
-        return TEXTS[worst], float(self.of_late[worst])
+        cause = max(OF_SENSOR, key=lambda reason: self.of_late[reason])
+        return TEXTS[cause], float(self.of_late[cause])
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Add a step to the present second; of frequent steps, only some are used for the mean."""
@@ -144,13 +144,13 @@ class Gate:
         learned = session.learned
         residual = row[layout.Results.residual_nm]
         if learned[layout.Learned.on] > 0.0:  # against the file, whatever acts
-            moved = learned[layout.Learned.departures] * learned[layout.Learned.sensitivities]
+            learned_torques = learned[layout.Learned.departures] * learned[layout.Learned.sensitivities]
             lasting = float(learned[layout.Learned.torque]) * math.tanh(row[layout.Results.speed_mps] / STANDSTILL_MPS)
-            residual += float(moved.sum()) + lasting
-        why = self._why_not(stamp_ns, row, residual, _fresh(session, layout.YAW_RATE))
+            residual += float(learned_torques.sum()) + lasting
+        reason = self._why_not(stamp_ns, row, residual, _fresh_value(session, layout.YAW_RATE))
         second = self.second
-        if why != TAKEN:
-            second.refused[why] += 1.0
+        if reason != TAKEN:
+            second.refused[reason] += 1.0
             return
         second.taken += 1
         second.residual += residual
@@ -160,7 +160,7 @@ class Gate:
         second.accel += row[layout.Results.accel_mps2]
         second.weight += row[layout.Results.weight_n]
         second.inertia += row[layout.Results.inertia_nm]
-        second.felt += _fresh(session, layout.SPECIFIC_FORCE)  # IMU acceleration along the track
+        second.felt += _fresh_value(session, layout.SPECIFIC_FORCE)  # IMU acceleration along the track
         belts = 0.0
         for column in self._belts:
             belts += row[column]
@@ -168,16 +168,16 @@ class Gate:
         second.by += learned[layout.Learned.sensitivities]
 
     def _why_not(self, stamp_ns: int, row: Row, residual: float, yaw_rate: float) -> int:
-        measured, speed, accel = (
+        torque, speed, accel = (
             row[layout.Results.measured_torque_nm],
             row[layout.Results.speed_mps],
             row[layout.Results.accel_mps2],
         )
-        if not math.isfinite(measured):
+        if not math.isfinite(torque):
             return NO_TORQUE
         samples = self.samples
-        if measured != samples.torque or stamp_ns < samples.since_ns:
-            samples.torque, samples.since_ns = measured, stamp_ns
+        if torque != samples.torque or stamp_ns < samples.since_ns:
+            samples.torque, samples.since_ns = torque, stamp_ns
         if abs(speed) < SLOWEST_MPS:
             return SLOW
         if stamp_ns - samples.since_ns > STUCK_S * SECOND_NS:
@@ -185,15 +185,15 @@ class Gate:
         if int(row[layout.Results.reasons]) & UNSURE:
             return DOUBTFUL
         ahead = math.copysign(1.0, speed)
-        if accel * ahead < BRAKING_MPS2 and measured * ahead <= DRIVES_SHARE * self.rolling_nm:
+        if accel * ahead < BRAKING_MPS2 and torque * ahead <= DRIVES_SHARE * self.rolling_nm:
             return BRAKES
         if abs(accel) > HARDEST_MPS2:
             return HARD
         if math.isfinite(yaw_rate) and abs(yaw_rate) > TURNS_M * abs(speed):
             return TURNS
-        most = AGAINST_SHARE * self.rolling_nm
-        expected = measured - residual
-        if (measured > most and expected < -most) or (measured < -most and expected > most):
+        limit = AGAINST_SHARE * self.rolling_nm
+        expected = torque - residual
+        if (torque > limit and expected < -limit) or (torque < -limit and expected > limit):
             return AGAINST
         return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[layout.Results.inertia_nm]))
 
@@ -202,29 +202,29 @@ class Gate:
         samples = self.samples
         passed_ns = stamp_ns - samples.last_ns
         samples.last_ns = stamp_ns
-        least = LEAST_SPREAD * self.rolling_nm
+        least_deviation = LEAST_SPREAD * self.rolling_nm
         if not samples.known:
             samples.known, samples.level, samples.deviation = True, residual, FIRST_SPREAD * self.rolling_nm
             return TAKEN
         if not 0 <= passed_ns <= LONGEST_HOLD_NS:  # after a pause the level is less certain
             samples.deviation = max(samples.deviation, FIRST_SPREAD * self.rolling_nm)
             passed_ns = 0
-        far = residual - samples.level
-        outlying = abs(far) > OUTLIER * samples.deviation + doubt
+        departure = residual - samples.level
+        outlying = abs(departure) > OUTLIER * samples.deviation + doubt
         seconds = passed_ns / SECOND_NS
         samples.outlying_s = samples.outlying_s + seconds if outlying else 0.0
         if samples.outlying_s > LOST_S:  # not they are far off: the level is
             samples.level, samples.deviation, samples.outlying_s = residual, FIRST_SPREAD * self.rolling_nm, 0.0
             return OUTLYING
-        most = FOLLOWED * samples.deviation
-        samples.level += min(seconds / FOLLOWS_S, 0.5) * min(max(far, -most), most)
+        limit = FOLLOWED * samples.deviation
+        samples.level += min(seconds / FOLLOWS_S, 0.5) * min(max(departure, -limit), limit)
         # Towards the median size: three in ten that are far off move it little.
-        wider = 1.0 if MAD_TO_STD * abs(far) > samples.deviation else -1.0
-        samples.deviation = max(samples.deviation * (1.0 + wider * min(seconds / SPREAD_S, 0.1)), least)
+        direction = 1.0 if MAD_TO_STD * abs(departure) > samples.deviation else -1.0
+        samples.deviation = max(samples.deviation * (1.0 + direction * min(seconds / SPREAD_S, 0.1)), least_deviation)
         return OUTLYING if outlying else TAKEN
 
 
-def _fresh(session: Session, channel: int) -> float:
+def _fresh_value(session: Session, channel: int) -> float:
     """The value of a channel of motion at the last speed; nan without one, or if it is old."""
     memory, hold_ns = session.memory, session.estimator.constants.number.motion_hold_ns
     return held_value(memory, channel, int(memory.times[layout.SPEED, layout.Times.last_arrival]), hold_ns)
@@ -253,7 +253,7 @@ class Buckets:
         self._weights = [share * nominal_weight for share in LOAD_SHARES]
         self.seconds, self.accelerating = np.zeros(SHAPE), np.zeros(1)
 
-    def clear(self) -> None:
+    def reset(self) -> None:
         """Empty buckets."""
         self.seconds[:], self.accelerating[:] = 0.0, 0.0
 
@@ -264,26 +264,26 @@ class Buckets:
             self.accelerating += 1.0
 
     @property
-    def filled(self) -> Mask:
+    def is_filled(self) -> Mask:
         """Buckets with enough in them, shape SHAPE."""
         return np.asarray(self.seconds >= FILLED_S)
 
-    def covered(self) -> Mask:
+    def has_evidence(self) -> Mask:
         """Whether each departure was excited enough, shape (LEARNABLE,)."""
-        filled: Mask = self.filled
-        if self.seconds.sum() < LEAST_S or filled.sum() < self._least:
+        is_filled: Mask = self.is_filled
+        if self.seconds.sum() < LEAST_S or is_filled.sum() < self._least:
             return np.zeros(layout.LEARNABLE, dtype=bool)
-        speeds = np.asarray(filled.any(axis=(1, 2)))
-        found = np.full(layout.LEARNABLE, bool(speeds.sum() >= 2))
-        found[layout.OF_DRAG] &= bool(speeds[-2:].any())
-        found[layout.OF_MASS] = self.accelerating[0] >= LEAST_ACCELERATING_S
-        found[layout.OF_BELT] = False  # a state, not the vehicle's own
-        return found
+        speeds = np.asarray(is_filled.any(axis=(1, 2)))
+        has_evidence = np.full(layout.LEARNABLE, bool(speeds.sum() >= 2))
+        has_evidence[layout.OF_DRAG] &= bool(speeds[-2:].any())
+        has_evidence[layout.OF_MASS] = self.accelerating[0] >= LEAST_ACCELERATING_S
+        has_evidence[layout.OF_BELT] = False  # a state, not the vehicle's own
+        return has_evidence
 
     @property
     def share(self) -> float:
         """Share of the required driving, 0 to 1."""
-        return float(min(self.seconds.sum() / LEAST_S, self.filled.sum() / self._least, 1.0))
+        return float(min(self.seconds.sum() / LEAST_S, self.is_filled.sum() / self._least, 1.0))
 
 
 def _place(edges: tuple[float, ...] | list[float], value: float) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Session
-from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT, corrected, spread
+from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT, correct_estimate, spread
 from trackres_ros.units import GRAVITY, SECOND_NS
 
 SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: prior of roads, and their correlation length
@@ -47,8 +47,8 @@ class Ground:
     stood_ns: int = 0  # start of a standstill, or the last altitude in motion
     stood_m: float = 0.0  # that altitude
     zero_m: float = 0.0  # the altitude at which the filter's height is 0
-    follows: bool = False  # whether an altitude is used
-    feels: bool = False  # whether an IMU is
+    has_altitude: bool = False  # whether an altitude is used
+    has_force: bool = False  # whether an IMU is
     altitude_variance: float = ALTITUDE_STD_M**2
     drift: float = DRIFT
     felt_variance: float = FELT_STD**2
@@ -58,11 +58,11 @@ class Ground:
         """Begin another drive: its starting height is unknown; the tilt of an IMU is kept."""
         self.way_m = self.rise_m = 0.0
         self.step_ns = self.stood_ns = 0
-        self.lost()
+        self.forget_height()
 
-    def lost(self) -> None:
+    def forget_height(self) -> None:
         """Restart at the next altitude, as the rise since the last one is unknown."""
-        self.follows = False
+        self.has_altitude = False
 
     def drive(self, stamp_ns: int, speed: float, slope: float) -> None:
         """Process a step at a speed [m/s], on ground with a slope known to the step."""
@@ -73,64 +73,68 @@ class Ground:
             self.way_m += way
             self.rise_m += slope * way
         elif passed_ns > 0:
-            self.lost()
+            self.forget_height()
 
-    def close(self, mean: Array, covariance: Array, session: Session, free: Mask) -> None:
+    def close(self, mean: Array, covariance: Array, session: Session, freedom: Mask) -> None:
         """Finish a second: predict the rise from the slope, and update by a new altitude; changes both."""
         way, rise, (self.way_m, self.rise_m) = self.way_m, self.rise_m, (0.0, 0.0)
         self.known_slope = rise / way if way else 0.0
         stamp = int(session.memory.times[layout.ALTITUDE, layout.Times.last_stamp])
-        came = bool(session.memory.times[layout.ALTITUDE, layout.Times.seen]) and stamp != self.altitude_ns
-        if self.follows or self.feels:
+        is_new = bool(session.memory.times[layout.ALTITUDE, layout.Times.seen]) and stamp != self.altitude_ns
+        if self.has_altitude or self.has_force:
             # Expected total, given the present estimate (the step of an EM algorithm).
-            now = float(mean[SLOPE] ** 2 + covariance[SLOPE, SLOPE])
-            self.slope_variance += min(abs(way) / SLOPE_MEMORY_M, 1.0) * (max(now, LEAST_SLOPE_STD**2) - self.slope_variance)
+            slope_square = float(mean[SLOPE] ** 2 + covariance[SLOPE, SLOPE])
+            self.slope_variance += min(abs(way) / SLOPE_MEMORY_M, 1.0) * (
+                max(slope_square, LEAST_SLOPE_STD**2) - self.slope_variance
+            )
             self._drive_on(mean, covariance, way, rise)
             self.drift = DRIFT + (self.drift - DRIFT) * math.exp(-1.0 / DRIFT_MEMORY_S)
         elif covariance[SLOPE, SLOPE] > 0.0:  # no longer observable
             _begin(mean, covariance, SLOPE, 0.0)
-        if not came:
+        if not is_new:
             return
         altitude = float(session.memory.values[layout.ALTITUDE])
-        if not self.follows or stamp - self.altitude_ns > DRIFT_MEMORY_S * SECOND_NS:
+        if not self.has_altitude or stamp - self.altitude_ns > DRIFT_MEMORY_S * SECOND_NS:
             _begin(mean, covariance, HEIGHT, self.altitude_variance)
-            if not self.follows and not self.feels:
+            if not self.has_altitude and not self.has_force:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
-            self.zero_m, self.follows = altitude, True
+            self.zero_m, self.has_altitude = altitude, True
         else:
             if abs(way) < STANDS_M:  # changes of the altitude at standstill are not the ground's
-                moved = abs(altitude - self.stood_m) - 2.0 * math.sqrt(self.altitude_variance)
-                self.drift = max(self.drift, max(moved, 0.0) ** 2 * SECOND_NS / (stamp - self.stood_ns))
-            self.altitude_variance = _measured(
-                mean, covariance, (HEIGHT,), altitude - self.zero_m, self.altitude_variance, LEAST_ALTITUDE_STD_M, free
+                climb = abs(altitude - self.stood_m) - 2.0 * math.sqrt(self.altitude_variance)
+                self.drift = max(self.drift, max(climb, 0.0) ** 2 * SECOND_NS / (stamp - self.stood_ns))
+            self.altitude_variance = _take_measurement(
+                mean, covariance, (HEIGHT,), altitude - self.zero_m, self.altitude_variance, LEAST_ALTITUDE_STD_M, freedom
             )
         self.altitude_ns = stamp
         if abs(way) >= STANDS_M or self.stood_ns == 0:
             self.stood_ns, self.stood_m = stamp, altitude
 
-    def take_force(self, mean: Array, covariance: Array, felt: float, accel: float, free: Mask) -> None:
+    def take_force(self, mean: Array, covariance: Array, specific_force: float, accel: float, freedom: Mask) -> None:
         """Mean IMU acceleration of the finished second [m/s^2]; changes both."""
-        if not math.isfinite(felt) or abs(accel) > FELT_TO_MPS2:
+        if not math.isfinite(specific_force) or abs(accel) > FELT_TO_MPS2:
             return
-        if not self.feels:
+        if not self.has_force:
             _begin(mean, covariance, TILT, TILT_STD**2)
-            if not self.follows:
+            if not self.has_altitude:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
-            self.feels = True
-        shown = (felt - accel) / GRAVITY - self.known_slope
-        self.felt_variance = _measured(mean, covariance, (SLOPE, TILT), shown, self.felt_variance, LEAST_FELT_STD, free)
+            self.has_force = True
+        slope = (specific_force - accel) / GRAVITY - self.known_slope
+        self.felt_variance = _take_measurement(
+            mean, covariance, (SLOPE, TILT), slope, self.felt_variance, LEAST_FELT_STD, freedom
+        )
 
     def _drive_on(self, mean: Array, covariance: Array, way: float, rise: float) -> None:
         """Predict the rise of the ground along a distance [m] by its slope; then change the slope."""
         mean[HEIGHT] += way * mean[SLOPE] + rise
         covariance[HEIGHT, :] += way * covariance[SLOPE, :]
         covariance[:, HEIGHT] += way * covariance[:, SLOPE]
-        covariance[HEIGHT, HEIGHT] += self.drift if self.follows else 0.0
-        keep = math.exp(-abs(way) / REACH_M)
-        mean[SLOPE] *= keep
-        covariance[SLOPE, :] *= keep
-        covariance[:, SLOPE] *= keep
-        covariance[SLOPE, SLOPE] += self.slope_variance * (1.0 - keep * keep)
+        covariance[HEIGHT, HEIGHT] += self.drift if self.has_altitude else 0.0
+        share = math.exp(-abs(way) / REACH_M)
+        mean[SLOPE] *= share
+        covariance[SLOPE, :] *= share
+        covariance[:, SLOPE] *= share
+        covariance[SLOPE, SLOPE] += self.slope_variance * (1.0 - share * share)
 
 
 def _begin(mean: Array, covariance: Array, state: int, variance: float) -> None:
@@ -140,14 +144,21 @@ def _begin(mean: Array, covariance: Array, state: int, variance: float) -> None:
     covariance[state, state] = variance
 
 
-def _measured(
-    mean: Array, covariance: Array, states: tuple[int, ...], value: float, variance: float, least_std: float, free: Mask
+def _take_measurement(
+    mean: Array, covariance: Array, states: tuple[int, ...], value: float, variance: float, least_std: float, freedom: Mask
 ) -> float:
     """Update by a measurement of a sum of states; return the new noise variance of such measurements."""
-    looks = np.zeros(STATES)
-    looks[list(states)] = 1.0
-    off = value - float(mean[list(states)].sum())
-    _, known = spread(covariance, looks)
-    seen = min(max(off * off - known, 0.0), OUTLIER * OUTLIER * variance)
-    corrected(mean, covariance, looks, off, max(variance, off * off / (OUTLIER * OUTLIER) - known), free)
-    return max(variance + (seen - variance) / MEMORY, least_std**2)
+    sensitivities = np.zeros(STATES)
+    sensitivities[list(states)] = 1.0
+    departure = value - float(mean[list(states)].sum())
+    _, state_variance = spread(covariance, sensitivities)
+    noise_square = min(max(departure * departure - state_variance, 0.0), OUTLIER * OUTLIER * variance)
+    correct_estimate(
+        mean,
+        covariance,
+        sensitivities,
+        departure,
+        max(variance, departure * departure / (OUTLIER * OUTLIER) - state_variance),
+        freedom,
+    )
+    return max(variance + (noise_square - variance) / MEMORY, least_std**2)

@@ -17,6 +17,7 @@ import numpy as np
 from trackres_ros.arrays import Array, Mask
 from trackres_ros.estimator import columns as layout
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.guards import at_sprockets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.gate import ACCELERATES_MPS2, AGAINST, OUTLYING, SPEED_UNSURE, TEXTS, Buckets, Gate, Row
 from trackres_ros.learning.parameters import (
@@ -29,15 +30,15 @@ from trackres_ros.learning.parameters import (
     STEP,
     VEHICLES_OWN,
     Prior,
-    aged,
+    age_estimate,
     conditional_mean,
-    corrected,
-    expected,
+    correct_estimate,
+    expected_residual,
     learnables,
     make_prior,
     rise_torques,
     spread,
-    widened,
+    widen_covariance,
 )
 from trackres_ros.learning.state import (
     BLOCK_S,
@@ -63,7 +64,7 @@ ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated d
 TAKE_UP_A_RISE = (layout.OF_BEARING, layout.OF_DRAG)
 
 
-def reported_stds(covariance: Array, prior: Prior, own: Sequence[int], seen: Array) -> Array:
+def reported_stds(covariance: Array, prior: Prior, own_states: Sequence[int], torque_ratios: Array) -> Array:
     """Reported standard deviations of the filter's first states, with errors that their covariance does not include.
 
     One is that of accelerations, for the mass. The other is that of a rolling coefficient's rise over speed: coefficient and drag
@@ -71,18 +72,18 @@ def reported_stds(covariance: Array, prior: Prior, own: Sequence[int], seen: Arr
 
     Parameters
     ----------
-    own
+    own_states
         Departures of the vehicle that are learned; the others have the file's values.
-    seen
+    torque_ratios
         Torques by `parameters.rise_torques` in the driving so far, over their noise, shape (3, speeds).
     """
     errors = np.zeros(len(covariance))
     errors[layout.OF_MASS] = ACCEL_DOUBT
-    among = [state for state in TAKE_UP_A_RISE if state in own]
-    by = seen[[TAKE_UP_A_RISE.index(state) for state in among]]
-    variances = np.diag(prior.covariance)[among]
-    taken_up = np.abs(np.linalg.solve(by @ by.T + np.diag(1.0 / variances), by @ seen[-1]))
-    errors[among] = np.minimum(taken_up, REACH_STD * np.sqrt(variances))
+    states = [state for state in TAKE_UP_A_RISE if state in own_states]
+    torques = torque_ratios[[TAKE_UP_A_RISE.index(state) for state in states]]
+    variances = np.diag(prior.covariance)[states]
+    taken_up = np.abs(np.linalg.solve(torques @ torques.T + np.diag(1.0 / variances), torques @ torque_ratios[-1]))
+    errors[states] = np.minimum(taken_up, REACH_STD * np.sqrt(variances))
     return np.hypot(np.sqrt(np.maximum(np.diag(covariance), 0.0)), errors)
 
 
@@ -92,14 +93,14 @@ def well_known(s: LearnerState, prior: Prior) -> Mask:
     return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: layout.LEARNABLE])
 
 
-def target_departures(s: LearnerState, prior: Prior, counted: Mask) -> Array:
+def target_departures(s: LearnerState, prior: Prior, has_evidence: Mask) -> Array:
     """Target of the acting departures, (LEARNABLE,): all accepted ones, with the file's values for the rest."""
-    if not counted.any():
+    if not has_evidence.any():
         return np.zeros(layout.LEARNABLE)
-    of_vehicle = counted.copy()
+    of_vehicle = has_evidence.copy()
     of_vehicle[layout.OF_BELT] = True
-    found = conditional_mean(s.mean[: layout.LEARNABLE], s.covariance[: layout.LEARNABLE, : layout.LEARNABLE], of_vehicle)
-    return np.clip(found, prior.low[: layout.LEARNABLE], prior.high[: layout.LEARNABLE])
+    departures = conditional_mean(s.mean[: layout.LEARNABLE], s.covariance[: layout.LEARNABLE, : layout.LEARNABLE], of_vehicle)
+    return np.clip(departures, prior.low[: layout.LEARNABLE], prior.high[: layout.LEARNABLE])
 
 
 def approach_target(s: LearnerState) -> None:
@@ -113,13 +114,13 @@ def fade_belts(s: LearnerState, seconds: float) -> None:
         departures[layout.OF_BELT] *= belt_share_left(seconds)
 
 
-def apply_departures(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
+def apply_departures(s: LearnerState, is_active: bool, learned: Array, second: int, belt_variance: float) -> None:
     """Write the acting departures into the memory of a session, see `estimator.columns`.
 
-    `now` is the present second: belts have become less certain since the last second used. `belt_variance` is that of their
+    `second` is the present second: belts have become less certain since the last second used. `belt_variance` is that of their
     temperature without a torque measurement [K^2].
     """
-    if not (acts and s.applied.any()):
+    if not (is_active and s.applied.any()):
         learned[: layout.Learned.slow] = 0.0
         return
     learned[layout.Learned.on] = 1.0
@@ -127,7 +128,7 @@ def apply_departures(s: LearnerState, acts: bool, learned: Array, now: int, belt
     learned[layout.Learned.torque] = s.lasting_nm
     unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
     learned[layout.Learned.slow] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
-    learned[layout.Learned.factor] = covariance_factor(s, max(now - s.second, 0), belt_variance).ravel()
+    learned[layout.Learned.factor] = covariance_factor(s, max(second - s.second, 0), belt_variance).ravel()
 
 
 def use_file(learned: Array) -> None:
@@ -142,12 +143,12 @@ def belt_share_left(seconds: float) -> float:
 
 def covariance_factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
     """Lower factor of the covariance about the acting departures, shape (LEARNABLE, LEARNABLE); see `apply_departures`."""
-    keeps = belt_share_left(unseen_s)
-    off = s.mean[: layout.LEARNABLE] - s.applied
-    off[layout.OF_BELT] = keeps * s.mean[layout.OF_BELT] - s.applied[layout.OF_BELT]
-    covariance = s.covariance[: layout.LEARNABLE, : layout.LEARNABLE] + off[:, None] * off[None, :]
+    share = belt_share_left(unseen_s)
+    departures = s.mean[: layout.LEARNABLE] - s.applied
+    departures[layout.OF_BELT] = share * s.mean[layout.OF_BELT] - s.applied[layout.OF_BELT]
+    covariance = s.covariance[: layout.LEARNABLE, : layout.LEARNABLE] + departures[:, None] * departures[None, :]
     covariance[np.diag_indices_from(covariance)] += 1e-12
-    covariance[layout.OF_BELT, layout.OF_BELT] += (1.0 - keeps**2) * max(
+    covariance[layout.OF_BELT, layout.OF_BELT] += (1.0 - share**2) * max(
         belt_variance - covariance[layout.OF_BELT, layout.OF_BELT], 0.0
     )
     return np.asarray(np.linalg.cholesky(covariance))
@@ -194,7 +195,7 @@ class Learner:
     def __init__(self, estimator: Estimator, mode: str = WATCH) -> None:
         self.mode = mode
         self.learnables = learnables(estimator.vehicle)
-        self.own = tuple(one.state for one in self.learnables if one.state in VEHICLES_OWN)
+        self.own = tuple(learnable.state for learnable in self.learnables if learnable.state in VEHICLES_OWN)
         self.prior = make_prior(estimator)
         self._vehicle = estimator.vehicle
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
@@ -210,7 +211,7 @@ class Learner:
     def reset(self) -> None:
         """Forget all learned values."""
         self.gate = Gate(self._belts, self.prior.rolling_nm)
-        self.buckets.clear()
+        self.buckets.reset()
         self.delay.reset()
         self.learned = nothing_learned(self.prior)
 
@@ -220,17 +221,17 @@ class Learner:
         self.delay.restart()
         self.learned.begin_anew(self.prior)
 
-    def age(self, seconds: float) -> None:
+    def age_values(self, seconds: float) -> None:
         """Account for time off [s]: learned values are less certain."""
-        self.wear(seconds)
+        self.add_wear(seconds)
         self.restart()
 
-    def wear(self, seconds: float) -> None:
+    def add_wear(self, seconds: float) -> None:
         """Add the uncertainty of a time without evidence [s], up to the file's own; the correlations stay."""
         covariance = self.learned.covariance
-        stds, most = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(self.prior.covariance))
+        stds, prior_stds = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(self.prior.covariance))
         # Wear goes one way: its possible change grows with time, not with its root, however that time is divided.
-        widened(covariance, np.minimum(stds + AGES_PER_S * max(seconds, 0.0) * most, most))
+        widen_covariance(covariance, np.minimum(stds + AGES_PER_S * max(seconds, 0.0) * prior_stds, prior_stds))
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
@@ -240,14 +241,15 @@ class Learner:
             self.restart()
             use_file(session.learned)
         self.gate.samples.air, self.gate.samples.of_air = air, session.share_of_air
-        memory = session.memory
+        memory, constants = session.memory, session.estimator.constants
         self.delay.take(
             stamp_ns,
             row[layout.Results.speed_mps],
             row[layout.Results.drive_torque_nm] - row[layout.Results.inertia_nm],
             row[layout.Results.weight_n] * self._inertia,
             int(memory.times[layout.TORQUE, layout.Times.last_stamp]),
-            float(memory.values[layout.TORQUE]) / session.estimator.constants.number.torque_scale,  # an offset delays nothing
+            at_sprockets(constants, float(memory.values[layout.TORQUE]), row[layout.Results.speed_mps])
+            / constants.number.torque_scale,  # an offset delays nothing
             not reasons & SPEED_UNSURE,
         )
         self.learned.ground.drive(
@@ -256,116 +258,116 @@ class Learner:
         number = stamp_ns // SECOND_NS
         second = self.gate.second
         if number != second.number:
-            passed = 1 if reasons & CLOCK_JUMPED else max(number - second.number, 0)
+            seconds = 1 if reasons & CLOCK_JUMPED else max(number - second.number, 0)
             if second.number >= 0:
-                self._close(session, passed)
+                self._close(session, seconds)
             self.gate.next_second(number)
             if reasons & CLOCK_JUMPED and self.learned.second >= 0:
-                self.learned.second += number - second.number - passed
+                self.learned.second += number - second.number - seconds
         self.gate.take(stamp_ns, row, session)
 
     # Once a second
 
-    def _close(self, session: Session, passed: int) -> None:
-        """Finish a second; the next one with a step begins so many after it."""
+    def _close(self, session: Session, seconds: int) -> None:
+        """Finish a second. `seconds` later the next second with a step begins."""
         s, second = self.learned, self.gate.second
         all_of_it = second.taken + float(second.refused.sum())
         if second.taken or second.refused[OUTLYING] or second.refused[AGAINST]:
-            odd = float(second.refused[OUTLYING] + second.refused[AGAINST]) / all_of_it
-            s.disagrees += (odd - s.disagrees) / DISAGREES_S
+            odd_share = float(second.refused[OUTLYING] + second.refused[AGAINST]) / all_of_it
+            s.disagrees += (odd_share - s.disagrees) / DISAGREES_S
         s.ground.close(s.mean, s.covariance, session, self._free(0.0))
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)  # the ground corrects all states, also in unused seconds
         if second.counts:
-            self._learn(session)
+            self._learn_second(session)
         update_lasting(s, second.counts)
-        renews = second.counts and not self.frozen
-        if renews and s.seconds % AIMS_EVERY_S == 0.0:
-            s.aim[:] = target_departures(s, self.prior, self.counted)
+        has_update = second.counts and not self.freeze_reason
+        if has_update and s.seconds % AIMS_EVERY_S == 0.0:
+            s.aim[:] = target_departures(s, self.prior, self.has_evidence)
         approach_target(s)
-        fade_belts(s, passed - renews)
+        fade_belts(s, seconds - has_update)
         if self.mode == ON:
-            self.act(session, passed)
+            self.apply_learned(session, seconds)
 
-    def act(self, session: Session, passed: int = 1) -> None:
+    def apply_learned(self, session: Session, seconds: int = 1) -> None:
         """Let the accepted values act on the session's next steps, as certain as they are then; none if they are not accepted.
 
-        The next step comes `passed` seconds after the present one.
+        The next step comes `seconds` seconds after the present one.
         """
-        now = self.gate.second.number + passed - 1
-        apply_departures(self.learned, self.acts, session.learned, now, belt_variances(session)[1])
+        next_second = self.gate.second.number + seconds - 1
+        apply_departures(self.learned, self.is_active, session.learned, next_second, belt_variances(session)[1])
 
-    def _learn(self, session: Session) -> None:
+    def _learn_second(self, session: Session) -> None:
         s, second = self.learned, self.gate.second
         n = float(second.taken)
         residual, drive, inertia, speed = second.residual / n, second.drive / n, second.inertia / n, second.speed / n
         sign = math.copysign(1.0, speed)
-        looks = np.zeros(STATES)
-        looks[: layout.LEARNABLE] = second.by / n
-        looks[OFFSET], looks[GAIN], looks[SLOW], looks[STEP] = 1.0, drive, sign, sign
-        looks[SLOPE] = second.weight / n * self._arm
-        passed = 1.0 if s.second < 0 or second.number <= s.second else float(second.number - s.second)
+        sensitivities = np.zeros(STATES)
+        sensitivities[: layout.LEARNABLE] = second.by / n
+        sensitivities[OFFSET], sensitivities[GAIN], sensitivities[SLOW], sensitivities[STEP] = 1.0, drive, sign, sign
+        sensitivities[SLOPE] = second.weight / n * self._arm
+        seconds = 1.0 if s.second < 0 or second.number <= s.second else float(second.number - s.second)
         s.second = second.number
         s.rolling += (abs(second.resisting / n) - s.rolling) / max(min(s.seconds + 1.0, ROLLING_MEMORY_S), 30.0)
         s.seconds += 1.0
         s.step_s += 1.0
-        self._pass(passed, session)
-        free = self._free(second.accel / n)
-        s.ground.take_force(s.mean, s.covariance, second.felt / n, second.accel / n, free)
-        known_hill = float(s.mean[SLOPE] * looks[SLOPE])  # from an altitude or an IMU, before this torque has its say
-        left = residual - expected(s.mean, looks)
-        moved = float((s.applied * looks[: layout.LEARNABLE]).sum())
-        self._update_noise(residual - moved, passed)
+        self._pass_time(seconds, session)
+        freedom = self._free(second.accel / n)
+        s.ground.take_force(s.mean, s.covariance, second.felt / n, second.accel / n, freedom)
+        known_hill = float(s.mean[SLOPE] * sensitivities[SLOPE])  # from an altitude or an IMU, before this torque has its say
+        innovation = residual - expected_residual(s.mean, sensitivities)
+        applied_torque = float((s.applied * sensitivities[: layout.LEARNABLE]).sum())
+        self._update_noise(residual - applied_torque, seconds)
         variance = s.second_variance + (INERTIA_SHARE * inertia) ** 2
-        _, known = spread(s.covariance, looks)
-        total = known + variance
-        weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + left * left / total)
-        corrected(s.mean, s.covariance, looks, left, total / min(weight, 1.0) - known, free)
+        _, state_variance = spread(s.covariance, sensitivities)
+        total = state_variance + variance
+        weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + innovation * innovation / total)
+        correct_estimate(s.mean, s.covariance, sensitivities, innovation, total / min(weight, 1.0) - state_variance, freedom)
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)
         self.buckets.count(speed, second.belt_degc / n, second.weight / n, second.accel / n)
-        s.block.add(residual - known_hill, moved, sign, looks, s.noise / variance)
+        s.block.add(residual - known_hill, applied_torque, sign, sensitivities, s.noise / variance)
         if s.block.seconds >= BLOCK_S:
             close_block(s)
 
-    def _pass(self, seconds: float, session: Session) -> None:
+    def _pass_time(self, seconds: float, session: Session) -> None:
         """Predict: the slow disturbance decays, wear adds uncertainty, a belt is as uncertain as the estimate says."""
         s = self.learned
         if seconds > PAUSE_S:
-            self.wear(seconds)
+            self.add_wear(seconds)
             s.require_evidence()
             s.block = ResidualBlock()
-        keep, gained = np.ones(STATES), np.zeros(STATES)
-        slow, step = math.exp(-seconds / SLOW_S), math.exp(-seconds / STEP_S)
-        keep[SLOW], gained[SLOW] = slow, s.slow_std**2 * (1.0 - slow * slow)
-        keep[STEP] = step
+        shares, noise = np.ones(STATES), np.zeros(STATES)
+        decay, step = math.exp(-seconds / SLOW_S), math.exp(-seconds / STEP_S)
+        shares[SLOW], noise[SLOW] = decay, s.slow_std**2 * (1.0 - decay * decay)
+        shares[STEP] = step
         prior = np.diag(self.prior.covariance)
         for state in VEHICLES_OWN:
-            gained[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
-        keep[layout.OF_BELT] = belt_share_left(seconds)
-        by_air, known = belt_variances(session)
+            noise[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
+        shares[layout.OF_BELT] = belt_share_left(seconds)
+        by_air, belt_variance = belt_variances(session)
         if len(session.belts):
-            gained[layout.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
-            gained[layout.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
-        aged(s.mean, s.covariance, keep, gained)
-        over = s.covariance[layout.OF_BELT, layout.OF_BELT]
-        if over > known:  # measurements of a belt are in the estimate already
-            share = math.sqrt(known / over)
+            noise[layout.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
+            noise[layout.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
+        age_estimate(s.mean, s.covariance, shares, noise)
+        variance = s.covariance[layout.OF_BELT, layout.OF_BELT]
+        if variance > belt_variance:  # measurements of a belt are in the estimate already
+            share = math.sqrt(belt_variance / variance)
             s.covariance[layout.OF_BELT, :] *= share
             s.covariance[:, layout.OF_BELT] *= share
 
-    def _update_noise(self, left: float, passed: float) -> None:
+    def _update_noise(self, innovation: float, seconds: float) -> None:
         """Noise of a second's mean, from the scatter between seconds."""
         s = self.learned
-        if passed <= 2.0 and math.isfinite(s.last_left):
-            least = s.least_variance
-            seen = min(0.5 * (left - s.last_left) ** 2, 16.0 * max(s.noise, least))
-            s.noise += (seen - s.noise) / NOISE_MEMORY_S
-            s.noise = max(s.noise, least)
-        s.last_left = left
+        if seconds <= 2.0 and math.isfinite(s.last_left):
+            least_variance = s.least_variance
+            sample = min(0.5 * (innovation - s.last_left) ** 2, 16.0 * max(s.noise, least_variance))
+            s.noise += (sample - s.noise) / NOISE_MEMORY_S
+            s.noise = max(s.noise, least_variance)
+        s.last_left = innovation
 
     # Acceptance
 
     @property
-    def frozen(self) -> str:
+    def freeze_reason(self) -> str:
         """Reason why learning is paused; empty if it is not."""
         return why_frozen(self.learned, self._vehicle.disturbance)
 
@@ -377,36 +379,36 @@ class Learner:
     @property
     def left_out(self) -> str:
         """Recent defect of the measured torque, in words; empty without one."""
-        why, share = self.gate.wrong_of_late()
-        return f"{why} in {100.0 * share:.0f} % of the last minute" if share > LEFT_OUT_SHARE else ""
+        reason, share = self.gate.wrong_of_late()
+        return f"{reason} in {100.0 * share:.0f} % of the last minute" if share > LEFT_OUT_SHARE else ""
 
     def _free(self, accel: float) -> Mask:
-        free = np.ones(STATES, dtype=bool)
-        if self.frozen:
-            free[list(VEHICLES_OWN)] = False
+        freedom = np.ones(STATES, dtype=bool)
+        if self.freeze_reason:
+            freedom[list(VEHICLES_OWN)] = False
         if abs(accel) < ACCELERATES_MPS2:  # a small one is mostly noise, which biases a mass low
-            free[layout.OF_MASS] = False
-        return free
+            freedom[layout.OF_MASS] = False
+        return freedom
 
     @property
-    def counted(self) -> Mask:
+    def has_evidence(self) -> Mask:
         """Accepted departures of the vehicle: covered, and known twice as well as by its file; (LEARNABLE,)."""
-        return np.asarray(self.buckets.covered() & well_known(self.learned, self.prior))
+        return np.asarray(self.buckets.has_evidence() & well_known(self.learned, self.prior))
 
     @property
-    def held(self) -> Mask:
+    def is_at_bound(self) -> Mask:
         """Accepted departures that only their bounds hold, so that their error is unknown; (LEARNABLE,)."""
-        mean, near = self.learned.mean[: layout.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: layout.LEARNABLE])
-        within = (mean > self.prior.low[: layout.LEARNABLE] + near) & (mean < self.prior.high[: layout.LEARNABLE] - near)
-        return np.asarray(self.counted & ~within)
+        mean, margin = self.learned.mean[: layout.LEARNABLE], NEAR * np.sqrt(np.diag(self.learned.covariance)[: layout.LEARNABLE])
+        is_within = (mean > self.prior.low[: layout.LEARNABLE] + margin) & (mean < self.prior.high[: layout.LEARNABLE] - margin)
+        return np.asarray(self.has_evidence & ~is_within)
 
-    def stds(self, covariance: Array, own: Sequence[int]) -> Array:
+    def stds(self, covariance: Array, own_states: Sequence[int]) -> Array:
         """Reported standard deviations of the filter's first states by their covariance, see `reported_stds`."""
         seconds, noise = self.buckets.seconds.sum(axis=(1, 2)), max(self.learned.second_variance, 1e-12)
-        return reported_stds(covariance, self.prior, own, self._rise * np.sqrt(seconds / noise))
+        return reported_stds(covariance, self.prior, own_states, self._rise * np.sqrt(seconds / noise))
 
     @property
-    def acts(self) -> bool:
+    def is_active(self) -> bool:
         """Whether learned values are used, or would be by mode `on`: some are accepted, and they fit better than the file."""
         return self.learned.fresh.better and self.mode != OFF
 
@@ -420,23 +422,25 @@ class Learner:
     @property
     def _stage(self) -> str:
         s = self.learned
-        if self.frozen:
-            return f"frozen: {self.frozen}"
-        held = self.held
-        if held.any():
-            names = ", ".join(one.name for one in self.learnables if one.state in self.own and held[one.state])
+        if self.freeze_reason:
+            return f"frozen: {self.freeze_reason}"
+        is_at_bound = self.is_at_bound
+        if is_at_bound.any():
+            names = ", ".join(
+                learnable.name for learnable in self.learnables if learnable.state in self.own and is_at_bound[learnable.state]
+            )
             return f"at the end of the plausible range, with an unknown error: {names}"
         second = self.gate.second
         if self.disturbance:
             return f"{self.disturbance}, separate from the vehicle's parameters"
         if not s.seconds and second.number >= 0:
-            return f"no usable data yet: {TEXTS[second.mostly]}"
-        count = int(self.counted.sum())
+            return f"no usable data yet: {TEXTS[second.main_reason]}"
+        count = int(self.has_evidence.sum())
         if not count:
             return f"learning: {100.0 * self.buckets.share:.0f} % of the required driving is done"
-        if not self.acts:
+        if not self.is_active:
             return "the learned parameters fit no better than the vehicle file so far: the file is used"
-        using = "used" if self.mode == ON else "not used in this mode"
+        usage = "used" if self.mode == ON else "not used in this mode"
         gain = self.learned.fresh.gain  # within its standard error they stay in use
-        beside = f"{abs(gain):.0f} Nm {'worse' if gain < 0.0 else 'better'} than the vehicle file"
-        return f"{count} of {len(self.own)} parameters learned, {beside}; {using}"
+        comparison = f"{abs(gain):.0f} Nm {'worse' if gain < 0.0 else 'better'} than the vehicle file"
+        return f"{count} of {len(self.own)} parameters learned, {comparison}; {usage}"

@@ -27,87 +27,89 @@ from trackres_ros.vehicle.writing.vehicle_file import rubber_share
 # Filter
 
 
-def aged(mean: Array, covariance: Array, keep: Array, gained: Array) -> None:
+def age_estimate(mean: Array, covariance: Array, shares: Array, noise: Array) -> None:
     """Predict states with decay and process noise; changes both.
 
-    `keep` is the remaining share of each state, `gained` its process noise, shape (states,).
+    `shares` is the remaining share of each state, `noise` its process noise, shape (states,).
     """
-    mean *= keep
-    covariance *= keep[:, None]
-    covariance *= keep[None, :]
-    covariance[np.diag_indices_from(covariance)] += gained
+    mean *= shares
+    covariance *= shares[:, None]
+    covariance *= shares[None, :]
+    covariance[np.diag_indices_from(covariance)] += noise
 
 
-def widened(covariance: Array, stds: Array) -> None:
+def widen_covariance(covariance: Array, stds: Array) -> None:
     """Raise standard deviations to those given, shape (states,); the correlations stay. Changes the covariance."""
-    now = np.sqrt(np.diag(covariance))
-    share = np.divide(np.maximum(stds, now), now, out=np.ones(len(now)), where=now > 0.0)
+    present_stds = np.sqrt(np.diag(covariance))
+    share = np.divide(np.maximum(stds, present_stds), present_stds, out=np.ones(len(present_stds)), where=present_stds > 0.0)
     covariance *= share[:, None]
     covariance *= share[None, :]
 
 
-def expected(mean: Array, looks: Array) -> float:
+def expected_residual(mean: Array, sensitivities: Array) -> float:
     """Expected measurement: the sum of states times their sensitivities, shape (states,)."""
-    return float((mean * looks).sum())
+    return float((mean * sensitivities).sum())
 
 
-def spread(covariance: Array, looks: Array) -> tuple[Array, float]:
+def spread(covariance: Array, sensitivities: Array) -> tuple[Array, float]:
     """Covariance of the states with the expected measurement, shape (states,), and its variance."""
-    tied = (covariance * looks[None, :]).sum(axis=1)
-    return tied, float((tied * looks).sum())
+    covariances = (covariance * sensitivities[None, :]).sum(axis=1)
+    return covariances, float((covariances * sensitivities).sum())
 
 
-def corrected(mean: Array, covariance: Array, looks: Array, departure: float, variance: float, free: Mask) -> None:
+def correct_estimate(
+    mean: Array, covariance: Array, sensitivities: Array, departure: float, variance: float, freedom: Mask
+) -> None:
     """Update by a measurement; changes mean and covariance.
 
     Parameters
     ----------
-    looks
+    sensitivities
         Sensitivity of the measurement to each state, shape (states,).
     departure
         Measured less expected.
     variance
         Of the measurement's noise.
-    free
+    freedom
         States to update, shape (states,); the others are considered with their uncertainty (Schmidt's filter).
 
     Notes
     -----
     With gain K, P' = (I - K h) P (I - K h)^T + K r K^T, which is symmetric, and right for any gain.
     """
-    tied, total = spread(covariance, looks)
+    covariances, total = spread(covariance, sensitivities)
     total += variance
-    gain = np.where(free, tied / total, 0.0)
+    gain = np.where(freedom, covariances / total, 0.0)
     mean += gain * departure
-    cross = gain[:, None] * tied[None, :]
+    cross = gain[:, None] * covariances[None, :]
     covariance -= cross
     covariance -= cross.T
     covariance += total * (gain[:, None] * gain[None, :])
 
 
-def conditional_mean(mean: Array, covariance: Array, learned: Mask) -> Array:
+def conditional_mean(mean: Array, covariance: Array, is_learned: Mask) -> Array:
     """Departures of accepted parameters, given the file's values for all others; zero elsewhere, shape (states,).
 
     The estimates are correlated. If some are not accepted, their estimated contributions are conditionally assigned to the
     accepted ones.
     """
-    found = np.zeros_like(mean)
-    left = ~learned
-    if not learned.any():
-        return found
-    found[learned] = mean[learned]
-    left &= np.diag(covariance) > 0.0
-    if left.any():
-        ties = np.linalg.solve(covariance[np.ix_(left, left)], mean[left])
-        found[learned] -= (covariance[np.ix_(learned, left)] * ties[None, :]).sum(axis=1)
-    return found
+    result = np.zeros_like(mean)
+    is_rest = ~is_learned
+    if not is_learned.any():
+        return result
+    result[is_learned] = mean[is_learned]
+    is_rest &= np.diag(covariance) > 0.0
+    if is_rest.any():
+        ties = np.linalg.solve(covariance[np.ix_(is_rest, is_rest)], mean[is_rest])
+        result[is_learned] -= (covariance[np.ix_(is_learned, is_rest)] * ties[None, :]).sum(axis=1)
+    return result
 
 
 # Parameters
 
-# The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
-# [Nm] and gain of the torque sensor, a drifting torque against travel within minutes, and one that came at once [Nm]; the
-# slope of the ground that the step does not know [1], how far it has risen [m], and what an IMU is tilted by [1], see `ground`.
+# States of the filter: the departures of `estimator.columns`, then nuisance states that keep their causes out of these:
+# offset [Nm] and gain of the torque sensor; a torque against travel that drifts within minutes, and one that stepped [Nm]; the
+# slope of the ground that the step does not know [1], its rise so far [m], and the tilt of an IMU [1], see `ground`.
 OFFSET, GAIN, SLOW, STEP, SLOPE, HEIGHT, TILT = range(layout.LEARNABLE, layout.LEARNABLE + 7)
 STATES = layout.LEARNABLE + 7
 DELAY = STATES  # of the measured torque behind the speed [s]; no state of the filter, see `delay`
@@ -208,19 +210,21 @@ def limits_of(path: str) -> Limits:
     return {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]
 
 
-def _reach(vehicle: AnyVehicle, one: Learnable, std: float) -> tuple[float, float]:
+def _departure_bounds(vehicle: AnyVehicle, learnable: Learnable, std: float) -> tuple[float, float]:
     """Bounds of a departure: its standard deviations, and the file's own range, within what a vehicle file may hold."""
     low, high = -REACH_STD * std, REACH_STD * std
-    least, most = LEAST_FACTOR - 1.0, np.inf
-    for path in one.paths:
-        own, limits = vehicle.parameters[path], limits_of(path)
-        assert isinstance(own.value, float)
-        if own.value:
-            ends = [(end / own.value - 1.0) / one.factor for end in (own.low, own.high, limits.low, limits.high)]
-            if path == one.paths[0]:
+    lower, upper = LEAST_FACTOR - 1.0, np.inf
+    for path in learnable.paths:
+        quantity, limits = vehicle.parameters[path], limits_of(path)
+        assert isinstance(quantity.value, float)
+        if quantity.value:
+            ends = [
+                (end / quantity.value - 1.0) / learnable.factor for end in (quantity.low, quantity.high, limits.low, limits.high)
+            ]
+            if path == learnable.paths[0]:
                 low, high = min(low, *ends[:2]), max(high, *ends[:2])
-            least, most = max(least, min(ends[2:])), min(most, max(ends[2:]))
-    return max(low, min(least, 0.0)), min(high, max(most, 0.0))
+            lower, upper = max(lower, min(ends[2:])), min(upper, max(ends[2:]))
+    return max(low, min(lower, 0.0)), min(high, max(upper, 0.0))
 
 
 def make_prior(estimator: Estimator) -> Prior:
@@ -230,11 +234,11 @@ def make_prior(estimator: Estimator) -> Prior:
     correlated. So are mass and scale of the torque of a vehicle on wheels.
     """
     k = estimator.constants
-    own = {one.state: one for one in learnables(estimator.vehicle) if one.paths}
+    own_states = {learnable.state: learnable for learnable in learnables(estimator.vehicle) if learnable.paths}
     load = k.assembly[:, layout.Assembly.nominal_load]
     factor = (load / load.sum()) @ k.assembly[:, layout.CONSIDER_FACTOR : layout.CAUSES_OF]
-    covariance = _tied(estimator, own, factor.reshape(4, 4))
-    for state in own:
+    covariance = _prior_covariance(estimator, own_states, factor.reshape(4, 4))
+    for state in own_states:
         covariance[state, state] += max(LEAST_STD**2 - covariance[state, state], 0.0)
     rolling = ROLLING_SHARE * float(load @ k.assembly[:, layout.Assembly.radius])
     if estimator.assemblies:
@@ -243,17 +247,19 @@ def make_prior(estimator: Estimator) -> Prior:
     covariance[GAIN, GAIN] = GAIN_STD**2
     covariance[SLOW, SLOW] = (WANDERING_SHARE * rolling) ** 2
     low, high = np.full(STATES, -np.inf), np.full(STATES, np.inf)
-    for state in own:
-        low[state], high[state] = _reach(estimator.vehicle, own[state], float(np.sqrt(covariance[state, state])))
+    for state in own_states:
+        low[state], high[state] = _departure_bounds(
+            estimator.vehicle, own_states[state], float(np.sqrt(covariance[state, state]))
+        )
     return Prior(covariance, low, high, rolling)
 
 
-def _tied(estimator: Estimator, own: Iterable[int], factor: Array) -> Array:
+def _prior_covariance(estimator: Estimator, own_states: Iterable[int], factor: Array) -> Array:
     """Covariance of the vehicle's own departures, (STATES, STATES); `factor` is (4, 4), of uncertain belts and the radius."""
     vehicle, number = estimator.vehicle, estimator.constants.number
     wheels = isinstance(vehicle, RoadVehicle)
     causes = np.zeros((STATES, 4 + 2))
-    for state in own:
+    for state in own_states:
         causes[state, :4] = factor[list(BELT_ROWS.get(state, (RADIUS_ROW,)))].sum(axis=0)
         if wheels:
             causes[state, 4:] = relative_std(vehicle, "road_load.mass"), relative_std(vehicle, "road_load.torque_scale")

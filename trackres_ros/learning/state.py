@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.arrays import Array
 from trackres_ros.estimator import columns as layout
 from trackres_ros.learning.ground import Ground
-from trackres_ros.learning.parameters import GAIN, HEIGHT, SLOPE, SLOW, STATES, STEP, WANDERING_SHARE, Prior, expected
+from trackres_ros.learning.parameters import GAIN, HEIGHT, SLOPE, SLOW, STATES, STEP, WANDERING_SHARE, Prior, expected_residual
 from trackres_ros.units import MAD_TO_STD
 from trackres_ros.vehicle import Disturbance, Spells
 
@@ -50,7 +50,7 @@ class ResidualBlock:
     sign: float = 0.0
     looks: Array = field(default_factory=lambda: np.zeros(STATES))
 
-    def add(self, residual: float, learned: float, sign: float, looks: Array, weight: float) -> None:
+    def add(self, residual: float, learned: float, sign: float, sensitivities: Array, weight: float) -> None:
         """Add a second with a weight; `learned` is its residual explained by learned values [Nm]."""
         self.seconds += 1
         self.weight += weight
@@ -58,7 +58,7 @@ class ResidualBlock:
         self.residual += share * (residual - self.residual)
         self.gain += share * (abs(residual) - abs(residual - learned) - self.gain)
         self.sign += share * (sign - self.sign)
-        self.looks += share * (looks - self.looks)
+        self.looks += share * (sensitivities - self.looks)
 
 
 @dataclass
@@ -68,18 +68,18 @@ class Wandering:
     blocks: int = 0
     variance: float = 0.0  # of a difference [Nm^2]
 
-    def add(self, difference: float, least: float) -> None:
+    def add(self, difference: float, least_variance: float) -> None:
         """Add a difference of two blocks [Nm]; the assumed scatter is its prior."""
         if not self.blocks:
-            self.variance = least
-        bound = OUTLIER * OUTLIER * max(self.variance, least)
+            self.variance = least_variance
+        bound = OUTLIER * OUTLIER * max(self.variance, least_variance)
         self.blocks += 1
         share = max(1.0 / (self.blocks + 3.0), 1.0 / MEMORY)
         self.variance += share * (min(difference * difference, bound) - self.variance)
 
-    def std(self, least: float) -> float:
+    def std(self, least_variance: float) -> float:
         """Standard deviation of a difference [Nm]."""
-        return math.sqrt(max(self.variance, least))
+        return math.sqrt(max(self.variance, least_variance))
 
 
 @dataclass
@@ -102,38 +102,38 @@ class Past:
         """The next block does not follow the last."""
         self.last += 1 + LAGS[-1]
 
-    def add(self, level: float, keep: float) -> None:
-        """Add a block; estimate the slow disturbance, of which a share is kept from block to block."""
+    def add(self, level: float, share: float) -> None:
+        """Add a block and estimate the slow disturbance. `share` of it remains from block to block."""
         self.numbers[self.last % PAST], self.levels[self.last % PAST] = self.last, level
         self.last += 1
         order = np.argsort(self.numbers, kind="stable")
         order = order[self.numbers[order] >= 0.0]
-        numbers, left = self.numbers[order], self.levels[order]
-        size = MAD_TO_STD * float(np.median(np.abs(left)))
-        left = np.clip(left, -PAST_OUTLIER * size, PAST_OUTLIER * size)
-        follow = numbers[1:] - numbers[:-1] == 1.0
-        if follow.sum() < LEAST_PAIRS:
+        numbers, departures = self.numbers[order], self.levels[order]
+        size = MAD_TO_STD * float(np.median(np.abs(departures)))
+        departures = np.clip(departures, -PAST_OUTLIER * size, PAST_OUTLIER * size)
+        is_next = numbers[1:] - numbers[:-1] == 1.0
+        if is_next.sum() < LEAST_PAIRS:
             return
-        differs = 0.5 * float(((left[1:] - left[:-1])[follow] ** 2).mean())
-        tied, count = 0.0, 0
+        half_step_variance = 0.5 * float(((departures[1:] - departures[:-1])[is_next] ** 2).mean())
+        product_sum, count = 0.0, 0
         for lag in LAGS:
             pairs = numbers[lag:] - numbers[:-lag] == lag
-            tied += float((left[lag:] * left[:-lag])[pairs].sum()) / keep**lag
+            product_sum += float((departures[lag:] * departures[:-lag])[pairs].sum()) / share**lag
             count += int(pairs.sum())
         if count < LEAST_PAIRS:
             return
-        surely = tied / count - differs / math.sqrt(count)  # of levels that are not tied a sixth is beyond
-        self.slow = min(max(surely, 0.0), differs / (1.0 - keep))
-        self.white = max(differs - self.slow * (1.0 - keep), 0.0)
+        lower_bound = product_sum / count - half_step_variance / math.sqrt(count)  # of levels that are not tied a sixth is beyond
+        self.slow = min(max(lower_bound, 0.0), half_step_variance / (1.0 - share))
+        self.white = max(half_step_variance - self.slow * (1.0 - share), 0.0)
 
     def recent_level(self) -> tuple[float, float]:
         """Mean of the last blocks [Nm] and its standard deviation due to short disturbances; nan with too few blocks."""
         if math.isnan(self.white):
             return math.nan, math.nan
-        late = [(self.last - 1 - back) % PAST for back in range(LATE)]
-        if any(self.numbers[place] != self.last - 1 - back for back, place in enumerate(late)):
+        recent_places = [(self.last - 1 - lag) % PAST for lag in range(LATE)]
+        if any(self.numbers[place] != self.last - 1 - lag for lag, place in enumerate(recent_places)):
             return math.nan, math.nan
-        return float(self.levels[late].mean()), math.sqrt(self.white / LATE)
+        return float(self.levels[recent_places].mean()), math.sqrt(self.white / LATE)
 
 
 @dataclass
@@ -146,7 +146,7 @@ class Contest:
     better: bool = False
 
     def add(self, gain: float) -> None:
-        """Add a block: size of the file's residual less that of the learned one [Nm]."""
+        """Add a block: size of the residual by the file minus size of the residual by the learned values [Nm]."""
         self.blocks += 1
         share = max(1.0 / self.blocks, 1.0 / CONTEST_MEMORY)
         departure = gain - self.gain
@@ -158,12 +158,12 @@ class Contest:
             return
         self.better = self.gain > (-error if self.better else SURELY * error)
 
-    def since_pause(self, last: Contest) -> Contest:
+    def since_pause(self, previous: Contest) -> Contest:
         """The contest after a pause, as the vehicle may have changed: values that are better over all drives need fresh evidence.
-        The others go on with all that there is. `last` is that since the pause before.
+        The others go on with all that there is. `previous` is that since the pause before.
         """
-        if last.blocks < LEAST_SINCE_PAUSE:
-            return last
+        if previous.blocks < LEAST_SINCE_PAUSE:
+            return previous
         return Contest(gain=self.gain, better=True) if self.better else replace(self)
 
 
@@ -239,7 +239,7 @@ class LearnerState:
             self.covariance[state, :] = self.covariance[:, state] = 0.0
             self.covariance[state, state] = prior.covariance[state, state]
         self.aim[layout.OF_BELT] = self.applied[layout.OF_BELT] = 0.0
-        if self.ground.feels:
+        if self.ground.has_force:
             self.covariance[SLOPE, SLOPE] = self.ground.slope_variance
         self.store_recent()
         self.store_recent()
@@ -272,15 +272,15 @@ class LearnerState:
 def nothing_learned(prior: Prior) -> LearnerState:
     """The state before learning."""
     mean, covariance = np.zeros(STATES), prior.covariance
-    found = LearnerState(
+    state = LearnerState(
         *(mean, covariance.copy()),
         *(mean.copy(), covariance.copy()),
         *(mean.copy(), covariance.copy()),
         *(np.zeros(layout.LEARNABLE), np.zeros(layout.LEARNABLE)),
         rolling=prior.rolling_nm,
     )
-    found.noise = (FIRST_NOISE_SHARE * prior.rolling_nm) ** 2
-    return found
+    state.noise = (FIRST_NOISE_SHARE * prior.rolling_nm) ** 2
+    return state
 
 
 # Disturbances
@@ -299,12 +299,12 @@ FADES = 0.5  # remaining share a second later without a torque
 def close_block(s: LearnerState) -> None:
     """Finish a block: check for a step, and whether learned values explain more than the file."""
     s.blocks += 1
-    block, before = s.block, s.last_block
+    block, last_block = s.block, s.last_block
     s.last_block, s.block = block, ResidualBlock()
-    if before.seconds:
-        _judge(s, _level(s, block), _level(s, before))
+    if last_block.seconds:
+        _judge_level(s, _level(s, block), _level(s, last_block))
     s.past.add(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
-    _tell(s)
+    _publish_disturbance(s)
     s.contest.add(block.gain)
     s.fresh.add(block.gain)
     s.store_recent()
@@ -312,25 +312,25 @@ def close_block(s: LearnerState) -> None:
 
 def _level(s: LearnerState, block: ResidualBlock) -> float:
     """Residual of a block by present knowledge, without disturbances; against travel [Nm]."""
-    return (block.residual - expected(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
+    return (block.residual - expected_residual(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
 
 
-def _judge(s: LearnerState, level: float, last: float) -> None:
+def _judge_level(s: LearnerState, level: float, last_level: float) -> None:
     """Follow the levels of the present block and of the last."""
-    least = s.least_variance if s.wandering.blocks else (FIRST_SHARE * s.rolling) ** 2
-    threshold = max(STEP_SHARE * s.rolling, STEP_STDS * s.wandering.std(least))
+    least_variance = s.least_variance if s.wandering.blocks else (FIRST_SHARE * s.rolling) ** 2
+    threshold = max(STEP_SHARE * s.rolling, STEP_STDS * s.wandering.std(least_variance))
     if s.suspect:
         size, s.suspect = s.suspect, 0.0
         if (level - s.suspect_level) / size > CONFIRMED:
             _step_found(s, level - s.suspect_level)
         else:
-            s.wandering.add(size, least)
+            s.wandering.add(size, least_variance)
         return
-    difference = level - last
+    difference = level - last_level
     if min(s.wandering.blocks, s.blocks) >= LEAST_BLOCKS and abs(difference) > threshold:
-        s.suspect, s.suspect_level = difference, last
+        s.suspect, s.suspect_level = difference, last_level
     else:
-        s.wandering.add(difference, least)
+        s.wandering.add(difference, least_variance)
 
 
 def _step_found(s: LearnerState, size: float) -> None:
@@ -340,59 +340,59 @@ def _step_found(s: LearnerState, size: float) -> None:
     s.covariance[GAIN, GAIN] += GAIN_STEP_STD**2
     s.mean[STEP] += size
     s.past.pause()
-    s.ground.lost()
+    s.ground.forget_height()
     s.step_s, s.step_nm = 0.0, size
     s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
 
 
-def _tell(s: LearnerState) -> None:
+def _publish_disturbance(s: LearnerState) -> None:
     """Whether the mean residual of a minute exceeds the short disturbances and the error of the slope."""
     mean, std = s.past.recent_level()
     std = math.hypot(std, math.sqrt(s.covariance[SLOPE, SLOPE]) * s.last_block.looks[SLOPE])  # a slope that is followed
-    least = SAID_SHARE * s.rolling
-    if not (abs(mean) > max(0.5 * least, std) and mean * s.disturbance_nm > 0.0):  # gone, or another
+    least_size = SAID_SHARE * s.rolling
+    if not (abs(mean) > max(0.5 * least_size, std) and mean * s.disturbance_nm > 0.0):  # gone, or another
         s.disturbed_s = 0.0
-    if s.disturbed_s or abs(mean) > max(least, SAID_STDS * std):
+    if s.disturbed_s or abs(mean) > max(least_size, SAID_STDS * std):
         s.disturbance_nm, s.disturbed_s = mean, s.disturbed_s + BLOCK_S
     else:
         s.disturbance_nm = 0.0
 
 
-def update_lasting(s: LearnerState, compared: bool) -> None:
+def update_lasting(s: LearnerState, has_torque: bool) -> None:
     """Feed a lasting disturbance forward, within a bound; it fades without a compared torque."""
-    if not compared:
+    if not has_torque:
         s.lasting_nm *= FADES
         s.lasting_s = 0.0
         return
-    there = float(s.mean[SLOW] + s.mean[STEP])
+    disturbance = float(s.mean[SLOW] + s.mean[STEP])
     std = math.sqrt(max(float(s.covariance[SLOW, SLOW] + s.covariance[STEP, STEP]), 0.0))
-    sure = abs(there) > 2.0 * std
-    s.lasting_s = s.lasting_s + 1.0 if sure and there * s.lasting_nm >= 0.0 else 0.0
-    most = LASTING_SHARE * s.rolling
-    aim = min(max(there, -most), most) if s.lasting_s > LASTS_S else 0.0
+    is_sure = abs(disturbance) > 2.0 * std
+    s.lasting_s = s.lasting_s + 1.0 if is_sure and disturbance * s.lasting_nm >= 0.0 else 0.0
+    limit = LASTING_SHARE * s.rolling
+    aim = min(max(disturbance, -limit), limit) if s.lasting_s > LASTS_S else 0.0
     s.lasting_nm += 0.1 * (aim - s.lasting_nm)
 
 
-def why_frozen(s: LearnerState, known: Disturbance | None) -> str:
-    """Reason why learning is paused; empty if it is not. `known` is the disturbance of the vehicle file."""
+def why_frozen(s: LearnerState, file_disturbance: Disturbance | None) -> str:
+    """Reason why learning is paused; empty if it is not. `file_disturbance` is the disturbance of the vehicle file."""
     if s.disagrees > DISAGREES_SHARE:
         return f"{100.0 * s.disagrees:.0f} % of the measured torques disagree with the others"
     if s.suspect:
         return f"a step of {s.suspect:+.0f} Nm is being checked"
     if s.step_s < STEP_HOLDS_S:
-        return f"{disturbance_sentence(s.step_nm, s.step_s, known)}: caused by a sensor, brake, load or the ground"
+        return f"{disturbance_sentence(s.step_nm, s.step_s, file_disturbance)}: caused by a sensor, brake, load or the ground"
     return ""
 
 
-def disturbance_text(s: LearnerState, known: Disturbance | None) -> str:
+def disturbance_text(s: LearnerState, file_disturbance: Disturbance | None) -> str:
     """Text on an unmodelled torque outside the vehicle's parameters; empty without one. See `why_frozen`."""
-    return disturbance_sentence(s.disturbance_nm, s.disturbed_s, known) if s.disturbance_nm else ""
+    return disturbance_sentence(s.disturbance_nm, s.disturbed_s, file_disturbance) if s.disturbance_nm else ""
 
 
-def disturbance_sentence(torque_nm: float, driven_s: float, known: Disturbance | None) -> str:
+def disturbance_sentence(torque_nm: float, driven_s: float, file_disturbance: Disturbance | None) -> str:
     """A disturbance in words, with a remark if it is as large as the vehicle file's; `driven_s` is the driving with it."""
     kind = ""
-    if isinstance(known, Spells):
-        size = abs(known.level - known.rest)
-        kind = f", of the kind seen before ({known.form})" if abs(abs(torque_nm) - size) < ALIKE_SHARE * size else ""
+    if isinstance(file_disturbance, Spells):
+        size = abs(file_disturbance.level - file_disturbance.rest)
+        kind = f", of the kind seen before ({file_disturbance.form})" if abs(abs(torque_nm) - size) < ALIKE_SHARE * size else ""
     return f"a disturbance of {torque_nm:+.0f} Nm for {driven_s:.0f} s{kind}"

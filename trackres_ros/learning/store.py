@@ -36,12 +36,12 @@ NOT_YET = {"last_left": "nan", "felt": "nan", "torque": "nan", "step_s": "inf", 
 REACH = 1.0 + 1e-9  # of the bounds: rounding
 
 
-def stored(learner: Learner) -> dict[str, Any]:
+def learner_content(learner: Learner) -> dict[str, Any]:
     """Full memory of a learner, ready for JSON."""
     return {name: _plain(part) for name, part in _parts(learner).items()}
 
 
-def take(learner: Learner, given: object) -> None:
+def take_content(learner: Learner, content: object) -> None:
     """Fill a new learner from the result of `stored`.
 
     Raises
@@ -50,17 +50,17 @@ def take(learner: Learner, given: object) -> None:
         If it is not from a learner of this vehicle; the learner is then new.
     """
     try:
-        if not isinstance(given, Mapping):
+        if not isinstance(content, Mapping):
             raise TypeError("no mapping")
         for name, part in _parts(learner).items():
-            _fill(part, given[name])
+            _fill(part, content[name])
         _check(learner)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         learner.reset()
         raise ValueError(f"learned parameters: {str(error)[:80]}") from error
 
 
-def since_learned(saved: object, now: float) -> float:
+def since_learned(content: object, wall_s: float) -> float:
     """Time [s] since the values of a state file were learned, at a time [s since 1970]; 0 for a clock that went back.
 
     Raises
@@ -68,18 +68,18 @@ def since_learned(saved: object, now: float) -> float:
     ValueError
         If they do not say when.
     """
-    learned_at = saved.get(LEARNED_AT) if isinstance(saved, Mapping) else None
-    return max(0.0, now - read_time(learned_at, "learned parameters: the time of learning"))
+    learned_at = content.get(LEARNED_AT) if isinstance(content, Mapping) else None
+    return max(0.0, wall_s - read_time(learned_at, "learned parameters: the time of learning"))
 
 
-def since_saved(path: Path, saved: Any, ended: float, begins: float, off_s: float | None) -> tuple[Any, float | None]:
+def since_saved(path: Path, content: Any, end_s: float, start_s: float, off_s: float | None) -> tuple[Any, float | None]:
     """Learned values of a state file as of a recording with another clock, and the time since they were learned [s].
 
     That is None in the same stream if the run before learned. Else it includes all runs since the last one that learned.
 
     Parameters
     ----------
-    ended, begins
+    end_s, start_s
         End of the state and beginning of the recording, each by its own clock [s since 1970].
     off_s
         Time off between them [s]; None in the same stream.
@@ -89,19 +89,19 @@ def since_saved(path: Path, saved: Any, ended: float, begins: float, off_s: floa
     InputError
         If the values do not say when they were learned.
     """
-    if saved is None:
+    if content is None:
         return None, off_s
     try:
-        since = since_learned(saved, ended)
+        age_s = since_learned(content, end_s)
     except ValueError as error:
         raise InputError(f"state file {path}", str(error), "learned parameters saved by this program", REMEDY) from error
-    if off_s is None and not since:
-        return saved, None
-    since += max(begins - ended, 0.0) if off_s is None else off_s
-    return {**saved, LEARNED_AT: max(begins - since, -FARTHEST_SAVED_AT)}, since
+    if off_s is None and not age_s:
+        return content, None
+    age_s += max(start_s - end_s, 0.0) if off_s is None else off_s
+    return {**content, LEARNED_AT: max(start_s - age_s, -FARTHEST_SAVED_AT)}, age_s
 
 
-def go_on(session: Session, learner: Learner | None, saved: object, off_s: float | None = None) -> None:
+def continue_session(session: Session, learner: Learner | None, content: object, off_s: float | None = None) -> None:
     """Continue with what a state file holds: a session, and the learned values saved with it, or None.
 
     They act at once only in mode `on` and in the same stream of messages; after some time off [s] they are less certain, and act
@@ -112,17 +112,17 @@ def go_on(session: Session, learner: Learner | None, saved: object, off_s: float
     ValueError
         As `take`.
     """
-    if learner is None or learner.mode != ON or saved is None or off_s is not None:
+    if learner is None or learner.mode != ON or content is None or off_s is not None:
         use_file(session.learned)
-    if learner is None or saved is None:
+    if learner is None or content is None:
         return
-    take(learner, saved)
+    take_content(learner, content)
     if off_s is not None:
-        learner.age(off_s)
+        learner.age_values(off_s)
 
 
-def go_on_from(path: Path, session: Session, learner: Learner | None, saved: object, off_s: float | None = None) -> None:
-    """As `go_on`, from a state file that is named.
+def continue_from(path: Path, session: Session, learner: Learner | None, content: object, off_s: float | None = None) -> None:
+    """As `continue_session`, from a state file that is named.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def go_on_from(path: Path, session: Session, learner: Learner | None, saved: obj
         If the learned values are not from a learner of this vehicle.
     """
     try:
-        go_on(session, learner, saved, off_s)
+        continue_session(session, learner, content, off_s)
     except ValueError as error:
         raise InputError(f"state file {path}", str(error), "learned parameters saved by this program", REMEDY) from error
 
@@ -156,32 +156,32 @@ def _plain(part: Any) -> Any:
     return part if isinstance(part, bool | int) else float(part).hex()
 
 
-def _fill(part: Any, given: Any) -> None:
+def _fill(part: Any, content: Any) -> None:
     """Fill arrays in place and the fields of dataclasses, each by a value of its own kind."""
-    named = isinstance(part, Mapping)
-    names = list(part) if named else [item.name for item in dataclasses.fields(part)]
-    if not isinstance(given, Mapping) or set(given) != set(names):
+    is_mapping = isinstance(part, Mapping)
+    names = list(part) if is_mapping else [item.name for item in dataclasses.fields(part)]
+    if not isinstance(content, Mapping) or set(content) != set(names):
         raise TypeError("other entries than expected")
     for name in names:
-        now, new = part[name] if named else getattr(part, name), given[name]
-        if isinstance(now, np.ndarray):
-            if not isinstance(new, list) or len(new) != now.size:
+        target, value = part[name] if is_mapping else getattr(part, name), content[name]
+        if isinstance(target, np.ndarray):
+            if not isinstance(value, list) or len(value) != target.size:
                 raise TypeError(f"{name} of another length")
-            now[...] = np.array([_number(one, name) for one in new]).reshape(now.shape)
-        elif dataclasses.is_dataclass(now):
-            _fill(now, new)
-        elif isinstance(now, bool | int):
-            if type(new) is not type(now) or not -FARTHEST <= new <= FARTHEST:
+            target[...] = np.array([_number(number, name) for number in value]).reshape(target.shape)
+        elif dataclasses.is_dataclass(target):
+            _fill(target, value)
+        elif isinstance(target, bool | int):
+            if type(value) is not type(target) or not -FARTHEST <= value <= FARTHEST:
                 raise TypeError(f"{name} is of another kind")
-            setattr(part, name, new)
+            setattr(part, name, value)
         else:
-            setattr(part, name, _number(new, name))
+            setattr(part, name, _number(value, name))
 
 
-def _number(given: str, name: str) -> float:
-    value = read_float(given)
+def _number(text: str, name: str) -> float:
+    value = read_float(text)
     if not (abs(value) <= LARGEST or repr(value) == NOT_YET.get(name)):
-        raise ValueError(f"a number {given[:20]}")
+        raise ValueError(f"a number {text[:20]}")
     return value
 
 
@@ -201,10 +201,10 @@ def _check(learner: Learner) -> None:
     sizes += [s.ground.altitude_variance, s.ground.drift, s.ground.felt_variance, s.ground.slope_variance]
     if not all(size >= 0.0 for size in sizes) or s.past.slow < 0.0 or s.past.white < 0.0:
         raise ValueError("an invalid size")
-    kept = learner.delay.kept
-    if kept.count < 0 or kept.fresh < 0 or not (kept.variances >= 0.0).all():
+    delays = learner.delay.kept
+    if delays.count < 0 or delays.fresh < 0 or not (delays.variances >= 0.0).all():
         raise ValueError("invalid delays")
-    if not ((kept.delays >= EARLIEST_S) & (kept.delays <= LATEST_S)).all():
+    if not ((delays.delays >= EARLIEST_S) & (delays.delays <= LATEST_S)).all():
         raise ValueError("a delay outside the searched range")
     if not ((learner.buckets.seconds >= 0.0).all() and (learner.buckets.accelerating >= 0.0).all()):
         raise ValueError("invalid seconds")
@@ -232,31 +232,31 @@ def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> LearnedF
 
     It has the values that were learned. Those acting follow them at a limited rate, so they may be half-way.
     """
-    held, counted = learner.held.any(), learner.counted
-    counts = [state for state in learner.own if learner.acts and counted[state] and not held]
-    of_file = {one.state: one for one in learner.learnables}
-    kept = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state].paths}
+    is_at_bound, has_evidence = learner.is_at_bound.any(), learner.has_evidence
+    counts = [state for state in learner.own if learner.is_active and has_evidence[state] and not is_at_bound]
+    of_file = {learnable.state: learnable for learnable in learner.learnables}
+    old_values = {name: _value(vehicle, name) for state in learner.own if state not in counts for name in of_file[state].paths}
     if not counts:
         fits = "the learned parameters fit no better than the vehicle file"
-        return LearnedFile(path, (), {}, kept, fits if counted.any() and not held else learner.text)
+        return LearnedFile(path, (), {}, old_values, fits if has_evidence.any() and not is_at_bound else learner.text)
     minutes = learner.learned.seconds / 60.0
     comment = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
     stds = learner.stds(learner.learned.covariance, counts).tolist()
-    found = target_departures(learner.learned, learner.prior, learner.counted).tolist()
-    changed: dict[str, tuple[float, float]] = {}
+    departures = target_departures(learner.learned, learner.prior, learner.has_evidence).tolist()
+    file_values: dict[str, tuple[float, float]] = {}
 
     def with_learned(text: str) -> str:
         document = Document(text)
         for state in counts:
-            changed.update(_set(document, vehicle, of_file[state], found[state], stds[state]))
+            file_values.update(_set_learnable(document, vehicle, of_file[state], departures[state], stds[state]))
         return document.text() or f"# {comment}\n{document.plain()}"
 
-    changes = FileChanges(None, (), {}, by="trackres replay", amend=with_learned)
+    changes = FileChanges(None, (), {}, command="trackres replay", amend=with_learned)
     if isinstance(vehicle, RoadVehicle):
-        written = write_road_vehicle(vehicle, path, changes, comment)
+        paths = write_road_vehicle(vehicle, path, changes, comment)
     else:
-        written = write_track_vehicle(vehicle, path, changes, comment)
-    return LearnedFile(path, tuple(written), changed, kept)
+        paths = write_track_vehicle(vehicle, path, changes, comment)
+    return LearnedFile(path, tuple(paths), file_values, old_values)
 
 
 def _value(vehicle: AnyVehicle, path: str) -> float:
@@ -265,28 +265,30 @@ def _value(vehicle: AnyVehicle, path: str) -> float:
     return value
 
 
-def _set(document: Document, vehicle: AnyVehicle, one: Learnable, departure: float, std: float) -> dict[str, tuple[float, float]]:
+def _set_learnable(
+    document: Document, vehicle: AnyVehicle, learnable: Learnable, departure: float, std: float
+) -> dict[str, tuple[float, float]]:
     """Put a departure into the values of the file that it is of; these before and after, by path.
 
     The first is learned. Others only scale with it, so their own relative ranges stay, if they are wider.
     """
-    changed = {}
-    for path in one.paths:
-        old, before_it, limit = vehicle.parameters[path], _value(vehicle, path), limits_of(path)
-        if before_it == 0.0:  # scaled it stays 0, and is as uncertain as before
+    by_path = {}
+    for path in learnable.paths:
+        quantity, old_value, limit = vehicle.parameters[path], _value(vehicle, path), limits_of(path)
+        if old_value == 0.0:  # scaled it stays 0, and is as uncertain as before
             continue
-        scale, reach = 1.0 + one.factor * departure, one.factor * REACH_STD * std
-        ends = [before_it * (scale - reach), before_it * (scale + reach)]
-        if path != one.paths[0]:
-            ends += [old.low * scale, old.high * scale]
-        value, *span = (min(max(x, limit.low), limit.high) for x in (before_it * scale, min(ends), max(ends)))
-        before = f"{REASON}; before it {before_it:g} ({old.flag}): {old.reason}"
-        reason = old.reason if old.reason.startswith(REASON) else before
-        new = {"value": _figures(value), "range": [*map(_figures, span)], "flag": FITTED, "reason": reason}
-        for key, given in new.items():
-            document.set((*path.split("."), key), given)
-        changed[path] = before_it, _figures(value)
-    return changed
+        scale, reach = 1.0 + learnable.factor * departure, learnable.factor * REACH_STD * std
+        ends = [old_value * (scale - reach), old_value * (scale + reach)]
+        if path != learnable.paths[0]:
+            ends += [quantity.low * scale, quantity.high * scale]
+        value, *span = (min(max(x, limit.low), limit.high) for x in (old_value * scale, min(ends), max(ends)))
+        origin = f"{REASON}; before it {old_value:g} ({quantity.flag}): {quantity.reason}"
+        reason = quantity.reason if quantity.reason.startswith(REASON) else origin
+        entries = {"value": _figures(value), "range": [*map(_figures, span)], "flag": FITTED, "reason": reason}
+        for key, content in entries.items():
+            document.set((*path.split("."), key), content)
+        by_path[path] = old_value, _figures(value)
+    return by_path
 
 
 def _figures(value: float) -> float:

@@ -36,8 +36,8 @@ def axial_stiffness(belt: Belt, rubber_modulus: ArrayLike) -> Array:
 
     Lugs and tread bars are separated by gaps and carry no tension.
     """
-    plain = belt.width * belt.thickness - belt.cord_section
-    return np.asarray(belt.cord_modulus * belt.cord_section + np.asarray(rubber_modulus) * plain)
+    rubber_area = belt.width * belt.thickness - belt.cord_section
+    return np.asarray(belt.cord_modulus * belt.cord_section + np.asarray(rubber_modulus) * rubber_area)
 
 
 def catenary_sag(tension: ArrayLike, mass: float, half_span: float, stiffness: float) -> Array:
@@ -81,14 +81,14 @@ def belt_tension(belt: Belt, rubber: Rubber, rubber_modulus: float) -> float:
     A steady tension dissipates nothing, equations (16) to (18): only its range round the loop does.
     """
     stiffness = float(axial_stiffness(belt, rubber_modulus))
-    needed = least_tension_for_sag(belt.tooth_height / 2.0, mass_per_length(belt, rubber), belt.sag_half_span, stiffness)
-    return max(belt.pretension, needed)
+    least_tension = least_tension_for_sag(belt.tooth_height / 2.0, mass_per_length(belt, rubber), belt.sag_half_span, stiffness)
+    return max(belt.pretension, least_tension)
 
 
 def bending_moment_of_height(belt: Belt, order: int) -> float:
     """Integral of (h - h0)^order over the thickness [m^(order+1)], about the cord as neutral axis (19 to 21)."""
-    above, below = belt.thickness - belt.cord_height, belt.cord_height
-    return (above ** (order + 1) - (-below) ** (order + 1)) / (order + 1)
+    top, depth = belt.thickness - belt.cord_height, belt.cord_height
+    return (top ** (order + 1) - (-depth) ** (order + 1)) / (order + 1)
 
 
 def signed_curvature(radius: float, wrap_angle: float, belt: Belt) -> float:
@@ -112,7 +112,7 @@ class Profile:
     value: Array
     length: float
 
-    def at(self, position: ArrayLike) -> Array:
+    def values_at(self, position: ArrayLike) -> Array:
         """Values at positions [m], any shape."""
         return np.asarray(np.interp(np.asarray(position, float), self.position, self.value, period=self.length))
 
@@ -145,8 +145,8 @@ def build_loop(track: Track) -> Loop:
     """Lay out the loop: the ground run, at once the first wrapped wheel, the free length shared evenly between the wheels."""
     belt, wheels = track.belt, track.wrapped_wheels
     lengths = [arc_length(w.radius, w.wrap_angle, belt) for w in wheels]
-    free = belt.loop_length - track.road_wheels.ground_run - sum(lengths)
-    gap = free / max(len(wheels) - 1, 1)
+    free_length = belt.loop_length - track.road_wheels.ground_run - sum(lengths)
+    gap = free_length / max(len(wheels) - 1, 1)
     arcs = []
     start = track.road_wheels.ground_run
     for wheel, length in zip(wheels, lengths, strict=True):
@@ -171,9 +171,9 @@ def _curvature(arcs: list[tuple[float, float, float]], ramp: float, length: floa
     value = np.zeros_like(position)
     for start, end, curvature in arcs:
         plateau = curvature * min(1.0, (end - start) / ramp)
-        half, flat = (end - start + ramp) / 2, abs(end - start - ramp) / 2
+        half, half_plateau = (end - start + ramp) / 2, abs(end - start - ramp) / 2
         distance = np.abs(np.mod(position - (start + end) / 2 + length / 2, length) - length / 2)
-        value += plateau * np.clip((half - distance) / (half - flat), 0.0, 1.0)
+        value += plateau * np.clip((half - distance) / (half - half_plateau), 0.0, 1.0)
     return Profile(position, value, length)
 
 
@@ -183,12 +183,12 @@ def _drive(sprocket: tuple[float, float, float], ground_run: float, length: floa
     Equation (23) as printed sums F_D-i over k; it means F_D-k. The teeth's steps are spread evenly over the wrap.
     """
     start, end, _ = sprocket
-    middle, half = (start + end) / 2, (end - start) / 2
+    centre, half = (start + end) / 2, (end - start) / 2
     corners = np.mod(
-        np.round([0.0, ground_run, middle - half, middle + half], 12), length
+        np.round([0.0, ground_run, centre - half, centre + half], 12), length
     )  # a last wheel ends where the loop begins
-    position, first = np.unique(corners, return_index=True)
-    return Profile(position, np.array([0.0, 1.0, 1.0, 0.0])[first], length)
+    position, index = np.unique(corners, return_index=True)
+    return Profile(position, np.array([0.0, 1.0, 1.0, 0.0])[index], length)
 
 
 def phases(position: Array, length: float, harmonics: Array) -> Complex:
@@ -209,8 +209,8 @@ def indentation_amplitudes(
     angle = 2.0 * np.pi / loop_length * a
     parabola, quartic = pulse_transforms(angle * harmonics, *_multiples(angle, harmonics))
     depth = a**2 / (2 * radius) + a**4 / (8 * radius**3)
-    exact = radius - np.sqrt(radius**2 - a**2)
-    scale = 2.0 / (loop_length * thickness) * exact / depth
+    exact_depth = radius - np.sqrt(radius**2 - a**2)
+    scale = 2.0 / (loop_length * thickness) * exact_depth / depth
     return np.asarray(scale * a**3 / (2 * radius) * parabola + scale * a**5 / (8 * radius**3) * quartic)
 
 
@@ -219,10 +219,10 @@ def _multiples(angle: Array, harmonics: Array) -> tuple[Array, Array]:
     count = len(harmonics)
     if count < harmonics[-1]:
         return np.sin(angle * harmonics), np.cos(angle * harmonics)
-    few = angle * np.arange(1, ANGLES + 1)
-    many = (angle * np.arange(0, count, ANGLES))[..., np.newaxis]
-    sine, cosine = np.sin(few)[..., np.newaxis, :], np.cos(few)[..., np.newaxis, :]
-    sines, cosines = np.sin(many), np.cos(many)
+    base_angles = angle * np.arange(1, ANGLES + 1)
+    offset_angles = (angle * np.arange(0, count, ANGLES))[..., np.newaxis]
+    sine, cosine = np.sin(base_angles)[..., np.newaxis, :], np.cos(base_angles)[..., np.newaxis, :]
+    sines, cosines = np.sin(offset_angles), np.cos(offset_angles)
     shape = (*angle.shape[:-1], -1)
     return (
         (sines * cosine + cosines * sine).reshape(shape)[..., :count],
@@ -237,11 +237,11 @@ def pulse_transforms(z: Array, sine: Array, cosine: Array) -> tuple[Array, Array
     mean = sine * inverse  # of cos(z u)
     parabola = 4.0 * square * (mean - cosine)
     quartic = 8.0 * square * (3.0 * mean - 1.5 * parabola - cosine)
-    small = z < SERIES_BELOW
-    if small.any():
-        w = z[small] ** 2
-        parabola[small] = 4.0 / 3.0 * (1.0 - w / 10.0 + w**2 / 280.0 - w**3 / 15120.0)
-        quartic[small] = 8.0 / 5.0 * (1.0 - 5.0 * w / 42.0 + w**2 / 216.0 - w**3 / 11088.0)
+    is_small = z < SERIES_BELOW
+    if is_small.any():
+        w = z[is_small] ** 2
+        parabola[is_small] = 4.0 / 3.0 * (1.0 - w / 10.0 + w**2 / 280.0 - w**3 / 15120.0)
+        quartic[is_small] = 8.0 / 5.0 * (1.0 - 5.0 * w / 42.0 + w**2 / 216.0 - w**3 / 11088.0)
     return parabola, quartic
 
 
@@ -264,5 +264,5 @@ def along_belt(loop: Loop, height: ArrayLike, position: ArrayLike, steady_strain
     drive_strain
         Strain of the whole drive force, M_D/(R_D E_S A); negative when braking.
     """
-    bending = (np.asarray(height, float) - loop.track.belt.cord_height) * loop.curvature.at(position)
-    return np.asarray(bending + steady_strain + drive_strain * loop.drive.at(position))
+    bending = (np.asarray(height, float) - loop.track.belt.cord_height) * loop.curvature.values_at(position)
+    return np.asarray(bending + steady_strain + drive_strain * loop.drive.values_at(position))

@@ -38,9 +38,9 @@ def beam_shares(track: Track, own_weight: bool = False) -> Array:
 
     def hang(end: Beam | int, share: float) -> None:
         if isinstance(end, Beam):
-            split = end.own_weight_split if own_weight else end.split
-            hang(end.front, share * (1.0 - split))
-            hang(end.rear, share * split)
+            front_split = end.own_weight_split if own_weight else end.split
+            hang(end.front, share * (1.0 - front_split))
+            hang(end.rear, share * front_split)
         else:
             shares[end] += share
 
@@ -62,8 +62,8 @@ def wheel_loads(track: Track, load: ArrayLike) -> Array:
         Load on the assembly with its own weight [N], any shape.
     """
     total = np.asarray(load, dtype=float)[..., np.newaxis]
-    own = np.minimum(track.own_weight, total)
-    return np.asarray((total - own) * beam_shares(track) + own * beam_shares(track, own_weight=True))
+    own_weight = np.minimum(track.own_weight, total)
+    return np.asarray((total - own_weight) * beam_shares(track) + own_weight * beam_shares(track, own_weight=True))
 
 
 # Contact
@@ -95,9 +95,9 @@ def contact_force(half_length: ArrayLike, modulus: ArrayLike, radius: float, len
     """
     a = np.asarray(half_length, float)
     u = a / radius
-    exact = np.arcsin(u) - u * np.sqrt(1.0 - u * u)
+    closed_form = np.arcsin(u) - u * np.sqrt(1.0 - u * u)
     series = u**3 * (2.0 / 3.0 + u * u / 5.0)  # the difference above cancels for small u
-    return np.asarray(np.asarray(modulus) * length / thickness * radius**2 * np.where(u < 1e-3, series, exact))
+    return np.asarray(np.asarray(modulus) * length / thickness * radius**2 * np.where(u < 1e-3, series, closed_form))
 
 
 def half_length_for_force(force: ArrayLike, modulus: ArrayLike, radius: float, length: float, thickness: float) -> Array:
@@ -112,8 +112,8 @@ def half_length_for_force(force: ArrayLike, modulus: ArrayLike, radius: float, l
     force, modulus = np.broadcast_arrays(np.asarray(force, float), np.asarray(modulus, float))
     a = _small_half_length(force, modulus, radius, length, thickness)
     for _ in range(NEWTON_PASSES):
-        before, a = a, _nearer_half_length(a, force, modulus, radius, length, thickness)
-        if np.all(np.abs(a - before) <= NEWTON_TOLERANCE * radius):
+        last_a, a = a, _nearer_half_length(a, force, modulus, radius, length, thickness)
+        if np.all(np.abs(a - last_a) <= NEWTON_TOLERANCE * radius):
             break
     return np.asarray(a)
 
@@ -125,9 +125,9 @@ def _small_half_length(force: Array, modulus: Array, radius: float, length: floa
 
 def _nearer_half_length(a: Array, force: Array, modulus: Array, radius: float, length: float, thickness: float) -> Array:
     """Half length [m] after a step of Newton's method."""
-    carried = np.maximum(contact_force(a, modulus, radius, length, thickness), 1e-300)
+    force_at_a = np.maximum(contact_force(a, modulus, radius, length, thickness), 1e-300)
     slope = modulus * length / thickness * 2.0 * a * a / np.sqrt(radius**2 - a * a)
-    root = np.cbrt(carried)
+    root = np.cbrt(force_at_a)
     with np.errstate(invalid="ignore"):
         step = np.where(a > 0, (np.cbrt(force) - root) * 3.0 * root * root / np.maximum(slope, 1e-300), 0.0)
     return np.clip(a + step, 0.0, LARGEST_HALF_LENGTH * radius)
@@ -154,7 +154,7 @@ def solve_contact(
     a = _small_half_length(force, modulus, radius, length, thickness)
     for _ in range(MODULUS_PASSES):
         modulus = modulus_at(speed / np.maximum(2.0 * a, 1e-12))
-        before, a = a, _nearer_half_length(a, force, modulus, radius, length, thickness)
-        if np.all(np.abs(a - before) <= MODULUS_TOLERANCE * a):
+        last_a, a = a, _nearer_half_length(a, force, modulus, radius, length, thickness)
+        if np.all(np.abs(a - last_a) <= MODULUS_TOLERANCE * a):
             break
     return a, speed / np.maximum(2.0 * a, 1e-12), modulus

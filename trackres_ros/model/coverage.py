@@ -47,11 +47,11 @@ class Coverage:
         """Belt temperature [degC] below which the data do not reach at a speed [m/s]."""
         low, high = COLDEST_DEGC, self.hottest
         for _ in range(PASSES):
-            middle = 0.5 * (low + high)
-            if float(rubber.log_shift(middle)) + np.log10(speed) > self.log_reduced_speed:
-                low = middle
+            centre = 0.5 * (low + high)
+            if float(rubber.log_shift(centre)) + np.log10(speed) > self.log_reduced_speed:
+                low = centre
             else:
-                high = middle
+                high = centre
         return high
 
 
@@ -95,19 +95,19 @@ def beyond_data(vehicle: AnyVehicle, speed: ArrayLike, belt_degc: Mapping[str, A
     rubber, remarks = RubberModel(vehicle.rubber), []
     for name in vehicle.tracks:
         belts = np.stack([np.atleast_1d(belt_degc[a.name]) for a in vehicle.assemblies if a.track == name])
-        covered, speeds = coverage(vehicle, name), np.broadcast_to(size, belts.shape)
-        hot = belts > covered.hottest
-        cold = np.asarray(rubber.log_shift(belts)) + np.log10(speeds) > covered.log_reduced_speed
-        for outside, side in ((hot, "above"), (cold & ~hot, "below")):
-            if not outside.any():
+        limits, speeds = coverage(vehicle, name), np.broadcast_to(size, belts.shape)
+        is_hot = belts > limits.hottest
+        is_cold = np.asarray(rubber.log_shift(belts)) + np.log10(speeds) > limits.log_reduced_speed
+        for mask, side in ((is_hot, "above"), (is_cold & ~is_hot, "below")):
+            if not mask.any():
                 continue
-            at = np.unravel_index(np.argmax(np.where(outside, belts if side == "above" else -belts, -np.inf)), belts.shape)
-            end = covered.hottest if side == "above" else covered.coldest(rubber, float(speeds[at]))
-            often = f" ({side} that: {np.any(outside, axis=0).mean():.0%} of the samples)" if belts.shape[1] > 1 else ""
-            what = "rubber lives up to" if end == LIVES_DEGC else "the rubber data end at"
-            where = f"{belts[at]:.0f} degC at {speeds[at] * KMH_PER_MPS:.0f} km/h"
+            index = np.unravel_index(np.argmax(np.where(mask, belts if side == "above" else -belts, -np.inf)), belts.shape)
+            end = limits.hottest if side == "above" else limits.coldest(rubber, float(speeds[index]))
+            often = f" ({side} that: {np.any(mask, axis=0).mean():.0%} of the samples)" if belts.shape[1] > 1 else ""
+            reason = "rubber lives up to" if end == LIVES_DEGC else "the rubber data end at"
+            point = f"{belts[index]:.0f} degC at {speeds[index] * KMH_PER_MPS:.0f} km/h"
             remarks.append(
-                f"track {name}: a belt is at {where}, but {what} {end:.0f} degC{often}. The torque is extrapolated, and the "
+                f"track {name}: a belt is at {point}, but {reason} {end:.0f} degC{often}. The torque is extrapolated, and the "
                 "status shows OUTSIDE_TABLE"
             )
     return remarks
@@ -120,17 +120,17 @@ def beyond_loads(vehicle: AnyVehicle, load_n: Mapping[str, ArrayLike]) -> list[s
     remarks = []
     for name in vehicle.tracks:
         loads = np.stack([np.atleast_1d(load_n[a.name]) for a in vehicle.assemblies if a.track == name])
-        covered = load_range(vehicle, name)
-        for outside, worst, end, side in (
-            (loads < covered.low * (1.0 - ROUNDING), loads.min(), covered.low, "below"),
-            (loads > covered.high * (1.0 + ROUNDING), loads.max(), covered.high, "above"),
+        limits = load_range(vehicle, name)
+        for is_outside, extreme, end, side in (
+            (loads < limits.low * (1.0 - ROUNDING), loads.min(), limits.low, "below"),
+            (loads > limits.high * (1.0 + ROUNDING), loads.max(), limits.high, "above"),
         ):
-            if outside.any():
-                own = ", just above its own weight" if side == "below" else ""
-                carried, last = figures(worst / 1e3, 4), figures(end / 1e3, 4)
+            if is_outside.any():
+                remark = ", just above its own weight" if side == "below" else ""
+                load_text, end_text = figures(extreme / 1e3, 4), figures(end / 1e3, 4)
                 remarks.append(
-                    f"track {name}: an assembly carries {carried} kN, but the table ends at {last} kN{own} "
-                    f"({side} that: {np.any(outside, axis=0).mean():.0%} of the samples). Its loss is that at the end of the "
+                    f"track {name}: an assembly carries {load_text} kN, but the table ends at {end_text} kN{remark} "
+                    f"({side} that: {np.any(is_outside, axis=0).mean():.0%} of the samples). Its loss is that at the end of the "
                     "table, and the status shows OUTSIDE_TABLE"
                 )
     return remarks
@@ -144,9 +144,9 @@ def check_speed(vehicle: AnyVehicle, speed: float) -> None:
     InputError
         Beyond the limit of a live estimate.
     """
-    most = OVERSPEED * vehicle.chassis.max_speed
-    if not abs(speed) <= most:
-        allowed = f"up to {OVERSPEED:g} times the vehicle file's max_speed, {most * KMH_PER_MPS:g} km/h"
+    limit = OVERSPEED * vehicle.chassis.max_speed
+    if not abs(speed) <= limit:
+        allowed = f"up to {OVERSPEED:g} times the vehicle file's max_speed, {limit * KMH_PER_MPS:g} km/h"
         raise InputError("speed", f"{abs(speed) * KMH_PER_MPS:g} km/h", allowed)
 
 
@@ -160,15 +160,17 @@ def balance_degc(vehicle: Vehicle, track_name: str, table: LossTable, speed: flo
     resistance = 1.0 / (network.share_outside(cooling) * cooling)
     load = load_range(vehicle, track_name).nominal
 
-    def warmer(belt_degc: float) -> float:
-        return ambient + resistance * speed * float(table.at(np.log10(speed) + rubber.log_shift(belt_degc), load)) - belt_degc
+    def heat_surplus(belt_degc: float) -> float:
+        return (
+            ambient + resistance * speed * float(table.loss_at(np.log10(speed) + rubber.log_shift(belt_degc), load)) - belt_degc
+        )
 
     low, high = ambient, ambient + 1.0
-    while warmer(high) > 0.0:
+    while heat_surplus(high) > 0.0:
         low, high = high, ambient + 2.0 * (high - ambient)
     for _ in range(PASSES):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if warmer(middle) > 0.0 else (low, middle)
+        centre = 0.5 * (low + high)
+        low, high = (centre, high) if heat_surplus(centre) > 0.0 else (low, centre)
     return high
 
 
@@ -180,13 +182,13 @@ def check_heat(vehicle: Vehicle, track_name: str, table: LossTable) -> float:
     InputError
         If the belt would be destroyed long before, also without a fitted resistance inside it.
     """
-    chassis, plain = vehicle.chassis, replace(vehicle, effects=(), surroundings=())
-    found = balance_degc(vehicle, track_name, table, chassis.max_speed, chassis.ambient)
-    if balance_degc(plain, track_name, table, chassis.max_speed, chassis.ambient) > DESTROYED_DEGC:
+    chassis, bare_vehicle = vehicle.chassis, replace(vehicle, effects=(), surroundings=())
+    balance = balance_degc(vehicle, track_name, table, chassis.max_speed, chassis.ambient)
+    if balance_degc(bare_vehicle, track_name, table, chassis.max_speed, chassis.ambient) > DESTROYED_DEGC:
         raise InputError(
             f"{vehicle.source}: tracks.{track_name}",
-            f"a belt that settles at {found:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h under its nominal load",
+            f"a belt that settles at {balance:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h under its nominal load",
             f"values with which it stays below {DESTROYED_DEGC:g} degC, where rubber decomposes",
             "check the unit of the moduli, belt thickness, film coefficient and max_speed",
         )
-    return found
+    return balance

@@ -39,7 +39,7 @@ class Cycle(NamedTuple):
 
 
 def turning_points(series: Sequence[float]) -> list[int]:
-    """Indices of the reversals of a series, its ends included; of a flat stretch the first sample counts."""
+    """Indices of the reversals of a series, its ends included. A flat stretch is represented by its first sample."""
     points = [0] if len(series) else []
     for i in range(1, len(series)):
         step = series[i] - series[points[-1]]
@@ -66,7 +66,7 @@ def count_cycles(series: Sequence[float]) -> list[Cycle]:
     """
     cycles: list[Cycle] = []
 
-    def add(start: int, end: int, count: float) -> None:
+    def add_cycle(start: int, end: int, count: float) -> None:
         a, b = series[start], series[end]
         cycles.append(Cycle(abs(b - a), (a + b) / 2.0, count, start, end))
 
@@ -74,18 +74,18 @@ def count_cycles(series: Sequence[float]) -> list[Cycle]:
     for point in turning_points(series):
         stack.append(point)
         while len(stack) >= 3:
-            newest = abs(series[stack[-1]] - series[stack[-2]])
+            newest_range = abs(series[stack[-1]] - series[stack[-2]])
             previous = abs(series[stack[-2]] - series[stack[-3]])
-            if newest < previous:
+            if newest_range < previous:
                 break
             if len(stack) == 3:  # the range holds the start of the series: half a cycle
-                add(stack[0], stack[1], 0.5)
+                add_cycle(stack[0], stack[1], 0.5)
                 stack.pop(0)
             else:
-                add(stack[-3], stack[-2], 1.0)
+                add_cycle(stack[-3], stack[-2], 1.0)
                 del stack[-3:-1]
     for start, end in pairwise(stack):
-        add(start, end, 0.5)
+        add_cycle(start, end, 0.5)
     return cycles
 
 
@@ -134,7 +134,7 @@ class LossByTorque:
     bending: Array
     drive: Callable[[ArrayLike], Array]
 
-    def at(self, drive_torque: ArrayLike) -> LossForce:
+    def loss_at(self, drive_torque: ArrayLike) -> LossForce:
         """Loss per metre of travel [N] at a torque [Nm]."""
         drive = self.drive(drive_torque)
         indentation, bending = (np.broadcast_to(part, drive.shape) for part in (self.indentation, self.bending))
@@ -168,8 +168,8 @@ class LossMethod(ABC):
         self.loop: Loop = build_loop(track)
         # road wheels under the same load have the same contact: the first of each kind, and the kind of each wheel
         shares = np.stack([beam_shares(track), beam_shares(track, own_weight=True)]).round(12)
-        first, kind = np.unique(shares, axis=1, return_index=True, return_inverse=True)[1:]
-        self._first, self._kind = first, np.ravel(kind)
+        index, kind = np.unique(shares, axis=1, return_index=True, return_inverse=True)[1:]
+        self._first, self._kind = index, np.ravel(kind)
 
     def contacts(self, speed: ArrayLike, belt_degc: ArrayLike, load: ArrayLike) -> Contact:
         """Contact under each road wheel at speeds [m/s], temperatures [degC] and assembly loads [N], broadcast."""
@@ -204,7 +204,7 @@ class LossMethod(ABC):
             Speed [m/s], belt temperature [degC], load on the assembly with its own weight [N] and torque on its sprocket
             [Nm]; arrays broadcast. The sign of the speed does not matter: reverse mirrors forward.
         """
-        return self.by_torque(speed, belt_degc, load).at(drive_torque)
+        return self.by_torque(speed, belt_degc, load).loss_at(drive_torque)
 
     def by_torque(self, speed: ArrayLike, belt_degc: ArrayLike, load: ArrayLike) -> LossByTorque:
         """Loss as a function of the torque on the sprocket; see `loss_force`."""
@@ -230,16 +230,16 @@ class Spectral(LossMethod):
     def __init__(self, track: Track, rubber: RubberModel, harmonics: int = HARMONICS, nodes: Array | None = None) -> None:
         """`nodes`: numbers of the harmonics that are evaluated, by default all; pulse and modulus at others are interpolated."""
         super().__init__(track, rubber)
-        each = np.arange(1, harmonics + 1, dtype=float)
-        self.harmonics = each if nodes is None else nodes
-        curvature, drive = self.loop.curvature.amplitudes(each), self.loop.drive.amplitudes(each)
-        of_wheels = phases(self.loop.wheel_positions, self.loop.length, each)
+        orders = np.arange(1, harmonics + 1, dtype=float)
+        self.harmonics = orders if nodes is None else nodes
+        curvature, drive = self.loop.curvature.amplitudes(orders), self.loop.drive.amplitudes(orders)
+        of_wheels = phases(self.loop.wheel_positions, self.loop.length, orders)
         pulses = [of_wheels[self._kind == kind].sum(axis=0) for kind in range(len(self._first))]
-        spread = None if nodes is None else cubic_weights(nodes, each)
+        spread = None if nodes is None else cubic_weights(nodes, orders)
 
-        def weights(one: Complex, other: Complex) -> Array:
-            found = np.pi * each * np.real(np.conj(one) * other)
-            return found if spread is None else found @ spread
+        def weights(left_amplitudes: Complex, right_amplitudes: Complex) -> Array:
+            products = np.pi * orders * np.real(np.conj(left_amplitudes) * right_amplitudes)
+            return products if spread is None else products @ spread
 
         self._bending, self._drive = weights(curvature, curvature), weights(drive, drive)
         self._coupling = 2.0 * weights(curvature, drive)
@@ -253,24 +253,28 @@ class Spectral(LossMethod):
         for start in range(0, v.size, at_once):
             block = slice(start, start + at_once)
             parts[:, block] = self._parts(v[block], t[block], half[block])
-        indentation, bending, coupling, alone = parts.reshape(4, *speed.shape)
-        return indentation, bending, lambda strain: strain * (coupling + strain * alone)
+        indentation, bending, coupling, drive_part = parts.reshape(4, *speed.shape)
+        return indentation, bending, lambda strain: strain * (coupling + strain * drive_part)
 
     def _parts(self, speed: Array, belt_degc: Array, half_length: Array) -> tuple[Array, ...]:
         """Indentation and bending [N]; the drive's loss by its strain (coupled to bending) and by its square; shape (points,)."""
         belt, wheels = self.track.belt, self.track.road_wheels
-        states, of = np.unique(speed + 1j * belt_degc, return_inverse=True)  # those of many loads are alike
+        states, index = np.unique(speed + 1j * belt_degc, return_inverse=True)  # those of many loads are alike
         frequency = states.real[:, np.newaxis] * self.harmonics / self.loop.length
-        loss = self.rubber.loss_modulus(frequency, states.imag[:, np.newaxis])[of]
+        loss = self.rubber.loss_modulus(frequency, states.imag[:, np.newaxis])[index]
         pulses = [
             indentation_amplitudes(half, wheels.radius, belt.thickness, self.loop.length, self.harmonics)
             for half in half_length.T
         ]
         section = wheels.contact_length * belt.thickness * self.rubber.rubber.layer_stiffening
         power = [(pulses[i] * pulses[j] * loss) @ weights for i, j, weights in self._pulses]
-        area, first, second = (belt.width * belt_model.bending_moment_of_height(belt, order) for order in range(3))
-        bending, coupling, alone = second * (loss @ self._bending), first * (loss @ self._coupling), area * (loss @ self._drive)
-        return section * np.sum(power, axis=0), bending, coupling, alone
+        area, moment_1, moment_2 = (belt.width * belt_model.bending_moment_of_height(belt, order) for order in range(3))
+        bending, coupling, drive_part = (
+            moment_2 * (loss @ self._bending),
+            moment_1 * (loss @ self._coupling),
+            area * (loss @ self._drive),
+        )
+        return section * np.sum(power, axis=0), bending, coupling, drive_part
 
 
 class RainflowCount(LossMethod):
@@ -302,15 +306,15 @@ class RainflowCount(LossMethod):
             indentation[i] = section * self._lost(self._energy(self.indentation_cycles(half_length[i])), speed[i], belt_degc[i])
         bending = self._lost(self._bending_energy, speed, belt_degc)
 
-        def added(strain: Array) -> Array:
-            strain, v, t, alone = np.broadcast_arrays(strain, speed, belt_degc, bending)
-            both = np.array(alone)
+        def extra_loss(strain: Array) -> Array:
+            strain, v, t, bare_loss = np.broadcast_arrays(strain, speed, belt_degc, bending)
+            loss = np.array(bare_loss)
             for i in np.argwhere(strain):
-                at = tuple(i)
-                both[at] = self._lost(self._along_energy(strain[at]), v[at], t[at])
-            return np.asarray(both - alone)
+                index = tuple(i)
+                loss[index] = self._lost(self._along_energy(strain[index]), v[index], t[index])
+            return np.asarray(loss - bare_loss)
 
-        return indentation, bending, added
+        return indentation, bending, extra_loss
 
     def _along_energy(self, drive_strain: float) -> tuple[Array, Array]:
         """Passages and energies, see `_energy`, of the strain along the belt, integrated over height and width."""
@@ -335,9 +339,9 @@ class RainflowCount(LossMethod):
 
     def indentation_cycles(self, half_lengths: Array) -> list[PassageCycle]:
         """Cycles through the thickness; `half_lengths` [m] is of shape (wheels,)."""
-        middle = self.loop.wheel_positions
-        corners = np.sort(np.concatenate([middle - half_lengths, middle, middle + half_lengths]))
-        depth = contact.indentation(corners[:, np.newaxis] - middle, half_lengths, self.track.road_wheels.radius)
+        centres = self.loop.wheel_positions
+        corners = np.sort(np.concatenate([centres - half_lengths, centres, centres + half_lengths]))
+        depth = contact.indentation(corners[:, np.newaxis] - centres, half_lengths, self.track.road_wheels.radius)
         return self._cycles(corners, depth.sum(axis=1) / self.track.belt.thickness)
 
     def along_cycles(self, height: float, drive_strain: float, steady_strain: float = 0.0) -> list[PassageCycle]:
@@ -354,15 +358,15 @@ class RainflowCount(LossMethod):
         of the two, so neither a steady strain nor the sense of travel matters.
         """
         corners = len(position)
-        near = cycle.range * (1.0 - BACK_AT_BASE)
+        threshold = cycle.range * (1.0 - BACK_AT_BASE)
 
         def distance(extreme: int, step: int) -> float:
-            at = extreme
+            index = extreme
             for _ in range(corners):
-                at = (at + step) % corners
-                if abs(value[at] - value[extreme]) >= near:
+                index = (index + step) % corners
+                if abs(value[index] - value[extreme]) >= threshold:
                     break
-            return float(step * (position[at] - position[extreme]) % self.loop.length)
+            return float(step * (position[index] - position[extreme]) % self.loop.length)
 
         return min(distance(extreme, 1) + distance(extreme, -1) for extreme in (cycle.start, cycle.end))
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from trackres_ros.arrays import Array
 from trackres_ros.files.cache import cached_arrays
 from trackres_ros.kernels.marks import kernel
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
-from trackres_ros.model.rubber import RubberModel, cubic_weights, thinned
+from trackres_ros.model.rubber import RubberModel, cubic_weights, thinned_numbers
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
 from trackres_ros.vehicle import Vehicle
 
@@ -33,6 +34,7 @@ WIDEST = 40.0  # decades of x
 DECADES = 0.5  # the ends are multiples of it
 EXACT_EACH, FINE_EACH = 20, 100  # exact evaluations for a decade, joined by cubics, and nodes, joined by straight lines
 EXACT_LOADS = 12
+QUICK_EACH, QUICK_LOADS, QUICK_HARMONICS_EACH = 5, 4, 16  # of a quick table: it differs by less than 0.1 % (test_compare.py)
 DRIVE_EVERY = 5  # of the exact evaluations along x has the drive's share too
 EVALUATED_DEGC = 20.0  # at any other temperature, the same x has the same loss
 FINE_LOADS = 64
@@ -54,18 +56,18 @@ class LossTable:
     loss: Array  # (x, load)
     drive: Array  # (x, 2): N per Nm of sprocket torque, with its sign and of its size
 
-    def at(self, log_reduced_speed: ArrayLike, load: ArrayLike, drive_torque: ArrayLike = 0.0) -> Array:
+    def loss_at(self, log_reduced_speed: ArrayLike, load: ArrayLike, drive_torque: ArrayLike = 0.0) -> Array:
         """Loss [N] by the same interpolation as the live kernel, any broadcast shape."""
         x, g, m = np.broadcast_arrays(*(np.asarray(a, float) for a in (log_reduced_speed, load, drive_torque)))
-        out = np.empty(x.shape)
+        losses = np.empty(x.shape)
         loss, drive = self.loss[np.newaxis], self.drive[np.newaxis]
         for i in np.ndindex(x.shape):
             value, _ = look_up(
                 loss, 0, self.first_x, self.step_x, self.first_log_load, self.step_log_load, float(x[i]), float(np.log(g[i]))
             )
-            signed, unsigned = look_up_drive(drive, 0, self.first_x, self.step_x, float(x[i]))
-            out[i] = value + m[i] * signed + abs(m[i]) * unsigned
-        return out
+            odd_loss, unsigned = look_up_drive(drive, 0, self.first_x, self.step_x, float(x[i]))
+            losses[i] = value + m[i] * odd_loss + abs(m[i]) * unsigned
+        return losses
 
 
 @kernel
@@ -78,9 +80,9 @@ def look_up(
     w = min(max((log_load - first_log_load) / step_log_load, 0.0), columns - 1.000001)
     i, j = min(int(u), rows - 2), min(int(w), columns - 2)
     u, w = u - i, w - j
-    before = loss[table, i, j] + w * (loss[table, i, j + 1] - loss[table, i, j])
-    after = loss[table, i + 1, j] + w * (loss[table, i + 1, j + 1] - loss[table, i + 1, j])
-    return before + u * (after - before), (after - before) / step_x
+    left = loss[table, i, j] + w * (loss[table, i, j + 1] - loss[table, i, j])
+    right = loss[table, i + 1, j] + w * (loss[table, i + 1, j + 1] - loss[table, i + 1, j])
+    return left + u * (right - left), (right - left) / step_x
 
 
 @kernel
@@ -104,18 +106,31 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
     """
 
     def compute() -> dict[str, Array]:
-        rubber, track = RubberModel(vehicle.rubber), vehicle.tracks[track_name]
-        spectral = vehicle.hysteresis == Spectral.name
-        nodes = thinned(TABLE_HARMONICS, HARMONICS_EACH)
-        method = Spectral(track, rubber, TABLE_HARMONICS, nodes) if spectral else METHODS[vehicle.hysteresis](track, rubber)
-        return build(method, load_range(vehicle, track_name))
+        return build(_method(vehicle, track_name, HARMONICS_EACH), load_range(vehicle, track_name))
 
     low, high = log_speeds(RubberModel(vehicle.rubber))
     nodes = round((high - low) * FINE_EACH) + 1
     shapes = {"axes": (4,), "loss": (nodes, FINE_LOADS), "drive": (nodes, 2)}
-    stored = cached_arrays(f"loss-{fingerprint(vehicle, track_name)}", shapes, compute, cache)
-    first_x, step_x, first_log_load, step_log_load = (float(value) for value in stored["axes"])
-    return LossTable(first_x, step_x, first_log_load, step_log_load, stored["loss"], stored["drive"])
+    arrays = cached_arrays(f"loss-{fingerprint(vehicle, track_name)}", shapes, compute, cache)
+    return _table(arrays)
+
+
+def quick_table(vehicle: Vehicle, track_name: str, _cache: Path | None = None) -> LossTable:
+    """Table of a vehicle that is used only once: with fewer exact evaluations, and not cached."""
+    method = _method(vehicle, track_name, QUICK_HARMONICS_EACH)
+    return _table(build(method, load_range(vehicle, track_name), QUICK_EACH, QUICK_LOADS))
+
+
+def _method(vehicle: Vehicle, track_name: str, harmonics_each: int) -> LossMethod:
+    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
+    if vehicle.hysteresis != Spectral.name:
+        return METHODS[vehicle.hysteresis](track, rubber)
+    return Spectral(track, rubber, TABLE_HARMONICS, thinned_numbers(TABLE_HARMONICS, harmonics_each))
+
+
+def _table(arrays: Mapping[str, Array]) -> LossTable:
+    first_x, step_x, first_log_load, step_log_load = (float(value) for value in arrays["axes"])
+    return LossTable(first_x, step_x, first_log_load, step_log_load, arrays["loss"], arrays["drive"])
 
 
 def log_speeds(rubber: RubberModel) -> tuple[float, float]:
@@ -124,9 +139,9 @@ def log_speeds(rubber: RubberModel) -> tuple[float, float]:
     Slower and hotter, rubber hardly changes with frequency. A rubber whose a_T spans more than `WIDEST` decades has none of its
     cold end in the table, and `coverage` says so.
     """
-    slow, fast = (float(rubber.log_shift(belt)) + math.log10(speed) for belt, speed in (SOFTEST, STIFFEST))
-    low = DECADES * math.floor(slow / DECADES)
-    return low, min(DECADES * math.ceil(fast / DECADES), low + WIDEST)
+    low_log, high_log = (float(rubber.log_shift(belt)) + math.log10(speed) for belt, speed in (SOFTEST, STIFFEST))
+    low = DECADES * math.floor(low_log / DECADES)
+    return low, min(DECADES * math.ceil(high_log / DECADES), low + WIDEST)
 
 
 def fingerprint(vehicle: Vehicle, track_name: str) -> str:
@@ -142,24 +157,25 @@ def fingerprint(vehicle: Vehicle, track_name: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def build(method: LossMethod, loads: LoadRange) -> dict[str, Array]:
+def build(method: LossMethod, loads: LoadRange, exact_each: int = EXACT_EACH, exact_loads: int = EXACT_LOADS) -> dict[str, Array]:
     """Evaluate the exact method on a coarse grid and refine it by cubics in the logarithm: the arrays of a `LossTable`.
 
-    Bending does not depend on the load, and the logarithm of the indentation hardly bends over that of the load.
+    `exact_each`, `exact_loads`: exact evaluations for a decade of x, and over the loads. Bending does not depend on the load, and
+    the logarithm of the indentation hardly bends over that of the load.
     """
     low, high = log_speeds(method.rubber)
-    x, fine_x = (np.linspace(low, high, round((high - low) * each) + 1) for each in (EXACT_EACH, FINE_EACH))
-    log_load, fine_load = (np.linspace(np.log(loads.low), np.log(loads.high), count) for count in (EXACT_LOADS, FINE_LOADS))
+    x, fine_x = (np.linspace(low, high, round((high - low) * density) + 1) for density in (exact_each, FINE_EACH))
+    log_load, fine_load = (np.linspace(np.log(loads.low), np.log(loads.high), count) for count in (exact_loads, FINE_LOADS))
     speed = 10.0 ** (x - method.rubber.log_shift(EVALUATED_DEGC))
-    exact = method.by_torque(speed[:, np.newaxis], EVALUATED_DEGC, np.exp(log_load))
+    exact_loss = method.by_torque(speed[:, np.newaxis], EVALUATED_DEGC, np.exp(log_load))
     over_x, over_load = cubic_weights(x, fine_x), cubic_weights(log_load, fine_load)
-    indentation = np.exp(over_x @ np.log(exact.indentation) @ over_load.T)
-    loss = indentation + np.exp(over_x @ np.log(exact.bending[:, :1]))
+    indentation = np.exp(over_x @ np.log(exact_loss.indentation) @ over_load.T)
+    loss = indentation + np.exp(over_x @ np.log(exact_loss.bending[:, :1]))
     by_torque = method.by_torque(speed[::DRIVE_EVERY], EVALUATED_DEGC, loads.nominal)
     torque = DRIVE_TORQUE_SHARE * loads.nominal * method.track.sprocket_radius
-    forward, backward = by_torque.drive(torque), by_torque.drive(-torque)
-    both = np.stack([forward - backward, forward + backward], axis=1) / (2.0 * torque)
-    drive = cubic_weights(x[::DRIVE_EVERY], fine_x) @ both
+    forward_loss, reverse_loss = by_torque.drive(torque), by_torque.drive(-torque)
+    parts = np.stack([forward_loss - reverse_loss, forward_loss + reverse_loss], axis=1) / (2.0 * torque)
+    drive = cubic_weights(x[::DRIVE_EVERY], fine_x) @ parts
     axes = np.array([fine_x[0], fine_x[1] - fine_x[0], fine_load[0], fine_load[1] - fine_load[0]])
     return {"axes": axes, "loss": loss, "drive": drive}
 
@@ -173,8 +189,8 @@ def interpolation_error(
     belt_degc = random.uniform(*CHECKED_BELT_DEGC, points)
     load = np.exp(random.uniform(np.log(loads.low), np.log(loads.high), points))
     torque = random.uniform(-1.0, 1.0, points) * DRIVE_TORQUE_SHARE * load * model.track.sprocket_radius
-    exact = model.loss.loss_force(speed, belt_degc, load, torque).total
-    return table.at(np.log10(speed) + model.rubber.log_shift(belt_degc), load, torque) / exact - 1.0
+    exact_loss = model.loss.loss_force(speed, belt_degc, load, torque).total
+    return table.loss_at(np.log10(speed) + model.rubber.log_shift(belt_degc), load, torque) / exact_loss - 1.0
 
 
 def drive_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> float:

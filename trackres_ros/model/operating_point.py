@@ -61,8 +61,8 @@ def explain(
     weight = vehicle.weight if weight_n is None else weight_n
     state = vehicle_state(vehicle, speed, [belt_degc] * len(vehicle.assemblies), ambient, weight)
     assemblies = state.assemblies
-    first, model = assemblies[0], assemblies[0].model
-    contacts = model.loss.contacts(speed, belt_degc, first.load)
+    first_assembly, model = assemblies[0], assemblies[0].model
+    contacts = model.loss.contacts(speed, belt_degc, first_assembly.load)
     return {
         "vehicle": vehicle.name,
         "method": vehicle.hysteresis,
@@ -77,16 +77,16 @@ def explain(
             for a, e, f, m in zip(*contacts, strict=True)
         ],
         "tension_n": steady_tension(model, belt_degc, speed),
-        "loss_force_n": first.loss_force,
+        "loss_force_n": first_assembly.loss_force,
         "loss_force_by_assembly_n": [a.loss_force for a in assemblies],
         "torque_nm": state.torque,
         "effects_left_out": state.effects_left_out,
         "remarks": [*beyond_data(vehicle, speed, {a.name: belt_degc for a in vehicle.assemblies}), *state.remarks],
         "heat_w": sum(a.heat for a in assemblies),
         "cooling_w": sum(a.cooling for a in assemblies),
-        "film_coefficient_w_m2k": first.film,
+        "film_coefficient_w_m2k": first_assembly.film,
         "surface_degc": [a.surface_degc for a in assemblies],
-        "rainflow": rainflow_matrix(model, speed, belt_degc, first.load, first.drive_torque),
+        "rainflow": rainflow_matrix(model, speed, belt_degc, first_assembly.load, first_assembly.drive_torque),
     }
 
 
@@ -121,81 +121,82 @@ class VehicleState:
 
 def vehicle_state(
     vehicle: Vehicle, speed: float, belts_degc: Sequence[float], ambient: float, weight: float,
-    loss_factors: Mapping[str, float] | None = None, models: Mapping[str, TrackModel] | None = None,
+    models: Mapping[str, TrackModel] | None = None,
 ) -> VehicleState:  # fmt: skip
     """A vehicle with its effects at a speed [m/s], with the belt temperature of each assembly; see `explain`.
 
-    `loss_factors`: on the loss of kinds of track, by name; `models`: of these kinds, if several states of the vehicle share them.
+    `models`: of the kinds of track, by name, if several states of the vehicle share them.
     """
     nominal = vehicle.nominal_loads()
     loads = weight * nominal / nominal.sum()
     kinds = [(a.track, float(load), degc) for a, load, degc in zip(vehicle.assemblies, loads, belts_degc, strict=True)]
     of_tracks = models or track_models(vehicle)
-    factors = dict.fromkeys(vehicle.tracks, 1.0) | dict(loss_factors or {})
-    usable, left_out = _effects(vehicle)
+    effects_used, left_out = _effects(vehicle)
     belts = np.array(belts_degc)
     mean = float(belts[0] + (belts - belts[0]).mean())
-    at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=mean)
-    terms = _on_belts(usable, at)
+    instant = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=mean)
+    terms = _belt_terms(effects_used, instant)
     for _ in range(DRIVE_PASSES):
-        alike = {
-            (track, load, degc): _assembly_state(
-                vehicle.chassis, at, degc, terms._replace(loss_factor=factors[track] * terms.loss_factor), of_tracks[track], load
-            )
+        by_kind = {
+            (track, load, degc): _assembly_state(vehicle.chassis, instant, degc, terms, of_tracks[track], load)
             for track, load, degc in set(kinds)
         }
-        assemblies = tuple(alike[kind] for kind in kinds)
+        assemblies = tuple(by_kind[kind] for kind in kinds)
         torque = dict.fromkeys((*RESISTANCE_PARTS, "inertia"), 0.0)
-        for one in assemblies:
-            for part, value in one.torque.items():
+        for assembly in assemblies:
+            for part, value in assembly.torque.items():
                 torque[part] += value
-        torque["effects"] = _effects_torque(usable, at, torque["hysteresis"] + torque["bearing"] + torque["wind"])
+        torque["effects"] = _effects_torque(effects_used, instant, torque["hysteresis"] + torque["bearing"] + torque["wind"])
         torque["resistance"] = sum(torque[part] for part in RESISTANCE_PARTS)
-        before, terms = terms, _on_belts(usable, at._replace(drive_torque=torque["resistance"]))
-        if terms == before:
+        last_terms, terms = terms, _belt_terms(effects_used, instant._replace(drive_torque=torque["resistance"]))
+        if terms == last_terms:
             break
     radii = vehicle.sprocket_radii
     arms = loads * radii / (loads @ radii)  # effects act on the whole vehicle, each assembly's part at its own radius
-    shares = [sum(one.torque.values()) + torque["effects"] * arm for one, arm in zip(assemblies, arms, strict=True)]
+    shares = [sum(assembly.torque.values()) + torque["effects"] * arm for assembly, arm in zip(assemblies, arms, strict=True)]
     force = float(resistance.force_along(torque["resistance"], shares, radii))
-    refused, remarks = _doubted(usable, at._replace(drive_torque=torque["resistance"]))
-    return VehicleState(assemblies, mean, torque, force, [*left_out, *refused], remarks)
+    refusals, remarks = _doubtful_effects(effects_used, instant._replace(drive_torque=torque["resistance"]))
+    return VehicleState(assemblies, mean, torque, force, [*left_out, *refusals], remarks)
 
 
-def _on_belts(effects: Sequence[Active], at: Conditions) -> Terms:
+def _belt_terms(effects: Sequence[Active], instant: Conditions) -> Terms:
     """Terms of effects on loss, heat and cooling of the belts."""
-    return _together(effects, at)._replace(torque=0.0, drive_gain=1.0, extrapolated=0.0)
+    return _sum_terms(effects, instant)._replace(torque=0.0, drive_gain=1.0, extrapolated=0.0)
 
 
 def _assembly_state(
-    chassis: Chassis, at: Conditions, belt_degc: float, effects: Terms, model: TrackModel, load: float
+    chassis: Chassis, instant: Conditions, belt_degc: float, effects: Terms, model: TrackModel, load: float
 ) -> AssemblyState:
     """Results of an assembly under a load [N], with the terms of effects."""
-    speed, direction = at.speed, float(resistance.direction(at.speed))
+    speed, direction = instant.speed, float(resistance.direction(instant.speed))
     wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
     loss_factor = float(effects.loss_factor) * math.exp(-effects.softening * (belt_degc - SOFTENING_FROM_DEGC))
     radius, network = model.track.sprocket_radius, model.network
     bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
     by_torque, drive = model.loss.by_torque(speed, belt_degc, load), 0.0
     for _ in range(DRIVE_PASSES):
-        loss = by_torque.at(drive)
+        loss = by_torque.loss_at(drive)
         total = float(loss.total) * loss_factor
-        drive = radius * (total * direction + bearing + wind * load / at.weight)
+        drive = radius * (total * direction + bearing + wind * load / instant.weight)
     slope = network.film_slope * float(effects.film_slope_factor)
     film = float(film_coefficient(speed, network.film_offset * float(effects.film_offset_factor), slope))
     to_air, to_sink = film * network.area, float(effects.conductance)
-    cooling = to_air * (belt_degc - at.ambient) + to_sink * (belt_degc - float(effects.sink))  # with the surface as warm
+    cooling = to_air * (belt_degc - instant.ambient) + to_sink * (belt_degc - float(effects.sink))  # with the surface as warm
     cooling *= network.share_outside(to_air + to_sink)
     node = belt_degc - network.parting * cooling
     # Without the rounding of two inversions in `conductances`
     skin = network.inner_conductance if network.parting == 0.0 else network.conductances[1]
-    surface = float(surface_temperature(node, at.ambient, film, network.area, skin)) if math.isfinite(skin) else node
+    surface = float(surface_temperature(node, instant.ambient, film, network.area, skin)) if math.isfinite(skin) else node
     return AssemblyState(
         model=model,
         load=float(load),
         loss_force={**{part: float(f) * loss_factor for part, f in loss._asdict().items()}, "total": total},
         drive_torque=drive,
-        torque={"hysteresis": radius * total * direction, "bearing": radius * bearing, "wind": radius * wind * load / at.weight},
+        torque={
+            "hysteresis": radius * total * direction,
+            "bearing": radius * bearing,
+            "wind": radius * wind * load / instant.weight,
+        },
         film=film,
         heat=total * abs(speed) + float(effects.heat),
         cooling=cooling,
@@ -211,79 +212,82 @@ def explain_road(
     v, radius = vehicle.values, vehicle.constants.radius
     ambient = v["ambient"] if ambient_degc is None else ambient_degc
     weight = vehicle.weight if weight_n is None else weight_n
-    usable, left_out = _effects(vehicle)
+    effects_used, left_out = _effects(vehicle)
     coefficient = v["rolling_coefficient"] + v["rolling_rise"] * abs(speed)
     torque = {
         "rolling": radius * float(resistance.bearing_force(speed, weight, coefficient)),
         "wind": radius * float(resistance.wind_force(speed, v["drag_area"], v["air_density"])),
     }
-    at = conditions(vehicle.constants, speed, weight=weight, ambient=ambient)
-    torque["effects"] = _effects_torque(usable, at, sum(torque.values()))
-    resisting = sum(torque[part] for part in ON_WHEELS)
-    refused, remarks = _doubted(usable, at._replace(drive_torque=resisting))
+    instant = conditions(vehicle.constants, speed, weight=weight, ambient=ambient)
+    torque["effects"] = _effects_torque(effects_used, instant, sum(torque.values()))
+    wheel_torque = sum(torque[part] for part in ON_WHEELS)
+    refusals, remarks = _doubtful_effects(effects_used, instant._replace(drive_torque=wheel_torque))
     return {
         "vehicle": vehicle.name,
         "method": vehicle.hysteresis,
         "speed_mps": float(speed),
         "ambient_degc": float(ambient),
         "weight_n": float(weight),
-        "torque_nm": {**torque, "inertia": 0.0, "resistance": resisting},
-        "power_w": resisting / radius * speed,
-        "effects_left_out": [*left_out, *refused],
+        "torque_nm": {**torque, "inertia": 0.0, "resistance": wheel_torque},
+        "power_w": wheel_torque / radius * speed,
+        "effects_left_out": [*left_out, *refusals],
         "remarks": remarks,
     }
 
 
 def left_out_at(vehicle: AnyVehicle, speed: float, ambient: float) -> list[str]:
     """Names of the effects that a steady state at a speed [m/s] leaves out, with belts as cold as the air [degC]."""
-    usable, left_out = _effects(vehicle)
-    return [*left_out, *_doubted(usable, conditions(vehicle_constants(vehicle), speed, ambient=ambient, belt=ambient))[0]]
+    effects_used, left_out = _effects(vehicle)
+    return [
+        *left_out,
+        *_doubtful_effects(effects_used, conditions(vehicle_constants(vehicle), speed, ambient=ambient, belt=ambient))[0],
+    ]
 
 
 def _effects(vehicle: AnyVehicle) -> tuple[list[Active], list[str]]:
     """Effects of the vehicle file whose inputs a steady straight drive gives, and the names of the others, with the route."""
-    usable = [active for active in vehicle.active if not set(active.effect.needs) & UNKNOWN]
-    left_out = [active.effect.name for active in vehicle.active if active not in usable]
-    return usable, [*left_out, *(["route"] if vehicle.route else [])]
+    effects_used = [active for active in vehicle.active if not set(active.effect.needs) & UNKNOWN]
+    left_out = [active.effect.name for active in vehicle.active if active not in effects_used]
+    return effects_used, [*left_out, *(["route"] if vehicle.route else [])]
 
 
-def _terms(active: Active, at: Conditions) -> Terms | None:
+def _terms(active: Active, instant: Conditions) -> Terms | None:
     """Terms of an effect in a steady state, with its own state at the target; None where the estimator's step refuses it."""
     try:
-        lag = active.lag(at) or Lag(0.0, 1.0, 0.0)
-        found = active.terms(at, lag.target)
-        usable = max(abs(lag.target), abs(lag.start)) <= MOST_STATE and LEAST_TIME_S <= lag.time_constant < math.inf
-        usable &= all(low <= getattr(found, name) <= high for name, (low, high) in LIMITS.items())
-        usable &= abs(found.torque) <= MOST_TORQUE * at.facts.weight * at.facts.radius
+        lag = active.lag(instant) or Lag(0.0, 1.0, 0.0)
+        terms = active.terms(instant, lag.target)
+        is_usable = max(abs(lag.target), abs(lag.start)) <= MOST_STATE and LEAST_TIME_S <= lag.time_constant < math.inf
+        is_usable &= all(low <= getattr(terms, name) <= high for name, (low, high) in LIMITS.items())
+        is_usable &= abs(terms.torque) <= MOST_TORQUE * instant.facts.weight * instant.facts.radius
     except Exception:  # of any kind, as the code may not be ours
         return None
-    return found if usable else None
+    return terms if is_usable else None
 
 
-def _together(effects: Sequence[Active], at: Conditions) -> Terms:
+def _sum_terms(effects: Sequence[Active], instant: Conditions) -> Terms:
     """Terms of usable effects in a steady state."""
-    return together([terms for active in effects if (terms := _terms(active, at)) is not None])
+    return together([terms for active in effects if (terms := _terms(active, instant)) is not None])
 
 
-def _doubted(effects: Sequence[Active], at: Conditions) -> tuple[list[str], list[str]]:
+def _doubtful_effects(effects: Sequence[Active], instant: Conditions) -> tuple[list[str], list[str]]:
     """Names of the effects with unusable terms, and remarks on learned ones beyond their ranges."""
-    refused, remarks = [], []
+    refusals, remarks = [], []
     for active in effects:
-        terms = _terms(active, at)
+        terms = _terms(active, instant)
         if terms is None:
-            refused.append(active.effect.name)
+            refusals.append(active.effect.name)
         elif terms.extrapolated > 0.0:
             remarks.append(f"{active.effect.name} is outside the range it was fitted on: it keeps its end value")
-    return refused, remarks
+    return refusals, remarks
 
 
-def _effects_torque(effects: Sequence[Active], at: Conditions, others: float) -> float:
+def _effects_torque(effects: Sequence[Active], instant: Conditions, other_torque: float) -> float:
     """Torque of effects added to the other parts [Nm]; some depend on the total drive torque."""
-    added = 0.0
+    extra = 0.0
     for _ in range(DRIVE_PASSES):
-        terms = _together(effects, at._replace(drive_torque=others + added))
-        added = float(terms.torque) + (others + float(terms.torque)) * (float(terms.drive_gain) - 1.0)
-    return added
+        terms = _sum_terms(effects, instant._replace(drive_torque=other_torque + extra))
+        extra = float(terms.torque) + (other_torque + float(terms.torque)) * (float(terms.drive_gain) - 1.0)
+    return extra
 
 
 def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: float, drive_torque: float = 0.0) -> list[list[Any]]:
@@ -292,11 +296,11 @@ def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: flo
     belt = model.track.belt
     half_lengths = counter.contacts(speed, belt_degc, load).half_length
     stiffness = axial_stiffness(belt, model.rubber.dynamic_modulus(abs(speed) / belt.loop_length, belt_degc))
-    steady = steady_tension(model, belt_degc, speed) / float(stiffness)
+    steady_strain = steady_tension(model, belt_degc, speed) / float(stiffness)
     strain = float(counter.drive_strain(speed, belt_degc, drive_torque))
-    along = counter.along_cycles(belt.thickness, strain, steady)
+    cycles_along = counter.along_cycles(belt.thickness, strain, steady_strain)
     return [
         [float(c.cycle.range), float(c.cycle.mean), float(c.cycle.number), component]
-        for component, cycles in (("through", counter.indentation_cycles(np.asarray(half_lengths))), ("along", along))
+        for component, cycles in (("through", counter.indentation_cycles(np.asarray(half_lengths))), ("along", cycles_along))
         for c in cycles
     ]

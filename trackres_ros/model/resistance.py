@@ -47,7 +47,7 @@ def force_along(torque: ArrayLike, of_assemblies: Iterable[ArrayLike], radii: Se
     """
     if len(set(radii)) == 1:
         return np.asarray(torque) / radii[0]
-    return np.asarray(sum(np.asarray(one) / radius for one, radius in zip(of_assemblies, radii, strict=True)))
+    return np.asarray(sum(np.asarray(part) / radius for part, radius in zip(of_assemblies, radii, strict=True)))
 
 
 @kernel

@@ -22,28 +22,28 @@ from trackres_ros.vehicle import Rubber
 STEEPEST_END = 3.0  # of a monotone cubic's slope at its end, over that of the line to the next value
 
 
-def thinned(count: int, each: int) -> Array:
-    """Whole numbers 1 to `count`, of large ones so many that there are `each` for a factor e."""
-    found = [1]
-    while found[-1] < count:
-        found.append(min(count, found[-1] + max(1, found[-1] // each)))
-    return np.array(found, float)
+def thinned_numbers(count: int, density: int) -> Array:
+    """Whole numbers from 1 to `count`; large ones are thinned to `density` numbers per factor e."""
+    numbers = [1]
+    while numbers[-1] < count:
+        numbers.append(min(count, numbers[-1] + max(1, numbers[-1] // density)))
+    return np.array(numbers, float)
 
 
-def cubic_weights(nodes: Array, at: Array) -> Array:
+def cubic_weights(nodes: Array, points: Array) -> Array:
     """Weights of values at rising nodes, four or more, in the values at others, shape (at, nodes).
 
     Each is joined by Lagrange's cubic through the four nodes about it.
     """
-    places = np.clip(np.searchsorted(nodes, at, side="right") - 2, 0, len(nodes) - 4)[:, np.newaxis] + np.arange(4)
+    places = np.clip(np.searchsorted(nodes, points, side="right") - 2, 0, len(nodes) - 4)[:, np.newaxis] + np.arange(4)
     four = nodes[places]
     weights = np.ones(four.shape)
-    for one in range(4):
-        for other in set(range(4)) - {one}:
-            weights[:, one] *= (at - four[:, other]) / (four[:, one] - four[:, other])
-    found = np.zeros((len(at), len(nodes)))
-    np.put_along_axis(found, places, weights, axis=1)
-    return found
+    for i in range(4):
+        for j in set(range(4)) - {i}:
+            weights[:, i] *= (points - four[:, j]) / (four[:, i] - four[:, j])
+    matrix = np.zeros((len(points), len(nodes)))
+    np.put_along_axis(matrix, places, weights, axis=1)
+    return matrix
 
 
 class MonotoneCubic:
@@ -63,26 +63,26 @@ class MonotoneCubic:
     def __init__(self, nodes: Array, values: Array) -> None:
         length = np.diff(nodes)
         line = np.diff(values) / length
-        slope = np.concatenate([[_end(length, line)], _inner(length, line), [_end(length[::-1], line[::-1])]])
+        slope = np.concatenate([[_end(length, line)], _inner_slopes(length, line), [_end(length[::-1], line[::-1])]])
         third = (slope[:-1] + slope[1:] - 2.0 * line) / length
         self._nodes = nodes
         self._coefficients = values[:-1], slope[:-1], (line - slope[:-1]) / length - third, third / length
 
     def __call__(self, at: ArrayLike) -> Array:
         """Values at others, same shape; beyond the ends by the outer cubics."""
-        given = np.asarray(at, float)
-        piece = np.searchsorted(self._nodes[1:-1], given, side="right")
-        along = given - self._nodes[piece]
-        first, second, third, fourth = (coefficient[piece] for coefficient in self._coefficients)
-        return np.asarray(first + along * (second + along * (third + along * fourth)))
+        points = np.asarray(at, float)
+        piece = np.searchsorted(self._nodes[1:-1], points, side="right")
+        offset = points - self._nodes[piece]
+        c_0, c_1, c_2, c_3 = (coefficient[piece] for coefficient in self._coefficients)
+        return np.asarray(c_0 + offset * (c_1 + offset * (c_2 + offset * c_3)))
 
 
-def _inner(length: Array, line: Array) -> Array:
+def _inner_slopes(length: Array, line: Array) -> Array:
     """Slopes in the inner nodes."""
-    weight, other = 2.0 * length[1:] + length[:-1], length[1:] + 2.0 * length[:-1]
+    weight, other_weight = 2.0 * length[1:] + length[:-1], length[1:] + 2.0 * length[:-1]
     turns = line[:-1] * line[1:] <= 0.0
-    before, after = (np.where(turns, 1.0, side) for side in (line[:-1], line[1:]))
-    return np.where(turns, 0.0, (weight + other) / (weight / before + other / after))
+    left_slope, right_slope = (np.where(turns, 1.0, side) for side in (line[:-1], line[1:]))
+    return np.where(turns, 0.0, (weight + other_weight) / (weight / left_slope + other_weight / right_slope))
 
 
 def _end(length: Array, line: Array) -> float:
@@ -107,13 +107,13 @@ def log_shift_factor(belt_degc: float, glass_transition: float, c1: float, c2: f
     -----
     WLF about Tg + 50 K, equation (4). Its pole lies at Tg + 50 - C2; below Tg it continues on its tangent.
     """
-    above = belt_degc - glass_transition
-    if above >= 0.0:
-        span = c2 + above - REFERENCE_ABOVE_TG
-        return -c1 * (above - REFERENCE_ABOVE_TG) / span, -c1 * c2 / (span * span)
+    excess = belt_degc - glass_transition
+    if excess >= 0.0:
+        span = c2 + excess - REFERENCE_ABOVE_TG
+        return -c1 * (excess - REFERENCE_ABOVE_TG) / span, -c1 * c2 / (span * span)
     span = c2 - REFERENCE_ABOVE_TG
     slope = -c1 * c2 / (span * span)
-    return c1 * REFERENCE_ABOVE_TG / span + slope * above, slope
+    return c1 * REFERENCE_ABOVE_TG / span + slope * excess, slope
 
 
 class RubberModel:
@@ -138,11 +138,11 @@ class RubberModel:
     def log_shift(self, belt_degc: ArrayLike) -> Array:
         """log10 a_T at temperatures [degC], same shape."""
         r = self.rubber
-        above = np.asarray(belt_degc, dtype=float) - r.glass_transition
-        span = r.wlf_c2 + np.maximum(above, 0.0) - REFERENCE_ABOVE_TG
-        wlf = -r.wlf_c1 * (np.maximum(above, 0.0) - REFERENCE_ABOVE_TG) / span
+        excess = np.asarray(belt_degc, dtype=float) - r.glass_transition
+        span = r.wlf_c2 + np.maximum(excess, 0.0) - REFERENCE_ABOVE_TG
+        wlf = -r.wlf_c1 * (np.maximum(excess, 0.0) - REFERENCE_ABOVE_TG) / span
         slope = -r.wlf_c1 * r.wlf_c2 / (r.wlf_c2 - REFERENCE_ABOVE_TG) ** 2
-        return np.asarray(wlf + slope * np.minimum(above, 0.0))
+        return np.asarray(wlf + slope * np.minimum(excess, 0.0))
 
     def equivalent_temperature(self, log_reduced_frequency: ArrayLike) -> Array:
         """Temperature [degC] of the sweep's point with a reduced frequency log10(a_T f / Hz)."""
@@ -156,20 +156,20 @@ class RubberModel:
         equivalent = r.glass_transition + np.where(y > y_glass, (y - y_glass) / slope, above_glass)
         return np.asarray(np.clip(equivalent, r.sweep_degc[0], r.sweep_degc[-1]))
 
-    def reduced(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
+    def reduced_frequency(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """log10(a_T f / Hz) at frequencies [Hz] and temperatures [degC], broadcast; frequency 0 is replaced by 1e-30 Hz."""
         return np.asarray(np.log10(np.maximum(frequency, 1e-30)) + self.log_shift(belt_degc))
 
     def storage_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """E' [Pa]."""
-        return np.asarray(np.exp(self._log_storage(self.equivalent_temperature(self.reduced(frequency, belt_degc)))))
+        return np.asarray(np.exp(self._log_storage(self.equivalent_temperature(self.reduced_frequency(frequency, belt_degc)))))
 
     def loss_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """E'' [Pa]."""
-        return np.asarray(np.exp(self._log_loss(self.equivalent_temperature(self.reduced(frequency, belt_degc)))))
+        return np.asarray(np.exp(self._log_loss(self.equivalent_temperature(self.reduced_frequency(frequency, belt_degc)))))
 
     def dynamic_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """abs(E*) [Pa], equation (2), times the stiffening of a confined layer."""
-        equivalent = self.equivalent_temperature(self.reduced(frequency, belt_degc))
+        equivalent = self.equivalent_temperature(self.reduced_frequency(frequency, belt_degc))
         moduli = np.exp(self._log_storage(equivalent)), np.exp(self._log_loss(equivalent))
         return np.asarray(np.hypot(*moduli) * self.rubber.layer_stiffening)

@@ -55,10 +55,10 @@ class ThermalNetwork(NamedTuple):
 
         With one node in the file, the rest of the resistance is between the last node and the skin.
         """
-        between = self.parting
-        left = 1.0 / self.inner_conductance - between
-        inner = 1.0 / between if between > 0.0 else self.inner_conductance
-        return inner, 1.0 / left if left > LEAST_RESISTANCE else math.inf
+        parting = self.parting
+        remainder = 1.0 / self.inner_conductance - parting
+        inner = 1.0 / parting if parting > 0.0 else self.inner_conductance
+        return inner, 1.0 / remainder if remainder > LEAST_RESISTANCE else math.inf
 
     def share_outside(self, cooling: float) -> float:
         """Share of the steady difference between the mean temperature and the surroundings that lies outside of the last node.
@@ -95,11 +95,11 @@ def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> fl
     total = 0.0
     for active in effects:
         try:
-            found = float(terms_by_parameters((active.effect,), (active.numbers,), facts).inner_resistance)
+            resistance = float(terms_by_parameters((active.effect,), (active.numbers,), facts).inner_resistance)
         except Exception:  # of any kind, as the code is not ours
             continue
         low, high = LIMITS["inner_resistance"]
-        total += found if low <= found <= high else 0.0
+        total += resistance if low <= resistance <= high else 0.0
     return total if total > LEAST_RESISTANCE else 0.0
 
 
@@ -136,15 +136,15 @@ def phi_series(z11: float, z12: float, z21: float, z22: float, order: float) -> 
     """The same by its series, for a matrix with no term much above 1."""
     s11, s12, s21, s22 = 1.0, 0.0, 0.0, 1.0
     for n in range(SERIES_TERMS, 0, -1):
-        by = 1.0 / (n + order)
+        factor = 1.0 / (n + order)
         s11, s12, s21, s22 = (
-            1.0 + by * (z11 * s11 + z12 * s21),
-            by * (z11 * s12 + z12 * s22),
-            by * (z21 * s11 + z22 * s21),
-            1.0 + by * (z21 * s12 + z22 * s22),
+            1.0 + factor * (z11 * s11 + z12 * s21),
+            factor * (z11 * s12 + z12 * s22),
+            factor * (z21 * s11 + z22 * s21),
+            1.0 + factor * (z21 * s12 + z22 * s22),
         )
-    whole = 1.0 if order == 1.0 else 0.5
-    return whole * s11, whole * s12, whole * s21, whole * s22
+    scale = 1.0 if order == 1.0 else 0.5
+    return scale * s11, scale * s12, scale * s21, scale * s22
 
 
 @kernel
@@ -157,18 +157,18 @@ def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: float) -> 
     real and distinct. If a steep fall of the loss with temperature makes them complex or equal, the step is short: the series
     is used.
     """
-    middle = 0.5 * (z11 + z22)
+    centre = 0.5 * (z11 + z22)
     half = 0.5 * (z11 - z22)
     squared = half * half + z12 * z21
     size = abs(z11) + abs(z12) + abs(z21) + abs(z22)
-    close, least = SERIES_BELOW * size, 1e-5 * size
+    close, least_spread = SERIES_BELOW * size, 1e-5 * size
     if size < 2.0 and squared <= close * close:
         return phi_series(z11, z12, z21, z22, order)
-    spread = math.sqrt(max(squared, least * least))
-    first, second = middle + spread, middle - spread
+    spread = math.sqrt(max(squared, least_spread * least_spread))
+    root_1, root_2 = centre + spread, centre - spread
     if order == 1.0:
-        at_first, at_second = phi_1(first), phi_1(second)
+        phi_at_1, phi_at_2 = phi_1(root_1), phi_1(root_2)
     else:
-        at_first, at_second = phi_2(first), phi_2(second)
-    slope = (at_first - at_second) / (first - second)
-    return at_first + slope * (z11 - first), slope * z12, slope * z21, at_first + slope * (z22 - first)
+        phi_at_1, phi_at_2 = phi_2(root_1), phi_2(root_2)
+    slope = (phi_at_1 - phi_at_2) / (root_1 - root_2)
+    return phi_at_1 + slope * (z11 - root_1), slope * z12, slope * z21, phi_at_1 + slope * (z22 - root_1)

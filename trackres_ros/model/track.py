@@ -28,7 +28,11 @@ def vehicle_constants(vehicle: AnyVehicle) -> VehicleConstants:
     """The constants of a vehicle; of several kinds of track the means with which sums over the assemblies are right."""
     if isinstance(vehicle, RoadVehicle):
         return vehicle.constants
-    chassis, tracks, radii = vehicle.chassis, [vehicle.track_of(one) for one in vehicle.assemblies], vehicle.sprocket_radii
+    chassis, tracks, radii = (
+        vehicle.chassis,
+        [vehicle.track_of(assembly) for assembly in vehicle.assemblies],
+        vehicle.sprocket_radii,
+    )
     belts = [thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for track in tracks]
     return VehicleConstants(
         radius=vehicle.arm,
@@ -90,11 +94,11 @@ def with_methods(vehicle: AnyVehicle, hysteresis: str | None = None, thermal: st
 
     Raises InputError for an unknown method, and for any of a vehicle without belts.
     """
-    for where, given, key in (("method", hysteresis, "hysteresis"), ("thermal", thermal, "thermal")):
-        if given is not None:
-            checks.one_of(given, where, MODEL_CHOICES[key])
+    for argument, choice, key in (("method", hysteresis, "hysteresis"), ("thermal", thermal, "thermal")):
+        if choice is not None:
+            checks.one_of(choice, argument, MODEL_CHOICES[key])
             if isinstance(vehicle, RoadVehicle):
-                raise InputError(where, given, f"none for {vehicle.name}: the base model road_load has no belts")
+                raise InputError(argument, choice, f"none for {vehicle.name}: the base model road_load has no belts")
     if isinstance(vehicle, RoadVehicle):
         return vehicle
     return replace(vehicle, hysteresis=hysteresis or vehicle.hysteresis, thermal=thermal or vehicle.thermal)
@@ -107,8 +111,8 @@ def load_range(vehicle: Vehicle, track_name: str) -> LoadRange:
         for load, assembly in zip(vehicle.nominal_loads(), vehicle.assemblies, strict=True)
         if assembly.track == track_name
     )
-    own = vehicle.tracks[track_name].own_weight
-    return LoadRange(own + 0.02 * (nominal - own), nominal, 2.5 * nominal)
+    own_weight = vehicle.tracks[track_name].own_weight
+    return LoadRange(own_weight + 0.02 * (nominal - own_weight), nominal, 2.5 * nominal)
 
 
 def steady_tension(model: TrackModel, belt_degc: float, speed: float = SURE_SPEED) -> float:

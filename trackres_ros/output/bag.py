@@ -95,8 +95,8 @@ class OutputBag:
                     self._write_steps(topic, bag_topic, steps)
                 continue
             values = values_of(topic, steps.rows, self._estimator.column_index)
-            finite = np.isfinite(values).all(axis=1)
-            self.writer.write_block(bag_topic, steps.stamp_ns[finite], steps.arrival_ns[finite], values[finite])
+            is_finite = np.isfinite(values).all(axis=1)
+            self.writer.write_block(bag_topic, steps.stamp_ns[is_finite], steps.arrival_ns[is_finite], values[is_finite])
 
     def write_published(self, estimates: Sequence[tuple[Sequence[float], Sequence[tuple[str, int]], int, int]]) -> None:
         """Write estimates as the node published them: numbers and reasons of each, its stamp, and when it left [ns]."""
@@ -110,10 +110,10 @@ class OutputBag:
     def _write_steps(self, topic: OutputTopic, bag_topic: BagTopic, steps: Steps) -> None:
         """Estimates of steps under their own reasons."""
         values = values_of(topic, steps.rows, self._estimator.column_index)
-        finite = np.isfinite(values).all(axis=1)
+        is_finite = np.isfinite(values).all(axis=1)
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
-        for bits in np.unique(reasons[finite]).tolist():
-            rows = finite & (reasons == bits)
+        for bits in np.unique(reasons[is_finite]).tolist():
+            rows = is_finite & (reasons == bits)
             self._write_estimates(topic, bag_topic, reasons_of(bits), steps.stamp_ns[rows], steps.arrival_ns[rows], values[rows])
 
     def _write_estimates(
@@ -135,7 +135,7 @@ class OutputBag:
     def _write_status(self, topic: BagTopic, steps: Steps) -> None:
         reasons = steps.rows[:, at.Results.reasons].astype(np.int64)
         last = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
-        for i in self._due(steps.arrival_ns, reasons != last):
+        for i in self._due_rows(steps.arrival_ns, reasons != last):
             estimate = Estimate(steps.rows[i], self._estimator.column_index)
             level, text = int(estimate.status == "warn"), "; ".join(estimate.reason_texts()) or "ok"
             message = self._diagnostics([(level, "estimate", text, ())])
@@ -152,7 +152,7 @@ class OutputBag:
                 statuses = [(0, name, message, values) for name, message, values in lines(self._learner, steps.rows[i].tolist())]
                 self.writer.write(topic, self._diagnostics(statuses), int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
 
-    def _due(self, arrival_ns: NDArray[np.int64], changes: NDArray[np.bool_]) -> list[int]:
+    def _due_rows(self, arrival_ns: NDArray[np.int64], changes: NDArray[np.bool_]) -> list[int]:
         """Rows at which a status is due: at each change, and once a second."""
         if not len(arrival_ns):
             return []
@@ -204,9 +204,9 @@ def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) ->
     """A message of a topic with all its strings, and zeros for its numbers and its stamp."""
     types, blank = typestore.types, header(typestore, frame_id)
     if topic.kind == "joints":
-        empty = np.zeros(0)
+        no_values = np.zeros(0)
         efforts = np.zeros(len(topic.names))
-        return types[topic.type](header=blank, name=list(topic.names), position=empty, velocity=empty, effort=efforts)
+        return types[topic.type](header=blank, name=list(topic.names), position=no_values, velocity=no_values, effort=efforts)
     if topic.kind == "wrench":
         vector = types["geometry_msgs/msg/Vector3"]
         wrench = types["geometry_msgs/msg/Wrench"](force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))

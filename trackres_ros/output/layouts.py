@@ -95,9 +95,9 @@ def plotjuggler(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
     """A layout file of PlotJuggler 3: a tab for the torque, one for the assemblies."""
     root = ET.Element("root")
     widget = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
-    everything = _plots(vehicle, base)
-    tabs = (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:]))
-    for title, plots in tabs if vehicle.assemblies else (("torque", everything),):
+    all_plots = _plots(vehicle, base)
+    tabs = (("torque and temperature", all_plots[:3]), ("assemblies, measured", all_plots[3:]))
+    for title, plots in tabs if vehicle.assemblies else (("torque", all_plots),):
         tab = ET.SubElement(widget, "Tab", tab_name=title, containers="1")
         share = ";".join(f"{1 / len(plots):.6f}" for _ in plots)
         splitter = ET.SubElement(

@@ -80,18 +80,18 @@ class BagWriter:
         self.path = path
         self.typestore = add_control_msgs(get_typestore(Stores.LATEST))
         self.part = part or path.with_name(f".{path.name}.{os.getpid()}.part")
-        self._stays = part is not None
+        self._is_kept = part is not None
         self._topics: list[BagTopic] = []
-        self._new = b""
+        self._new_records = b""
         self._pending: list[tuple[int, IntArray, NDArray[np.uint8]]] = []
-        self._waiting: set[int] = set()
+        self._open_topics: set[int] = set()
         self._pending_bytes = 0
         self._chunks: list[Chunk] = []
         self._file_end = 0
 
     def __enter__(self) -> Self:
         """Begin a temporary file in the same folder."""
-        self._file = self.part.open("xb" if self._stays else "wb", buffering=0)
+        self._file = self.part.open("xb" if self._is_kept else "wb", buffering=0)
         try:
             self._append(BEGINNING)
         except OSError:
@@ -108,7 +108,7 @@ class BagWriter:
                 schemas, channels = [list(map(make, self._topics)) for make in (self._schema, self._channel)]
                 counts = {topic.number: topic.count for topic in self._topics}
                 self._append(ending(self._file_end, schemas, channels, self._chunks, counts))
-                if self._stays:
+                if self._is_kept:
                     os.fsync(self._file.fileno())
                 self._file.close()
                 put(self.part, self.path)
@@ -120,7 +120,7 @@ class BagWriter:
 
     def _drop(self) -> None:
         self._file.close()
-        if not self._stays:
+        if not self._is_kept:
             self.part.unlink(missing_ok=True)
 
     @property
@@ -143,15 +143,15 @@ class BagWriter:
         if template is not None:
             ready = Template(bytes(self.typestore.serialize_cdr(template, msgtype)), types, msgtype, fields)
         definition, _ = self.typestore.generate_msgdef(msgtype, ros_version=2)
-        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, types, ready, definition))
+        return self._announce(BagTopic(len(self._topics) + 1, name, msgtype, types, ready, definition))
 
     def raw_topic(self, name: str, msgtype: str, definition: str) -> BagTopic:
         """Announce a topic with serialised messages, for `write_raw`, with the definition of its type and all nested ones."""
-        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, {}, None, definition))
+        return self._announce(BagTopic(len(self._topics) + 1, name, msgtype, {}, None, definition))
 
-    def _announced(self, topic: BagTopic) -> BagTopic:
+    def _announce(self, topic: BagTopic) -> BagTopic:
         self._topics.append(topic)
-        self._new += self._schema(topic) + self._channel(topic)
+        self._new_records += self._schema(topic) + self._channel(topic)
         return topic
 
     def template(self, topic: BagTopic, message: object, fields: Sequence[str]) -> Template:
@@ -203,10 +203,10 @@ class BagWriter:
 
     def _hold(self, topic: BagTopic, log_ns: IntArray, rows: NDArray[np.uint8]) -> None:
         """Keep records of a topic until a chunk is full."""
-        if topic.number in self._waiting and self._pending_bytes > CHUNK_BYTES:
+        if topic.number in self._open_topics and self._pending_bytes > CHUNK_BYTES:
             self.flush()
         self._pending.append((topic.number, log_ns, rows))
-        self._waiting.add(topic.number)
+        self._open_topics.add(topic.number)
         self._pending_bytes += rows.size
 
     def flush(self) -> None:
@@ -215,13 +215,13 @@ class BagWriter:
         After an OSError, pending messages are lost, and the file ends with its last complete chunk: writing can continue.
         """
         try:
-            self._append(self._new)
-            self._new = b""
+            self._append(self._new_records)
+            self._new_records = b""
             if self._pending:
                 self._write_pending()
         finally:
             self._pending.clear()
-            self._waiting.clear()
+            self._open_topics.clear()
             self._pending_bytes = 0
 
     def _write_pending(self) -> None:
@@ -242,12 +242,12 @@ class BagWriter:
 
     def _chunk(self, data: bytes, channel: NDArray[np.intp], log_ns: IntArray, offset: IntArray) -> None:
         """Write one chunk and its index of messages, and remember its place."""
-        first, last = int(log_ns[0]), int(log_ns[-1])
-        head = struct.pack("<QQQI", first, last, len(data), zlib.crc32(data))
+        begin_ns, end_ns = int(log_ns[0]), int(log_ns[-1])
+        head = struct.pack("<QQQI", begin_ns, end_ns, len(data), zlib.crc32(data))
         chunk = record(CHUNK, head + text("") + struct.pack("<Q", len(data)) + data)
         indices, offsets = message_indices(channel, log_ns, offset, self._file_end + len(chunk))
         place = self._append(chunk + indices)
-        self._chunks.append(Chunk(first, last, place, len(chunk), offsets, len(indices), "", len(data), len(data)))
+        self._chunks.append(Chunk(begin_ns, end_ns, place, len(chunk), offsets, len(indices), "", len(data), len(data)))
         for number, count in zip(*np.unique(channel, return_counts=True), strict=True):
             self._topics[number - 1].count += int(count)
 
@@ -270,5 +270,5 @@ class BagWriter:
 
     def _channel(self, topic: BagTopic) -> bytes:
         numbers = struct.pack("<HH", topic.number, topic.number)
-        offered = sized(text("offered_qos_profiles") + text(""))
-        return record(CHANNEL, numbers + text(topic.name) + text("cdr") + offered)
+        metadata = sized(text("offered_qos_profiles") + text(""))
+        return record(CHANNEL, numbers + text(topic.name) + text("cdr") + metadata)

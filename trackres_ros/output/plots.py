@@ -32,8 +32,8 @@ from trackres_ros.output.style import (
     VERMILION,
     empty_figure,
     legend_beside,
-    shortened,
-    thinned,
+    shorten,
+    thin_out,
     write_figure,
 )
 from trackres_ros.units import KMH_PER_MPS
@@ -118,31 +118,31 @@ def _draw_estimate(
     step = np.diff(time)
     gaps = np.flatnonzero((step > longest_step(time)) | (step < 0.0)) + 1
     x = TimeAxis(time / 3600.0 if in_hours else time, gaps)
-    upper: FigureBase = figure
-    has_belts, learned = any(name.startswith("belt_degc") for name in columns), _learned(columns)
-    if learned:
+    estimate_figure: FigureBase = figure
+    has_belts, learned_series = any(name.startswith("belt_degc") for name in columns), _learned_series(columns)
+    if learned_series:
         figure.set_size_inches(
             ESTIMATE_INCHES[0], ESTIMATE_INCHES[1] + LEARNED_INCHES + (0.0 if coverage is None else MAP_INCHES)
         )
         if coverage is not None:
             heights = (ESTIMATE_INCHES[1] + LEARNED_INCHES, MAP_INCHES)
-            upper, lower = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
-            _draw_coverage(lower.subplots(), coverage, has_belts)
-    count = 3 + bool(learned)
-    parts = upper.subplots(count, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[:count])
+            estimate_figure, learned_figure = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
+            _draw_coverage(learned_figure.subplots(), coverage, has_belts)
+    count = 3 + bool(learned_series)
+    parts = estimate_figure.subplots(count, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[:count])
     speed, torque, belt = parts[:3]
-    figure.suptitle(shortened(title, TITLE_LETTERS), x=0.01, ha="left", fontsize=11)
+    figure.suptitle(shorten(title, TITLE_LETTERS), x=0.01, ha="left", fontsize=11)
     _line(speed, x, np.asarray(columns["speed_mps"], float) * KMH_PER_MPS, "speed", BLACK)
     speed.set_ylabel("speed [km/h]")
     _draw_torque(torque, x, columns, has_belts)
     _draw_belt(belt, x, columns)
-    if learned:
-        _draw_values(parts[3], x, learned)
+    if learned_series:
+        _draw_values(parts[3], x, learned_series)
     parts[-1].set_xlabel("time [h]" if in_hours else "time [s]")
     for axes in parts:
         axes.margins(x=0.01)
         legend_beside(axes)
-    upper.align_ylabels()
+    estimate_figure.align_ylabels()
 
 
 def _draw_torque(axes: Axes, x: TimeAxis, columns: Mapping[str, Array], has_belts: bool) -> None:
@@ -169,9 +169,9 @@ def _draw_belt(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
         name.partition("/")[2]: np.asarray(values, float) for name, values in columns.items() if name.startswith("belt_degc/")
     }
     if by_assembly:
-        stacked = np.stack(list(by_assembly.values()))
-        mean = stacked.mean(axis=0)
-        if np.nanmax(np.abs(stacked - mean), initial=0.0) < ALIKE_K:
+        belt_rows = np.stack(list(by_assembly.values()))
+        mean = belt_rows.mean(axis=0)
+        if np.nanmax(np.abs(belt_rows - mean), initial=0.0) < ALIKE_K:
             stds = [columns[f"belt_std_k/{name}"] for name in by_assembly if f"belt_std_k/{name}" in columns]
             if stds:
                 _band(axes, x, mean, np.mean(stds, axis=0), BLACK)
@@ -195,7 +195,7 @@ def _draw_belt(axes: Axes, x: TimeAxis, columns: Mapping[str, Array]) -> None:
 
 def _line(axes: Axes, x: TimeAxis, y: ArrayLike, label: str, colour: str, **look: Any) -> None:
     """Draw a line; `look` are keywords of `Axes.plot`."""
-    rows, values = thinned(np.arange(len(x.values)), y)
+    rows, values = thin_out(np.arange(len(x.values)), y)
     axes.plot(*x.with_gaps(rows.astype(int), values), label=label, color=colour, **{"linewidth": 1.5, **look})
 
 
@@ -209,7 +209,7 @@ def _band(axes: Axes, x: TimeAxis, middle: Array, std: Array, colour: str) -> No
     axes.fill_between(times, low, high, color=colour, alpha=0.15, linewidth=0.0, label="± 1 std")
 
 
-def _learned(columns: Mapping[str, Array]) -> list[tuple[Array, Array, str, str]]:
+def _learned_series(columns: Mapping[str, Array]) -> list[tuple[Array, Array, str, str]]:
     """Value, standard deviation, label and colour of each learned value of the vehicle; a unit ends the names of its columns."""
     return [
         (np.asarray(columns[f"learned_{name}{unit}"], float), np.asarray(columns[f"learned_{name}_std{unit}"], float), *look)
@@ -219,13 +219,13 @@ def _learned(columns: Mapping[str, Array]) -> list[tuple[Array, Array, str, str]
     ]
 
 
-def _draw_values(axes: Axes, x: TimeAxis, learned: Sequence[tuple[Array, Array, str, str]]) -> None:
+def _draw_values(axes: Axes, x: TimeAxis, learned_series: Sequence[tuple[Array, Array, str, str]]) -> None:
     """Values relative to the first, with one standard deviation to either side."""
-    for value, std, label, colour in learned:
-        first = value[0] if value[0] else 1.0
+    for value, std, label, colour in learned_series:
+        first_value = value[0] if value[0] else 1.0
         rows = np.arange(len(value))
-        axes.plot(*x.with_gaps(rows, value / first), color=colour, label=label)
-        times, low, high = x.with_gaps(rows, (value - std) / first, (value + std) / first)
+        axes.plot(*x.with_gaps(rows, value / first_value), color=colour, label=label)
+        times, low, high = x.with_gaps(rows, (value - std) / first_value, (value + std) / first_value)
         axes.fill_between(times, low, high, color=colour, alpha=0.12, linewidth=0.0)
     axes.set_ylabel("learned, over the first")
 
@@ -237,11 +237,11 @@ def _draw_coverage(axes: Axes, seconds: Array, has_belts: bool) -> None:
     """
     cells = np.asarray(seconds.sum(axis=2 if has_belts else 1))
     edges, label = (BELT_DEGC, "belt [°C]") if has_belts else (_percent(LOAD_SHARES), "load [% of nominal]")
-    longest = max(float(cells.max()), FILLED_S)
-    axes.imshow(cells, cmap="Blues", vmin=0.0, vmax=longest, aspect="auto", origin="lower")
+    longest_s = max(float(cells.max()), FILLED_S)
+    axes.imshow(cells, cmap="Blues", vmin=0.0, vmax=longest_s, aspect="auto", origin="lower")
     for i, row in enumerate(cells.tolist()):
         for j, count in enumerate(row):
-            colour = "white" if count > LETTERS_FROM * longest else "black"
+            colour = "white" if count > LETTERS_FROM * longest_s else "black"
             axes.text(j, i, f"{count:.0f} s", ha="center", va="center", fontsize=7.0, color=colour)
     axes.set_xticks(range(cells.shape[1]), _interval_labels(edges))
     axes.set_yticks(range(cells.shape[0]), _interval_labels(_percent(SPEED_SHARES)))
@@ -255,5 +255,5 @@ def _percent(shares: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _interval_labels(edges: tuple[float, ...]) -> list[str]:
-    inner = [f"{a:.0f}-{b:.0f}" for a, b in pairwise(edges)]
-    return [f"< {edges[0]:.0f}", *inner, f"> {edges[-1]:.0f}"]
+    labels = [f"{begin:.0f}-{end:.0f}" for begin, end in pairwise(edges)]
+    return [f"< {edges[0]:.0f}", *labels, f"> {edges[-1]:.0f}"]

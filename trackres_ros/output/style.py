@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from trackres_ros.arrays import Array
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.file_sets import file_set
-from trackres_ros.files.interpreter import unread
+from trackres_ros.files.interpreter import leave_unread
 from trackres_ros.files.own_files import write
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
 def empty_figure(width: float, height: float) -> Iterator[Figure]:
     """An empty figure [inches], and the look of the package while it is drawn."""
     try:
-        with unread("matplotlibrc"):
+        with leave_unread("matplotlibrc"):
             import matplotlib  # noqa: F401 - its parts may be there still where it is not
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError:
@@ -170,7 +170,7 @@ def picture_with_legend(path: Path, width: float, height: float, rows: int = 1) 
             )
 
 
-def shortened(text: str, length: int) -> str:
+def shorten(text: str, length: int) -> str:
     """Shorten a text to so many characters, in its middle."""
     if len(text) <= length:
         return text
@@ -178,23 +178,23 @@ def shortened(text: str, length: int) -> str:
     return f"{text[: letters - letters // 2]}...{text[len(text) - letters // 2 :]}"
 
 
-def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array, Array]:
-    """At most `most` points of a line that keep its least and greatest values.
+def thin_out(x: ArrayLike, y: ArrayLike, point_count: int = MOST_POINTS) -> tuple[Array, Array]:
+    """At most `point_count` points of a line that keep its least and greatest values.
 
-    `x`, `y`: the line, each of shape (points,); nan in `y` is a gap; `most`: longest line that stays unchanged. Returns the line
-    itself if it is short enough; else, for each stretch of equal count, the points with the least and the greatest value, in
-    their order. A stretch without values stays a gap.
+    `x`, `y`: the line, each of shape (points,); nan in `y` is a gap; `point_count`: longest line that stays unchanged. Returns
+    the line itself if it is short enough; else, for each stretch of equal count, the points with the least and the greatest
+    value, in their order. A stretch without values stays a gap.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
-    if len(y) <= most:
+    if len(y) <= point_count:
         return x, y
-    count = -(-len(y) // (most // 2))
+    count = -(-len(y) // (point_count // 2))
     stretches = np.pad(y, (0, -len(y) % count), constant_values=np.nan).reshape(-1, count)
-    empty = np.isnan(stretches)
+    is_empty = np.isnan(stretches)
     starts = count * np.arange(len(stretches))
-    least = starts + np.where(empty, np.inf, stretches).argmin(axis=1)
-    greatest = starts + np.where(empty, -np.inf, stretches).argmax(axis=1)
-    rows = np.unique(np.concatenate([least, greatest]))
+    lowest_rows = starts + np.where(is_empty, np.inf, stretches).argmin(axis=1)
+    highest_rows = starts + np.where(is_empty, -np.inf, stretches).argmax(axis=1)
+    rows = np.unique(np.concatenate([lowest_rows, highest_rows]))
     return x[rows], y[rows]
 
 

@@ -94,8 +94,10 @@ class TableWriter:
     def write_columns(self, columns: Sequence[NDArray[Any]]) -> None:
         """Write n rows given as k columns, each of shape (n,): numbers or texts."""
         if self._suffix in BY_COLUMN:
-            single = self._single(columns)
-            self._target.write([c.astype(np.float32) if n in single else c for n, c in zip(self.names, columns, strict=True)])
+            single_names = self._single_precision_names(columns)
+            self._target.write(
+                [c.astype(np.float32) if n in single_names else c for n, c in zip(self.names, columns, strict=True)]
+            )
             return
         for start in range(0, len(columns[0]), CHUNK_ROWS):
             cache: dict[tuple[str, bytes], list[str]] = {}  # belts with the same load have the same values
@@ -108,10 +110,10 @@ class TableWriter:
                 texts.append(cache[key])
             self._target.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
 
-    def _single(self, columns: Sequence[NDArray[Any]]) -> set[str]:
+    def _single_precision_names(self, columns: Sequence[NDArray[Any]]) -> set[str]:
         """Names of the columns that are kept in single precision."""
-        real = {name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"}
-        return real.difference(EXACT) if self._estimates else set()
+        float_names = {name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"}
+        return float_names.difference(EXACT) if self._estimates else set()
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool = False) -> None:
@@ -134,11 +136,11 @@ def _texts(column: NDArray[Any]) -> list[str]:
         return ["" if text == "nan" else text for text in texts] if np.isnan(column).any() else texts
     if column.dtype.kind in "iub":
         return list(map(str, column.astype(np.int64).tolist()))
-    quoted = []
+    cells = []
     for text in map(str, column.tolist()):
-        special = any(mark in text for mark in ',"\r\n')
-        quoted.append('"' + text.replace('"', '""') + '"' if special else text)
-    return quoted
+        has_marks = any(mark in text for mark in ',"\r\n')
+        cells.append('"' + text.replace('"', '""') + '"' if has_marks else text)
+    return cells
 
 
 class ParquetTable(AbstractContextManager["ParquetTable"]):
@@ -182,11 +184,11 @@ class ParquetTable(AbstractContextManager["ParquetTable"]):
         table = pa.table([as_arrow(column[: self._rows]) for column in self._group], names=list(self._names))
         if self._writer is None:
             # Bytes of equal weight are grouped: smooth values differ in the last ones alone.
-            real = [name for name, column in zip(self._names, self._group, strict=True) if column.dtype.kind == "f"]
-            coarse: Any = [name for name in self._names if name not in real]
+            float_names = [name for name, column in zip(self._names, self._group, strict=True) if column.dtype.kind == "f"]
+            dictionary_names: Any = [name for name in self._names if name not in float_names]
             writer = parquet.ParquetWriter(
-                self._file, table.schema, write_page_checksum=True, compression="zstd", use_dictionary=coarse,
-                use_byte_stream_split=real,
+                self._file, table.schema, write_page_checksum=True, compression="zstd", use_dictionary=dictionary_names,
+                use_byte_stream_split=float_names,
             )  # fmt: skip
             self._writer = self._files.enter_context(writer)
         self._writer.write_table(table, GROUP_ROWS)

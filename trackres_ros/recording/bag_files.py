@@ -13,7 +13,7 @@ import sqlite3
 import struct
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -63,18 +63,18 @@ class MessageCounts:
     """The numbers of messages that a bag states."""
 
     by_topic: Counter[str] = field(default_factory=Counter)  # messages by topic
-    unknown: int = 0  # messages of a topic that the bag does not describe
+    unknown_count: int = 0  # messages of a topic that the bag does not describe
     remarks: list[str] = field(default_factory=list)  # faults of the counts themselves
 
     def add(self, names: dict[Any, str], counts: dict[Any, int]) -> None:
         """Add counts by identity of a connection."""
         for number, count in counts.items():
             if number in names:
-                self.by_topic[names[number]] += self.checked(count)
+                self.by_topic[names[number]] += self.check_count(count)
             else:
-                self.unknown += self.checked(count)
+                self.unknown_count += self.check_count(count)
 
-    def checked(self, count: object) -> int:
+    def check_count(self, count: object) -> int:
         """Return a valid count; an invalid one adds a remark."""
         if isinstance(count, int) and 0 <= count <= MOST_MESSAGES:
             return count
@@ -89,22 +89,38 @@ def counts_of(reader: Any, path: Path) -> MessageCounts:
         _count_ros1(reader, path, counts)
     else:
         for storage in storages_of(reader):
-            names = {one.id: one.topic for one in storage.connections}
+            names = {connection.id: connection.topic for connection in storage.connections}
             if getattr(storage, "dbconn", None) is not None:
                 counts.add(names, dict(storage.dbconn.execute(ROWS)))
             else:
                 indexed: Counter[int] = Counter()
                 for chunk in storage.chunks:
                     indexed.update(chunk.channel_count)
-                stated = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
-                counts.add(names, stated | indexed)
+                counts_stated = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
+                counts.add(names, counts_stated | indexed)
                 counts.remarks += _look_at_mcap(storage)
     by_topic: Counter[str] = Counter()
-    for one in reader.connections:
-        by_topic[one.topic] += counts.checked(one.msgcount)
+    for connection in reader.connections:
+        by_topic[connection.topic] += counts.check_count(connection.msgcount)
     counts.by_topic |= by_topic
-    counts.unknown = max(counts.unknown, counts.checked(reader.message_count) - counts.by_topic.total())
+    counts.unknown_count = max(counts.unknown_count, counts.check_count(reader.message_count) - counts.by_topic.total())
     return counts
+
+
+def unlisted_files(reader: Any, path: Path, paths: Collection[Path]) -> Iterator[str]:
+    """Report recordings in the folder of a bag that its metadata.yaml does not list.
+
+    They may be the end of the drive, or a copy of a listed one. So they are named and not read. `paths`: what is read anyway.
+    """
+    listed_names = {PurePath(str(storage.path)).name for storage in storages_of(reader)}
+    listed_names |= {other.name for other in paths if other.parent.resolve() == path.resolve()}
+    for file in sorted(path.iterdir()) if path.is_dir() else ():
+        name = file.name.removesuffix(".zstd")
+        if PurePath(name).suffix in STORAGES and not {name, file.name} & listed_names:
+            yield (
+                f"{file.name} is in the folder, and metadata.yaml does not list it: it is not read; if it is part of the drive, "
+                f"name it after the folder, or run: ros2 bag reindex {shlex.quote(str(path))}"
+            )
 
 
 def storages_of(reader: Any) -> Sequence[Any]:
@@ -121,17 +137,17 @@ def _look_at_mcap(storage: Any) -> Iterator[str]:
         return
     with storage.path.open("rb") as file:
         size = file.seek(0, 2) - len(MAGIC)
-        at, kind, chunks, allowed = len(MAGIC), 0, 0, {HEADER}
-        while at < size and kind != FOOTER:
-            file.seek(at)
-            before, (kind, length) = kind, HEAD.unpack(file.read(HEAD.size).ljust(HEAD.size))
-            if kind not in allowed or (kind == MESSAGE_INDEX and before not in (CHUNK, MESSAGE_INDEX)):
+        offset, kind, chunks, allowed = len(MAGIC), 0, 0, {HEADER}
+        while offset < size and kind != FOOTER:
+            file.seek(offset)
+            previous_kind, (kind, length) = kind, HEAD.unpack(file.read(HEAD.size).ljust(HEAD.size))
+            if kind not in allowed or (kind == MESSAGE_INDEX and previous_kind not in (CHUNK, MESSAGE_INDEX)):
                 break
             allowed = SUMMARY if kind == DATA_END or allowed is SUMMARY else DATA
             chunks += kind == CHUNK
-            at += HEAD.size + length
-        if at != size:
-            yield f"records are not contiguous at byte {at}: later messages may be lost"
+            offset += HEAD.size + length
+        if offset != size:
+            yield f"records are not contiguous at byte {offset}: later messages may be lost"
         elif chunks != len(storage.chunks):
             yield f"the index names {len(storage.chunks)} of {chunks} chunks: messages may be lost"
         file.seek(size - FOOTER_BYTES)
@@ -141,7 +157,7 @@ def _look_at_mcap(storage: Any) -> Iterator[str]:
 
 def _count_ros1(reader: Any, path: Path, counts: MessageCounts) -> None:
     """Add the larger of the counts in the index and in the chunks themselves, connection by connection."""
-    names = {one.id: one.topic for one in reader.connections}
+    names = {connection.id: connection.topic for connection in reader.connections}
     indexed: Counter[int] = Counter()
     for info in reader.chunk_infos:
         indexed.update(info.connection_counts)
@@ -175,12 +191,12 @@ def _length(file: BinaryIO, size: int) -> int:
 
 def _fields(head: bytes) -> dict[bytes, bytes]:
     fields = {}
-    at = 0
-    while at + 4 <= len(head):
-        length = int.from_bytes(head[at : at + 4], "little")
-        name, _, value = head[at + 4 : at + 4 + length].partition(b"=")
+    offset = 0
+    while offset + 4 <= len(head):
+        length = int.from_bytes(head[offset : offset + 4], "little")
+        name, _, value = head[offset + 4 : offset + 4 + length].partition(b"=")
         fields[name] = value
-        at += 4 + length
+        offset += 4 + length
     return fields
 
 
@@ -226,30 +242,33 @@ class RosFile:
         else:
             self.dbconn = sqlite3.connect(f"file:{quote(bytes(self.place.absolute()))}?immutable=1", uri=True)
             names = dict(self.dbconn.execute("SELECT id, name FROM topics"))
-        reader = _opened(self)
+        reader = _open_storage(self)
         numbers = {name: number for number, name in names.items()}
-        with _said():
-            texts = {one.topic_type: one.encoded_message_definition for one in reader.get_all_message_definitions()}
+        with _log_details():
+            texts = {
+                topic_info.topic_type: topic_info.encoded_message_definition
+                for topic_info in reader.get_all_message_definitions()
+            }
             for info in reader.get_metadata().topics_with_message_count:
                 topic = info.topic_metadata
                 number = numbers.get(topic.name, topic.id)
-                one = RosTopic(number, topic.name, topic.type, texts.get(topic.type, ""), info.message_count)
-                self.connections.append(one)
-        self.connections.sort(key=lambda one: one.id)
+                topic_info = RosTopic(number, topic.name, topic.type, texts.get(topic.type, ""), info.message_count)
+                self.connections.append(topic_info)
+        self.connections.sort(key=lambda topic_info: topic_info.id)
 
-    def messages(self, ones: Sequence[RosTopic]) -> Iterator[tuple[RosTopic, int, bytes]]:
+    def messages(self, wanted_topics: Sequence[RosTopic]) -> Iterator[tuple[RosTopic, int, bytes]]:
         """Return topic, log time [ns] and content of the messages of some topics, in the order of log times.
 
         Raises RosError if the file breaks off or is damaged.
         """
         import rosbag2_py
 
-        topics = {one.topic: one for one in ones}
-        reader = _opened(self)
-        with _said():
+        topics = {one.topic: one for one in wanted_topics}
+        reader = _open_storage(self)
+        with _log_details():
             reader.set_filter(rosbag2_py.StorageFilter(topics=sorted(topics)))
         while True:
-            with _said():
+            with _log_details():
                 if not reader.has_next():
                     return
                 name, raw, stamp = reader.read_next()[:3]
@@ -269,7 +288,7 @@ class RosBag:
     """
 
     def __init__(self, path: Path) -> None:
-        _quiet()
+        _silence_log()
         self.connections: list[RosTopic] = []
         self.message_count = 0
         self.compression_mode = ""
@@ -296,38 +315,48 @@ class RosBag:
             raise RosError(f"a file of the suffix {path.suffix or '(none)'}; {' and '.join(STORAGES)} are read")
         self._add(file)
         self.connections = list(file.connections)
-        self.message_count = sum(one.msgcount for one in file.connections)
+        self.message_count = sum(connection.msgcount for connection in file.connections)
 
     def _open_folder(self, path: Path) -> None:
         try:
-            known = yaml.load((path / "metadata.yaml").read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-            known = known["rosbag2_bagfile_information"]
-            if known["version"] > LAST_VERSION:
-                raise RosError(f"metadata.yaml of version {known['version']}; those up to {LAST_VERSION} are read")
-            files = [path / PurePath(name).name for name in known["relative_file_paths"]]
-            kind, mode = known["storage_identifier"], str(known.get("compression_mode") or "").lower()
-            self.message_count = known["message_count"]
-            stated = [(one["topic_metadata"], one["message_count"]) for one in known["topics_with_message_count"]]
-            self.connections = [RosTopic(at + 1, one["name"], one["type"], "", n) for at, (one, n) in enumerate(stated)]
-            strange = {str(one["serialization_format"]) for one, _ in stated} - {"cdr"}
+            information = yaml.load(
+                (path / "metadata.yaml").read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+            )
+            information = information["rosbag2_bagfile_information"]
+            if information["version"] > LAST_VERSION:
+                raise RosError(f"metadata.yaml of version {information['version']}; those up to {LAST_VERSION} are read")
+            files = [path / PurePath(name).name for name in information["relative_file_paths"]]
+            kind, mode = information["storage_identifier"], str(information.get("compression_mode") or "").lower()
+            self.message_count = information["message_count"]
+            topic_counts = [
+                (entry["topic_metadata"], entry["message_count"]) for entry in information["topics_with_message_count"]
+            ]
+            self.connections = [
+                RosTopic(index + 1, entry["name"], entry["type"], "", n) for index, (entry, n) in enumerate(topic_counts)
+            ]
+            foreign_formats = {str(entry["serialization_format"]) for entry, _ in topic_counts} - {"cdr"}
         except FileNotFoundError as error:
             raise RosError(f"no {PurePath(error.filename).name}") from None
         except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
             raise RosError(f"metadata.yaml: {type(error).__name__}: {error}") from error
-        if kind not in STORAGES.values() or strange:
-            raise RosError(f"storage {kind}, messages as {', '.join(strange) or 'cdr'}; mcap and sqlite3 with cdr are read")
-        if lacking := [file.name for file in files if not file.exists()]:
-            raise RosError(f"files are missing: {', '.join(lacking)}")
+        if kind not in STORAGES.values() or foreign_formats:
+            raise RosError(
+                f"storage {kind}, messages as {', '.join(foreign_formats) or 'cdr'}; mcap and sqlite3 with cdr are read"
+            )
+        if absent_files := [file.name for file in files if not file.exists()]:
+            raise RosError(f"files are missing: {', '.join(absent_files)}")
         self.compression_mode = "" if mode == "none" else mode
         if self.compression_mode:
-            if known.get("compression_format") != "zstd":
-                raise RosError(f"compression {known.get('compression_format')}; zstd is read")
+            if information.get("compression_format") != "zstd":
+                raise RosError(f"compression {information.get('compression_format')}; zstd is read")
             zstd()
         for file in files:
-            place = self._unpacked(file) if self.compression_mode == "file" else file
+            place = self._unpack(file) if self.compression_mode == "file" else file
             self._add(RosFile(place, place, kind))
-        texts = {one.msgtype: one.msgdef for file in reversed(self.storage.storages) for one in file.connections if one.msgdef}
-        self.connections = [replace(one, msgdef=texts.get(one.msgtype, "")) for one in self.connections]
+        texts = {
+            entry.msgtype: entry.msgdef for file in reversed(self.storage.storages) for entry in file.connections if entry.msgdef
+        }
+        self.connections = [replace(entry, msgdef=texts.get(entry.msgtype, "")) for entry in self.connections]
 
     def _add(self, file: RosFile) -> None:
         self._stack.callback(file.close)
@@ -337,10 +366,10 @@ class RosBag:
     def _folder(self) -> Path:
         return Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
 
-    def _unpacked(self, file: Path) -> Path:
+    def _unpack(self, file: Path) -> Path:
         place = self._folder() / file.stem
-        with zstd().open(file, "rb") as packed, place.open("wb") as out:
-            shutil.copyfileobj(packed, out)
+        with zstd().open(file, "rb") as packed_file, place.open("wb") as output:
+            shutil.copyfileobj(packed_file, output)
         return place
 
     def close(self) -> None:
@@ -349,7 +378,7 @@ class RosBag:
 
 
 @contextmanager
-def _said() -> Iterator[None]:
+def _log_details() -> Iterator[None]:
     """Name exceptions of rosbag2 as such: they are Python's own, and look like faults of this program."""
     try:
         yield
@@ -359,17 +388,17 @@ def _said() -> Iterator[None]:
         raise RosError(f"rosbag2: {error}") from error
 
 
-def _opened(file: RosFile) -> Any:
+def _open_storage(file: RosFile) -> Any:
     import rosbag2_py
 
     reader = rosbag2_py.SequentialReader()
-    with _said():
+    with _log_details():
         options = rosbag2_py.StorageOptions(uri=str(file.place), storage_id=file.kind)
         reader.open(options, rosbag2_py.ConverterOptions("", ""))
     return reader
 
 
-def _quiet() -> None:
+def _silence_log() -> None:
     """Keep rosbag2 from printing the files it opens."""
     from rclpy.logging import LoggingSeverity, set_logger_level
 
@@ -414,7 +443,7 @@ def open_bag(path: Path) -> Reader:
     bag, or requires more memory or space than available; MissingExtraError if rosbags is not installed, nor another library that
     reads the bag.
     """
-    opened = _opener(path)
+    open_reader = _opener(path)
     check_there(path)
     if path.is_dir():
         _check_folder(path)
@@ -422,8 +451,8 @@ def open_bag(path: Path) -> Reader:
         _check_journal(path)
         check_file(path)
     with reading(path, READABLE, remedy(path)):
-        reader = opened(path)
-        if all(isinstance(text, str) for one in reader.connections for text in (one.topic, one.msgtype)):
+        reader = open_reader(path)
+        if all(isinstance(text, str) for connection in reader.connections for text in (connection.topic, connection.msgtype)):
             return reader
         reader.close()  # a database has any values
         raise InputError(str(path), "a topic without a name or a type", READABLE, remedy(path))
@@ -473,14 +502,14 @@ def _quote_databases() -> None:
 def _check_journal(path: Path) -> None:
     """Refuse a database that its recorder has not closed: the file beside it, which completes it, is not read."""
     place = path.resolve()
-    for beside in (place.with_name(place.name + end) for end in JOURNALS):
-        if not beside.is_file():
+    for journal in (place.with_name(place.name + end) for end in JOURNALS):
+        if not journal.is_file():
             continue
-        with reading(beside, "a readable file"), beside.open("rb") as file:
+        with reading(journal, "a readable file"), journal.open("rb") as file:
             head = file.read(8)
         if any(head):  # a journal without content is empty, or begins with zeros
             remedy = f'stop the recorder, then run: sqlite3 {shlex.quote(str(path))} "pragma journal_mode=delete"'
-            raise InputError(str(path), f"a database with uncompleted changes in {beside.name}", "one that was closed", remedy)
+            raise InputError(str(path), f"a database with uncompleted changes in {journal.name}", "one that was closed", remedy)
 
 
 def _check_profile(path: Path) -> None:
@@ -495,22 +524,25 @@ def _check_profile(path: Path) -> None:
 
 def _check_folder(path: Path) -> None:
     """Refuse a rosbag2 folder with other files than recorders write."""
-    for inside in sorted(path.iterdir()):
-        check_there(inside)
-        _check_journal(inside)
+    for file in sorted(path.iterdir()):
+        check_there(file)
+        _check_journal(file)
 
 
-def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+def messages(reader: Any, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
     """Return the messages of a bag, file after file; those that are packed one by one are unpacked here."""
-    kinds = {(one.topic, one.msgtype) for one in wanted}
-    files = [(file, [one for one in file.connections if (one.topic, one.msgtype) in kinds]) for file in storages_of(reader)]
-    parts: list[tuple[Any, Sequence[Connection]]] = [*files] if files else [(reader, wanted)]
-    found = itertools.chain.from_iterable(part.messages(ones) for part, ones in parts if ones)
-    return _unpacked(found) if getattr(reader, "compression_mode", None) == "message" else found
+    kinds = {(connection.topic, connection.msgtype) for connection in connections}
+    files = [
+        (file, [connection for connection in file.connections if (connection.topic, connection.msgtype) in kinds])
+        for file in storages_of(reader)
+    ]
+    parts: list[tuple[Any, Sequence[Connection]]] = [*files] if files else [(reader, connections)]
+    streams = itertools.chain.from_iterable(part.messages(selection) for part, selection in parts if selection)
+    return _unpack_all(streams) if getattr(reader, "compression_mode", None) == "message" else streams
 
 
-def _unpacked(packed: Iterator[tuple[Connection, int, bytes]]) -> Iterator[tuple[Connection, int, bytes]]:
-    for connection, stamp, raw in packed:
+def _unpack_all(packed_messages: Iterator[tuple[Connection, int, bytes]]) -> Iterator[tuple[Connection, int, bytes]]:
+    for connection, stamp, raw in packed_messages:
         try:
             yield connection, stamp, unpack_zstd(raw)
         except MemoryError:

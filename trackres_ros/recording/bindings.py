@@ -98,6 +98,8 @@ class TopicBinding:
     std_k: Positive = None  # standard deviation of a belt temperature [K], if given
     # its value belongs to that much earlier than its stamp
     delay_s: Annotated[float, Limits("s", 0.0, 10.0, "delay of a torque")] = 0.0
+    at: Literal["sprockets", "motor", ""] = ""  # of a torque: where it acts; empty if not given, then at the sprockets or wheels
+    gear_ratio: float = 1.0  # of a torque at the motor that is converted: of the gears between
     unit: str = ""  # unit of the raw numbers, if given: it is in scale and offset. Without it, the values of a position decide
     converts: bool = False  # whether the line of a topics file gives a unit or a scale: then the unit of the file is not used
     kg_each: Annotated[float | None, Limits("kg", 1.0, 500.0, "mass of one passenger, with luggage")] = None
@@ -123,10 +125,10 @@ class TopicBinding:
         """Whether it names topics; else it names columns."""
         return bool(self.sources[0].topic)
 
-    def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    def directions(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert scaled numbers: of modes to 1 for those in `values`, else 0; of a direction to its way; nan stays."""
         if self.ways is not None:
-            return self.ways.meant(numbers)
+            return self.ways.directions(numbers)
         if not self.values:
             return numbers
         return np.where(np.isnan(numbers), np.nan, np.isin(numbers, self.values).astype(float))
@@ -203,20 +205,21 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
     """
     if not PATH.fullmatch(path):
         raise ValueError(f"no field path: {path!r}")
-    found = STEP.findall(path)
+    matches = STEP.findall(path)
     return tuple(
-        FieldStep(name, int(part)) if part.isdecimal() else FieldStep(name, element=part or None) for name, part in found
+        FieldStep(name, int(part)) if part.isdecimal() else FieldStep(name, element=part or None) for name, part in matches
     )
 
 
 OWN_KEYS = (
     "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s", "unit", "kg_each",
-    "threshold", "decimal", "derivative",
+    "threshold", "decimal", "derivative", "at",
 )  # fmt: skip
 """Keys of a line that are fields of a binding."""
 PARTS_OF_A_LINE = ("channel", "valid", "sum")
 ONLY_FOR = {
     "sensor": ("belt",), "std_k": ("belt",), "delay_s": ("torque",), "kg_each": ("passengers",), "threshold": ("brake",),
+    "at": ("torque",),
     "values": ("enable", "direction"), "derivative": ("speed",),
 }  # fmt: skip
 """Keys that have a meaning for some roles alone."""
@@ -260,19 +263,19 @@ class Topics:
         """The same with other databases, of whatever bus."""
         return replace(self, dbc=tuple((None, file) for file in files))
 
-    def used(self, of_topics: bool) -> Topics:
+    def select(self, of_topics: bool) -> Topics:
         """The same without the roles that a source does not use. `of_topics`: whether it has topics, else columns."""
-        used = {role: binding for role, binding in self.bindings.items() if binding.of_topics == of_topics}
-        return replace(self, bindings=MappingProxyType(used))
+        selection = {role: binding for role, binding in self.bindings.items() if binding.of_topics == of_topics}
+        return replace(self, bindings=MappingProxyType(selection))
 
-    def unused(self, of_topics: bool, lines: Collection[str] = ()) -> Iterator[tuple[str, str, str]]:
+    def unused_lines(self, of_topics: bool, lines: Collection[str] = ()) -> Iterator[tuple[str, str, str]]:
         """Lines that a source does not use: their place, what they name, and what the source has instead.
 
         `of_topics`: whether it has topics, else columns; `lines`: which it uses of `TIME` and `DBC`.
         """
-        other = ("a column of a table", "topics") if of_topics else ("a topic", "columns or channels")
-        for role in self.used(not of_topics):
-            yield f"{self.origin}: {role}", *other
+        remedy_words = ("a column of a table", "topics") if of_topics else ("a topic", "columns or channels")
+        for role in self.select(not of_topics):
+            yield f"{self.origin}: {role}", *remedy_words
         if self.time and TIME not in lines:
             yield f"{self.origin}: {TIME}", f"column {self.time.column}", "times of its own"
         if self.dbc and DBC not in lines:
@@ -280,8 +283,8 @@ class Topics:
 
     def unused_notes(self, of_topics: bool, lines: Collection[str] = ()) -> list[str]:
         """The same as notes: one topics file may serve recordings of several kinds."""
-        found = self.unused(of_topics, lines)
-        return [f"{where}: {given} is not used, as this source has {instead}" for where, given, instead in found]
+        lines_unused = self.unused_lines(of_topics, lines)
+        return [f"{where}: {given} is not used, as this source has {alternative}" for where, given, alternative in lines_unused]
 
     @classmethod
     def load(cls, path_or_name: str | PathLike[str]) -> Topics:
@@ -327,7 +330,7 @@ def _check_role(role: object, origin: str) -> None:
         raise InputError(f"{origin}: role", role, allowed, nearest(str(role).partition("/")[0], ROLES))
     base, slash, part = role.partition("/")
     if slash and not ROLES[base].parts:
-        parts = ", ".join(name for name, about in ROLES.items() if about.parts)
+        parts = ", ".join(name for name, entry in ROLES.items() if entry.parts)
         raise InputError(f"{origin}: role", role, f"a name of an axle, assembly or wheel only for {parts}", f"write {base}")
     if slash and not names_a_part(part):
         raise InputError(f"{origin}: role", role, f"{base}/NAME with the name of an axle, assembly or wheel")
@@ -340,26 +343,28 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         )
     line = _with_column(line, where)
     is_direction = role == "direction"
-    own, special = (OWN_KEYS, ("values", *PARTS_OF_A_LINE)) if is_direction else ((*OWN_KEYS, "values"), PARTS_OF_A_LINE)
-    written: TopicBinding = _reader(where).part(TopicBinding, line, only=own, other_keys=special)
+    own_keys, special_keys = (
+        (OWN_KEYS, ("values", *PARTS_OF_A_LINE)) if is_direction else ((*OWN_KEYS, "values"), PARTS_OF_A_LINE)
+    )
+    base_binding: TopicBinding = _reader(where).part(TopicBinding, line, selection=own_keys, other_keys=special_keys)
     _check_keys(role, line, where)
-    derivative, is_sum = written.derivative, "sum" in line
-    if not is_sum and not written.column:
-        missing = [key for key in ("topic", "type", "field") if key not in line]
-        if missing:
-            raise InputError(where, f"no {missing[0]}", "topic, type and field, or column", f"for example: {EXAMPLE}")
-    default = "deg" if role in POSITION and written.type == IN_DEGREES else ""
-    unit, by_unit = _unit(written.unit or default, inside_unit(role, derivative), where)
-    scale = by_unit.scale * written.scale
+    derivative, is_sum = base_binding.derivative, "sum" in line
+    if not is_sum and not base_binding.column:
+        missing_keys = [key for key in ("topic", "type", "field") if key not in line]
+        if missing_keys:
+            raise InputError(where, f"no {missing_keys[0]}", "topic, type and field, or column", f"for example: {EXAMPLE}")
+    default = "deg" if role in POSITION and base_binding.type == IN_DEGREES else ""
+    unit, by_unit = _unit(base_binding.unit or default, inside_unit(role, derivative), where)
+    scale = by_unit.scale * base_binding.scale
     if scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
     return replace(
-        written,
+        base_binding,
         scale=scale,
-        offset=by_unit.scale * written.offset + by_unit.offset,
+        offset=by_unit.scale * base_binding.offset + by_unit.offset,
         unit=unit,
         converts=_converts(line),
-        ways=_ways(line.get("values"), written, where) if is_direction else None,
+        ways=_ways(line.get("values"), base_binding, where) if is_direction else None,
         valid=_validity(line, where) if "valid" in line else None,
         parts=_parts(role, line["sum"], f"{where}: sum") if is_sum else (),
     )
@@ -372,9 +377,9 @@ def _reader(where: str) -> DataReader:
 def _check_keys(role: str, line: Mapping[object, object], where: str) -> None:
     """Refuse keys that have no meaning for a role or beside the others."""
     for key in map(str, line):
-        meant = ONLY_FOR.get(key)
-        if meant and base_role(role) not in meant:
-            raise InputError(f"{where}: key", key, f"{key} only for {', '.join(meant)}")
+        role_of_key = ONLY_FOR.get(key)
+        if role_of_key and base_role(role) not in role_of_key:
+            raise InputError(f"{where}: key", key, f"{key} only for {', '.join(role_of_key)}")
         if "column" in line and key in ("topic", "type", "field", "stamp", *(() if role == "direction" else ("max_age_s",))):
             raise InputError(f"{where}: key", key, "either column, or topic with type and field")
         if "column" not in line and key in ("decimal", "derivative"):
@@ -403,15 +408,15 @@ def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
 
 def _position(line: object, content: Mapping[object, object], where: str) -> dict[str, TopicBinding]:
     """Latitude and longitude of one message: a NavSatFix by default."""
-    twice = [role for role in POSITION if role in content]
-    if twice:
-        raise InputError(where, f"{BOTH} and {twice[0]}", f"either {BOTH}, or {' and '.join(POSITION)}")
+    repeated_roles = [role for role in POSITION if role in content]
+    if repeated_roles:
+        raise InputError(where, f"{BOTH} and {repeated_roles[0]}", f"either {BOTH}, or {' and '.join(POSITION)}")
     if not isinstance(line, Mapping) or not set(line) <= set(OF_BOTH):
-        other = [key for key in line if key not in OF_BOTH] if isinstance(line, Mapping) else [line]
+        other_keys = [key for key in line if key not in OF_BOTH] if isinstance(line, Mapping) else [line]
         remedy = f"write for example: {BOTH}: {{topic: /fix, type: {IN_DEGREES}}}; of a table: {' and '.join(POSITION)}"
-        raise InputError(where, other[0], f"a mapping with {', '.join(OF_BOTH)}", remedy)
-    within = f"{checks.text(line['field'], f'{where}: field')}." if "field" in line else ""
-    return {role: _binding(role, {"type": IN_DEGREES, **line, "field": within + role}, where) for role in POSITION}
+        raise InputError(where, other_keys[0], f"a mapping with {', '.join(OF_BOTH)}", remedy)
+    prefix = f"{checks.text(line['field'], f'{where}: field')}." if "field" in line else ""
+    return {role: _binding(role, {"type": IN_DEGREES, **line, "field": prefix + role}, where) for role in POSITION}
 
 
 def _time(line: object, where: str) -> TopicBinding:
@@ -421,12 +426,12 @@ def _time(line: object, where: str) -> TopicBinding:
         raise InputError(
             where, line, f"column, and if need be {', '.join(OF_TIME[1:])}", "write for example: time: {column: seconds}"
         )
-    written: TopicBinding = _reader(where).part(TopicBinding, line, only=OF_TIME)
-    by_unit = _unit(written.unit, "s", where)[1].scale
-    scale, offset = by_unit * written.scale, by_unit * written.offset
+    base_binding: TopicBinding = _reader(where).part(TopicBinding, line, selection=OF_TIME)
+    by_unit = _unit(base_binding.unit, "s", where)[1].scale
+    scale, offset = by_unit * base_binding.scale, by_unit * base_binding.offset
     if scale <= 0.0:
         raise InputError(f"{where}: scale", scale, "a positive number: seconds in a unit of the column")
-    return replace(written, scale=scale, offset=offset, unit="", converts=_converts(line))
+    return replace(base_binding, scale=scale, offset=offset, unit="", converts=_converts(line))
 
 
 def _with_column(line: Mapping[object, object], where: str) -> Mapping[object, object]:
@@ -438,13 +443,13 @@ def _with_column(line: Mapping[object, object], where: str) -> Mapping[object, o
     return {"column" if key == "channel" else key: value for key, value in line.items()}
 
 
-def _unit(given: str, inside: str, where: str) -> tuple[str, Conversion]:
+def _unit(given: str, si_unit: str, where: str) -> tuple[str, Conversion]:
     """A unit as named in the table of units, and its conversion to the internal unit; empty without one."""
-    found = conversion(given, inside) if given else Conversion(1.0)
-    if found is None:
-        remedy = f"or give scale and offset: value [{inside}] = scale x raw + offset"
-        raise InputError(f"{where}: unit", given, ", ".join(UNITS[inside]), remedy)
-    return next((name for name, one in UNITS[inside].items() if given and one == found), ""), found
+    factor = conversion(given, si_unit) if given else Conversion(1.0)
+    if factor is None:
+        remedy = f"or give scale and offset: value [{si_unit}] = scale x raw + offset"
+        raise InputError(f"{where}: unit", given, ", ".join(UNITS[si_unit]), remedy)
+    return next((name for name, known_factor in UNITS[si_unit].items() if given and known_factor == factor), ""), factor
 
 
 def _converts(line: Mapping[object, object]) -> bool:
@@ -455,15 +460,15 @@ def _databases(given: object, where: str, folder: Path) -> tuple[tuple[int | Non
     """Files by bus: one, a list of them, or a mapping from the number of a bus."""
     files = given if isinstance(given, list) else [given]
     pairs: Iterable[tuple[Any, Any]] = given.items() if isinstance(given, Mapping) else [(None, file) for file in files]
-    found: list[tuple[int | None, Path]] = []
+    databases: list[tuple[int | None, Path]] = []
     for bus, file in pairs:
-        right = isinstance(file, str | PathLike) and str(file).strip() and (bus is None or type(bus) is int)
-        if not right:
+        is_valid = isinstance(file, str | PathLike) and str(file).strip() and (bus is None or type(bus) is int)
+        if not is_valid:
             raise InputError(where, given, "a file, a list of files, or a mapping from the number of a bus to its file")
-        found.append((bus, folder / Path(file)))
-    if not found:
+        databases.append((bus, folder / Path(file)))
+    if not databases:
         raise InputError(where, given, "at least one file")
-    return tuple(found)
+    return tuple(databases)
 
 
 def _ways(given: Any, binding: TopicBinding, where: str) -> Ways | None:
@@ -478,24 +483,28 @@ def _ways(given: Any, binding: TopicBinding, where: str) -> Ways | None:
     if not isinstance(given, Mapping) or not {"forward", "reverse"} <= set(given) <= set(WAYS):
         allowed = f"a mapping with {', '.join(WAYS)}, the last if need be, or one of {', '.join(STANDARDS)}"
         raise InputError(f"{where}: values", given, allowed, f"for example: {DIRECTION_EXAMPLE}")
-    each = {way: some if isinstance(some, list) else [some] for way, some in given.items()}
-    found = Ways(**{way: _reader(where).read(Numbers, some, f"values: {way}") for way, some in each.items()})
-    every = [*found.forward, *found.reverse, *found.neutral]
-    if len(set(every)) < len(every):
+    numbers_by_way = {way: numbers if isinstance(numbers, list) else [numbers] for way, numbers in given.items()}
+    ways = Ways(**{way: _reader(where).read(Numbers, numbers, f"values: {way}") for way, numbers in numbers_by_way.items()})
+    all_numbers = [*ways.forward, *ways.reverse, *ways.neutral]
+    if len(set(all_numbers)) < len(all_numbers):
         raise InputError(f"{where}: values", given, "each value once")
-    return found
+    return ways
 
 
 def _validity(line: Mapping[object, object], where: str) -> TopicBinding:
     """The source of a validity; its topic and type are by default those of the line."""
     given = line["valid"]
     if not isinstance(given, Mapping) or not set(given) <= set(OF_VALIDITY):
-        other = next((key for key in given if key not in OF_VALIDITY), given) if isinstance(given, Mapping) else given
-        raise InputError(f"{where}: valid", other, f"a mapping with {', '.join(OF_VALIDITY)}", f"for example: {VALID_EXAMPLE}")
-    same = {key: line[key] for key in ("topic", "type") if key in line} if "topic" not in given and "field" in given else {}
-    found = _binding("enable", {**same, **given}, f"{where}: valid")
-    if found.of_topics != ("topic" in line):
+        wrong_key = next((key for key in given if key not in OF_VALIDITY), given) if isinstance(given, Mapping) else given
+        raise InputError(
+            f"{where}: valid", wrong_key, f"a mapping with {', '.join(OF_VALIDITY)}", f"for example: {VALID_EXAMPLE}"
+        )
+    shared_keys = (
+        {key: line[key] for key in ("topic", "type") if key in line} if "topic" not in given and "field" in given else {}
+    )
+    binding = _binding("enable", {**shared_keys, **given}, f"{where}: valid")
+    if binding.of_topics != ("topic" in line):
         raise InputError(
             f"{where}: valid", given, "a channel of a channel, or a field of a topic", f"for example: {VALID_EXAMPLE}"
         )
-    return found
+    return binding

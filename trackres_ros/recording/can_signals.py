@@ -5,10 +5,13 @@
 
 import copy
 import itertools
+import logging
 import re
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import inf, nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +22,7 @@ from trackres_ros.recording.bindings import DBC, Topics
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelFile, ChannelRows, ChosenChannel
 from trackres_ros.recording.reading import check_there, reading
 from trackres_ros.recording.samples import Finding
+from trackres_ros.text import some_of
 
 CONNECTION, PACKET = 0xEC, 0xEB
 """PDU formats of TP.CM, which announces a message, and of TP.DT, which carries it."""
@@ -38,7 +42,7 @@ class Frame(NamedTuple):
 
     stamp_ns: int
     id: int
-    extended: bool
+    is_extended: bool
     bus: int | None
     data: bytes
 
@@ -49,29 +53,29 @@ class _Transfer:
 
     group: int
     content: bytearray
-    missing: set[int]
+    missing_parts: set[int]
     newest_ns: int
 
 
 def is_transport(frame: Frame) -> bool:
     """Whether a frame belongs to the protocol."""
-    return frame.extended and frame.id >> 16 & 0x3FF in (CONNECTION, PACKET)
+    return frame.is_extended and frame.id >> 16 & 0x3FF in (CONNECTION, PACKET)
 
 
-def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
+def with_joined(frames: Iterator[Frame], event_counts: Counter[str]) -> Iterator[Frame]:
     """Yield all frames, and each joined message after its last packet, with the stamp of that packet.
 
     A sender has at most one broadcast in progress, and one transfer to each receiver. Packets may be repeated or reordered, as a
     receiver requests them again; nobody requests those of a broadcast that is complete.
 
-    `frames`: in the order of the log; `met`: counts losses: `incomplete` messages, and `stray` packets of messages that were not
-    announced.
+    `frames`: in the order of the log; `event_counts`: counts losses: `incomplete` messages, and `stray` packets of messages that
+    were not announced.
     """
     transfers: dict[tuple[int | None, int, int], _Transfer] = {}
 
     def end(key: tuple[int | None, int, int]) -> None:
-        ended = transfers.pop(key, None)
-        met["incomplete"] += bool(ended and ended.missing)
+        transfer = transfers.pop(key, None)
+        event_counts["incomplete"] += bool(transfer and transfer.missing_parts)
 
     for frame in frames:
         yield frame
@@ -83,11 +87,11 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
             control = frame.data[0] if frame.data else None
             if control in (REQUEST_TO_SEND, BROADCAST):
                 end(key)
-                announced = _announced(frame)
-                if announced is None:
-                    met["incomplete"] += 1
+                new_transfer = _read_announcement(frame)
+                if new_transfer is None:
+                    event_counts["incomplete"] += 1
                     continue
-                transfers[key] = announced
+                transfers[key] = new_transfer
             elif control == ACKNOWLEDGED:  # by the receiver
                 end((frame.bus, receiver, sender))
             elif control == ABORT:  # by the sender, or by the receiver
@@ -99,8 +103,8 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
             end(key)
             transfer = None
         if transfer is None or not _take(frame, transfer):
-            met["stray"] += 1
-        elif not transfer.missing and transfer.content:
+            event_counts["stray"] += 1
+        elif not transfer.missing_parts and transfer.content:
             yield Frame(frame.stamp_ns, _identifier(frame.id, transfer.group), True, frame.bus, bytes(transfer.content))
             transfer.content.clear()
             if receiver == EVERYONE:
@@ -109,7 +113,7 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
         end(key)
 
 
-def _announced(frame: Frame) -> _Transfer | None:
+def _read_announcement(frame: Frame) -> _Transfer | None:
     """The transfer that TP.CM begins; None if it is inconsistent."""
     size, packets = int.from_bytes(frame.data[1:3], "little"), frame.data[3] if len(frame.data) == 8 else 0
     if not SMALLEST <= size <= LARGEST or packets != -(-size // OF_A_PACKET):
@@ -129,7 +133,7 @@ def _take(frame: Frame, transfer: _Transfer) -> bool:
     if number == 0 or start >= len(transfer.content) or len(packet) < min(OF_A_PACKET, len(transfer.content) - start):
         return False
     transfer.content[start : start + len(packet)] = packet
-    transfer.missing.discard(number)
+    transfer.missing_parts.discard(number)
     return True
 
 
@@ -140,9 +144,17 @@ def _identifier(packet: int, group: int) -> int:
 
 
 NOT_AVAILABLE = re.compile(
-    r"(?<!\bno[ -])\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b(?![ -]free\b)", re.IGNORECASE
+    r"(?<!\bno[ -])(?<!\bkein )\b(sna|snv|n[/.]?a|(not|nicht) ?(available|avail|valid|defined|verf(ü|ue)gbar|definiert)|"
+    r"unavailable|(no|kein) ?(data|value|signal|wert)|invalid|ung(ü|ue)ltig|err(or)?|fehler|fault|fail(ed|ure)|defective|"
+    r"init|undefined|unknown|unbekannt|reserved|missing|out of range|timeout)\b(?![ -]free\b)",
+    re.IGNORECASE,
 )
 """In the name of a value, of a database or of an MDF file: the signal is not available. "No error" is a value."""
+NEW_WORD = re.compile(r"_|(?<=[a-z])(?=[A-Z])")
+"""Where a word of such a name ends."""
+ROUNDED = 1e-6
+"""Share of a limit by which it may be rounded, of a number in floating point; of others it is half of a step."""
+NAMES_SHOWN = 5
 J1939_LAST_VALID = 0xFA
 """SAE J1939-71: a signal of 8 bits or more with a first byte above it is in error, not available, or a special code."""
 J1939_ANY_SOURCE = (0xFE, 0xFF)
@@ -159,9 +171,12 @@ class _Signal:
     name: str
     scale: float
     offset: float
-    missing: frozenset[int]
+    missing_values: frozenset[int]
+    named_values: frozenset[int]  # which its limits do not refuse
     last_valid: float
-    in_every_frame: bool  # not multiplexed
+    limits: tuple[float, float]  # physical, with what they are rounded by
+    outside: int = 0  # values outside of the limits
+    outside_value: float = 0.0  # the first one
 
 
 @dataclass(slots=True)
@@ -173,10 +188,12 @@ class _Message:
     group: str
     pgn: int | None
     file: Path
-    unmultiplexed: Any
-    wanted: list[_Signal] = field(default_factory=list)
+    plain_message: Any
+    wanted_signals: list[_Signal] = field(default_factory=list)
     sender: tuple[int | None, int | None] | None = None  # bus, and control unit of J1939, whose frames are read: the first ones
-    elsewhere: Counter[int | None] = field(default_factory=Counter)  # frames of other buses, by bus
+    other_buses: Counter[int | None] = field(default_factory=Counter)  # frames of other buses, by bus
+    short_frames: int = 0  # frames that end before a signal
+    cut_signals: dict[str, None] = field(default_factory=dict)  # the names of these, in order
 
     @property
     def frames(self) -> tuple[object, ...]:
@@ -209,31 +226,39 @@ class CanSignals(ChannelFile):
             raise InputError(
                 name, "a log of CAN frames without a database", "the database of the bus, such as a .dbc file", remedy
             )
-        self._messages = [one for bus, file in files for one in _messages_of(bus, file)]
-        signals = [(one, signal) for one in self._messages for signal in one.message.signals]
-        self._signals = signals
-        self.channels = [Channel(signal.name, signal.unit or "", one.group, _named(signal)) for one, signal in signals]
+        self._messages = [entry for bus, file in files for entry in _messages_of(bus, file)]
+        _tell_apart(self._messages)
+        signals = [(entry, signal) for entry in self._messages for signal in entry.message.signals]
+        first = {(entry.group, signal.name): (entry, signal) for entry, signal in reversed(signals)}
+        self._signals = [first[key] for key in reversed(first)]  # of one message in two databases the first
+        self.channels = [
+            Channel(signal.name, signal.unit or "", entry.group, _named_values(signal)) for entry, signal in self._signals
+        ]
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose the signals to decode."""
         super().settle(time, channels)
-        for one in self._messages:
-            one.wanted = []
-        for column, chosen in enumerate(channels):
-            message, signal = self._signals[chosen.place]
-            message.wanted.append(_signal(column, signal, message.pgn is not None))
+        for entry in self._messages:
+            entry.wanted_signals = []
+        for column, channel in enumerate(channels):
+            message, signal = self._signals[channel.place]
+            message.wanted_signals.append(_signal(column, signal, message.pgn is not None))
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """All frames in the order of the log."""
         return [self._rows()]
 
     def _rows(self) -> Iterator[ChannelRows]:
-        met: Counter[str] = Counter()
-        for one in self._messages:
-            one.sender = None
-            one.elsewhere.clear()
-        found: dict[tuple[int, bool, int | None], _Message | None] = {}
-        rows = self._values(found, met)
+        event_counts: Counter[str] = Counter()
+        for entry in self._messages:
+            entry.sender = None
+            entry.other_buses.clear()
+            entry.short_frames = 0
+            entry.cut_signals.clear()
+            for signal in entry.wanted_signals:
+                signal.outside = 0
+        message_by_key: dict[tuple[int, bool, int | None], _Message | None] = {}
+        rows = self._values(message_by_key, event_counts)
         while chunk := list(itertools.islice(rows, CHUNK_ROWS)):
             cells = np.full((len(chunk), len(self.wanted)), np.nan)
             for row, (_, values) in enumerate(chunk):
@@ -241,68 +266,65 @@ class CanSignals(ChannelFile):
                     cells[row, column] = value
             stamps = np.array([stamp_ns for stamp_ns, _ in chunk], np.int64)
             yield ChannelRows(stamps, np.ones(len(chunk), np.bool_), cells, ~np.isnan(cells))
-        self.findings = (*_findings_of(met), *_of_buses(self._messages), *_of_rivals(self._messages))
+        roles = [channel.role for channel in self.wanted]
+        of_signals = itertools.chain.from_iterable(_of_signals(entry, roles) for entry in self._messages)
+        self.findings = (*_findings_of(event_counts), *of_signals, *_of_buses(self._messages), *_of_rivals(self._messages))
 
     def _values(
-        self, found: dict[tuple[int, bool, int | None], _Message | None], met: Counter[str]
+        self, message_by_key: dict[tuple[int, bool, int | None], _Message | None], event_counts: Counter[str]
     ) -> Iterator[tuple[int, list[tuple[int, float]]]]:
         """Stamp of each frame that is read, with its columns and values."""
-        frames = self._frames(met)
-        j1939 = any(one.pgn is not None for one in self._messages)
-        for frame in with_joined(frames, met) if j1939 else frames:
-            stamp_ns, number, extended, bus, data = frame
-            key = (number, extended, bus)
-            if key not in found:
-                found[key] = self._message(number, extended, bus)
-            one = found[key]
-            if one is None:
-                met["unknown"] += not (j1939 and is_transport(frame))
+        frames = self._frames(event_counts)
+        j1939 = any(entry.pgn is not None for entry in self._messages)
+        for frame in with_joined(frames, event_counts) if j1939 else frames:
+            stamp_ns, number, is_extended, bus, data = frame
+            key = (number, is_extended, bus)
+            if key not in message_by_key:
+                message_by_key[key] = self._message(number, is_extended, bus)
+            entry = message_by_key[key]
+            if entry is None:
+                event_counts["unknown"] += not (j1939 and is_transport(frame))
                 continue
-            sender = (bus, None if one.pgn is None else number & 0xFF)
-            one.sender = one.sender or sender
-            if not one.wanted:
+            sender = (bus, None if entry.pgn is None else number & 0xFF)
+            entry.sender = entry.sender or sender
+            if not entry.wanted_signals:
                 continue
-            if one.sender[0] != bus:
-                one.elsewhere[bus] += 1
+            if entry.sender[0] != bus:
+                entry.other_buses[bus] += 1
                 continue
-            if one.sender != sender:
-                met["other_source"] += 1
+            if entry.sender != sender:
+                event_counts["other_source"] += 1
                 continue
-            decoded = _raw(one, data, met)
-            if decoded is None:
+            raw_values = _raw(entry, data, event_counts)
+            if raw_values is None:
                 continue
-            values = []
-            for signal in one.wanted:
-                raw = decoded.get(signal.name)
-                if raw is None:
-                    met["malformed"] += signal.in_every_frame
-                elif raw in signal.missing or raw > signal.last_valid or raw != raw:
-                    met["absent"] += 1
-                else:
-                    values.append((signal.column, signal.scale * raw + signal.offset))
+            if len(data) < entry.message.length:
+                _note_short(entry, raw_values)
+            values = list(_values_of(entry, raw_values, event_counts))
             if values:
                 yield stamp_ns, values
 
-    def _message(self, number: int, extended: bool, bus: int | None) -> _Message | None:
+    def _message(self, number: int, is_extended: bool, bus: int | None) -> _Message | None:
         """The message of an identifier: an exact match, else that of its J1939 group."""
-        near = None
-        for one in self._messages:
-            if (one.bus is not None and one.bus != bus) or one.message.is_extended_frame != extended:
+        similar_entry = None
+        for entry in self._messages:
+            if (entry.bus is not None and entry.bus != bus) or entry.message.is_extended_frame != is_extended:
                 continue
-            if one.message.frame_id == number:
-                return one
-            source = one.message.frame_id & 0xFF
-            if one.pgn is not None and one.pgn == _pgn(number) and source in (*J1939_ANY_SOURCE, number & 0xFF):
-                near = near or one
-        return near
+            if entry.message.frame_id == number:
+                return entry
+            source = entry.message.frame_id & 0xFF
+            if entry.pgn is not None and entry.pgn == _pgn(number) and source in (*J1939_ANY_SOURCE, number & 0xFF):
+                similar_entry = similar_entry or entry
+        return similar_entry
 
 
 def _messages_of(bus: int | None, file: Path) -> list[_Message]:
     """The messages that a database describes."""
     from cantools.database import load_file
 
+    logging.getLogger("cantools").setLevel(logging.ERROR)  # messages of one name are told apart
     check_there(file)
-    with reading(file, "a database of a CAN bus, such as a .dbc file"):
+    with reading(file, "a database of a CAN bus, such as a .dbc file"), warnings.catch_warnings(action="ignore"):
         database: Any = load_file(file, strict=False)
         messages = database.messages
         attributes = getattr(database.dbc, "attributes", {}) or {}
@@ -316,23 +338,64 @@ def _messages_of(bus: int | None, file: Path) -> list[_Message]:
                 f"{message.name}{suffix}",
                 _pgn(message.frame_id) if message.is_extended_frame and (all_j1939 or message.protocol == "j1939") else None,
                 file,
-                _unmultiplexed(message),
+                _drop_multiplexing(message),
             )
             for message in messages
         ]
 
 
-def _raw(one: _Message, data: bytes, met: Counter[str]) -> Any:
+def _tell_apart(messages: Sequence[_Message]) -> None:
+    """Give messages of one name and bus their identifiers as names."""
+    identifiers: dict[str, set[str]] = {}
+    for entry in messages:
+        identifiers.setdefault(entry.group, set()).add(_identifier_text(entry.message))
+    for entry in messages:
+        if len(identifiers[entry.group]) > 1:
+            name = entry.message.name
+            entry.group = entry.group.replace(name, f"{name}{_identifier_text(entry.message)}", 1)
+
+
+def _identifier_text(message: Any) -> str:
+    """The identifier of a message in the name of its group, of 29 bits with all digits."""
+    return f"#0x{message.frame_id:0{8 if message.is_extended_frame else 1}X}"
+
+
+def _note_short(entry: _Message, raw_values: Any) -> None:
+    """Count a frame that ends before signals of every frame, and name them."""
+    cut_signals = [
+        signal.name for signal in entry.message.signals if not signal.multiplexer_ids and signal.name not in raw_values
+    ]
+    entry.short_frames += bool(cut_signals)
+    entry.cut_signals.update(dict.fromkeys(cut_signals))
+
+
+def _values_of(entry: _Message, raw_values: Any, event_counts: Counter[str]) -> Iterator[tuple[int, float]]:
+    """Columns and physical values of the signals to read of a frame."""
+    for signal in entry.wanted_signals:
+        raw = raw_values.get(signal.name)
+        if raw is None:
+            continue
+        value = signal.scale * raw + signal.offset
+        if raw in signal.missing_values or raw > signal.last_valid or raw != raw:
+            event_counts["absent"] += 1
+        elif signal.limits[0] <= value <= signal.limits[1] or raw in signal.named_values:
+            yield signal.column, value
+        else:
+            signal.outside_value = signal.outside_value if signal.outside else value
+            signal.outside += 1
+
+
+def _raw(entry: _Message, data: bytes, event_counts: Counter[str]) -> Any:
     """Raw values of a frame by signal, of an unlisted multiplexer value those of the other signals; None if it does not fit."""
-    found = _decoded(one.message, data)
-    if found is None and one.unmultiplexed is not None:
-        found = _decoded(one.unmultiplexed, data)
-        met["unlisted"] += found is not None
-    met["malformed"] += found is None
-    return found
+    raw_values = _decode(entry.message, data)
+    if raw_values is None and entry.plain_message is not None:
+        raw_values = _decode(entry.plain_message, data)
+        event_counts["unlisted"] += raw_values is not None
+    event_counts["malformed"] += raw_values is None
+    return raw_values
 
 
-def _decoded(message: Any, data: bytes) -> Any:
+def _decode(message: Any, data: bytes) -> Any:
     from cantools.database.errors import Error
 
     try:
@@ -341,7 +404,7 @@ def _decoded(message: Any, data: bytes) -> Any:
         return None
 
 
-def _unmultiplexed(message: Any) -> Any:
+def _drop_multiplexing(message: Any) -> Any:
     """The message without its multiplexed signals; None if it has none."""
     from cantools.database import Message
 
@@ -361,27 +424,30 @@ def _pgn(number: int) -> int:
 
 def is_unavailable(name: str) -> bool:
     """Whether the name of a value says that there is none."""
-    return bool(NOT_AVAILABLE.search(name.replace("_", " ")))
+    return bool(NOT_AVAILABLE.search(NEW_WORD.sub(" ", name)))
 
 
-def _named(signal: Any) -> tuple[tuple[float, str], ...]:
+def _named_values(signal: Any) -> tuple[tuple[float, str], ...]:
     """Physical values that the database names, and their names."""
-    named = (signal.choices or {}).items()
-    return tuple((float(signal.scale) * float(raw) + float(signal.offset), str(name)) for raw, name in named)
+    choices = (signal.choices or {}).items()
+    return tuple((float(signal.scale) * float(raw) + float(signal.offset), str(name)) for raw, name in choices)
 
 
 def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
     """How a signal is read."""
-    named = {raw: str(name) for raw, name in (signal.choices or {}).items()}
-    missing = frozenset(raw for raw, name in named.items() if is_unavailable(name))
-    last = float("inf")
+    choices = {raw: str(name) for raw, name in (signal.choices or {}).items()}
+    missing = frozenset(raw for raw, name in choices.items() if is_unavailable(name))
+    low, high = (end if limit is None else float(limit) for limit, end in ((signal.minimum, -inf), (signal.maximum, inf)))
+    step = 0.0 if signal.is_float else 0.5 * abs(float(signal.scale))
+    limits = (low - max(step, ROUNDED * abs(low)), high + max(step, ROUNDED * abs(high))) if low < high else (-inf, inf)
+    last = inf
     if j1939 and not signal.is_signed and not signal.is_float:
         if signal.length >= 8:
             last = ((J1939_LAST_VALID + 1) << (signal.length - 8)) - 1
         elif signal.length > 1:
             last = (1 << signal.length) - 3  # the last two say error and not available
-    ordinary = signal.multiplexer_ids is None
-    return _Signal(column, signal.name, float(signal.scale), float(signal.offset), missing, last, ordinary)
+    named = frozenset(choices) - missing
+    return _Signal(column, signal.name, float(signal.scale), float(signal.offset), missing, named, last, limits)
 
 
 TEXTS = {
@@ -403,33 +469,51 @@ TEXTS = {
 }
 
 
-def _findings_of(met: Counter[str]) -> Iterable[Finding]:
-    for what, (kind, text) in TEXTS.items():
-        if met[what]:
-            yield Finding("", kind, met[what], float("nan"), f"{met[what]} {text}")
+def _findings_of(event_counts: Counter[str]) -> Iterable[Finding]:
+    for event, (kind, text) in TEXTS.items():
+        if event_counts[event]:
+            yield Finding("", kind, event_counts[event], nan, f"{event_counts[event]} {text}")
+
+
+def _of_signals(entry: _Message, roles: Sequence[str]) -> Iterator[Finding]:
+    """Frames that end before a signal, and values outside of its limits."""
+    if entry.short_frames:
+        names = some_of(list(entry.cut_signals), NAMES_SHOWN)
+        text = f"{entry.short_frames} frames of {entry.group} are too short for {names}: only their other signals are read"
+        yield Finding("", "short", entry.short_frames, nan, text)
+    for signal in entry.wanted_signals:
+        if signal.outside:
+            described = entry.message.get_signal_by_name(signal.name)
+            limits = f"[{described.minimum}|{described.maximum}] {described.unit or ''}".rstrip()
+            text = (
+                f"{signal.outside} values of {entry.group}/{signal.name} are outside of its limits {limits}, such as "
+                f"{signal.outside_value:g}: they give no sample. If these are wrong, correct {entry.file.name}; [0|0] is none"
+            )
+            yield Finding(roles[signal.column], "out_of_range", signal.outside, nan, text)
 
 
 def _of_buses(messages: Iterable[_Message]) -> Iterator[Finding]:
     """Frames of a message on other buses than the first that sends it."""
-    for one in messages:
-        if one.elsewhere and one.sender:
-            count, other = one.elsewhere.total(), next(iter(one.elsewhere))
+    for entry in messages:
+        if entry.other_buses and entry.sender:
+            count, bus = entry.other_buses.total(), next(iter(entry.other_buses))
             text = (
-                f"{count} frames of other buses, such as {other}, have the identifier of {one.group}, which bus {one.sender[0]} "
-                f"sends first; they are skipped. To choose the bus, write in the topics file: dbc: {{{other}: {one.file.name}}}"
+                f"{count} frames of other buses, such as {bus}, have the identifier of {entry.group}, which bus "
+                f"{entry.sender[0]} sends first; they are skipped. To choose the bus, write in the topics file: "
+                f"dbc: {{{bus}: {entry.file.name}}}"
             )
-            yield Finding("", "other_bus", count, float("nan"), text)
+            yield Finding("", "other_bus", count, nan, text)
 
 
 def _of_rivals(messages: Sequence[_Message]) -> Iterator[Finding]:
     """Signals of messages whose frames another message takes, as it comes first in the databases."""
-    for place, one in enumerate(messages):
-        if not one.wanted or one.sender:
+    for place, entry in enumerate(messages):
+        if not entry.wanted_signals or entry.sender:
             continue
-        for first in (other for other in messages[:place] if other.sender and other.frames == one.frames):
+        for rival in (message for message in messages[:place] if message.sender and message.frames == entry.frames):
             text = (
-                f"{', '.join(signal.name for signal in one.wanted)} in {one.file.name}: no sample, as frames of {one.group} are "
-                f"read as {first.group} in {first.file.name}, which has the same identifier. If their buses differ, write in "
-                f"the topics file, by their numbers: dbc: {{1: {first.file.name}, 2: {one.file.name}}}"
+                f"{', '.join(signal.name for signal in entry.wanted_signals)} in {entry.file.name}: no sample, as frames of "
+                f"{entry.group} are read as {rival.group} in {rival.file.name}, which has the same identifier. If their buses "
+                f"differ, write in the topics file, by their numbers: dbc: {{1: {rival.file.name}, 2: {entry.file.name}}}"
             )
-            yield Finding("", "empty", len(one.wanted), float("nan"), text)
+            yield Finding("", "empty", len(entry.wanted_signals), nan, text)

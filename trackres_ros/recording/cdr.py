@@ -10,6 +10,7 @@ decoding, message by message.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal, cast
@@ -19,13 +20,23 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import FieldStep, other_names, too_few
-from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, Definitions, check_field, stamp_path
+from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, WIDE, Definitions, check_field, stamp_path
 from trackres_ros.recording.samples import FloatArray, IntArray
 from trackres_ros.units import SECOND_NS
 
 LACKS_SHOWN = 3
 MAX_LAYOUTS = 16
 """Number of layouts of one length tried on all rows; rows that fit none are then decoded one by one."""
+WIDE_BYTES: tuple[int, ...] = (2, 4, 1)
+"""Bytes of a wide text for each unit of its length. Fast DDS counts units of two bytes; before Jazzy they had four, as those of
+Cyclone's layer for ROS have (Fast-CDR 2.0 and 1.1, Cdr::serialize(const wchar_t*); rmw_cyclonedds 3.2, Serialization.cpp).
+Cyclone itself counts bytes, as DDS-XTypes 1.3, 7.4.3.5.3, has it."""
+COMPARED_MESSAGES = 64
+"""Messages from which the bytes of wide texts are found."""
+REPRESENTATIONS = {
+    2: "PL_CDR", 6: "XCDR2 (PLAIN_CDR2)", 8: "XCDR2 (DELIMITED_CDR2)", 10: "XCDR2 (PL_CDR2)",
+}  # fmt: skip
+"""Encapsulations that are not read, by their even number (DDS-XTypes 1.3, 7.6.3.1.2); odd ones are little-endian."""
 
 
 class Encoding(IntEnum):
@@ -45,7 +56,7 @@ class Layout:
 
     length: int  # length of the messages [bytes]
     # offset and content of bytes that must be equal: lengths, ends of strings, names that were looked up
-    fixed: tuple[tuple[int, bytes], ...]
+    constants: tuple[tuple[int, bytes], ...]
     # offset and numpy type of each wanted number; None if the message has no such element
     spots: tuple[tuple[int, str] | None, ...]
     lacks: Mapping[int, str]  # by index of the wanted number: why the message has no such element
@@ -55,26 +66,26 @@ class Layout:
         offset, kind = spot
         return np.ndarray((len(data) // self.length,), kind, data, offset, (self.length,))
 
-    def fits(self, data: bytes, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def match_rows(self, data: bytes, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return which of the messages `rows` of `data` have this layout, shape of `rows`."""
-        same = np.ones(len(rows), np.bool_)
-        for offset, content in self.fixed:
+        matches = np.ones(len(rows), np.bool_)
+        for offset, content in self.constants:
             start = 0
             while start < len(content):
                 size = max(size for size in (1, 2, 4, 8) if size <= len(content) - start)
                 kind = f"<u{size}"
-                same &= self.column(data, (offset + start, kind))[rows] == np.frombuffer(content, kind, 1, start)[0]
+                matches &= self.column(data, (offset + start, kind))[rows] == np.frombuffer(content, kind, 1, start)[0]
                 start += size
-        return same
+        return matches
 
 
 class _Walk:
-    """A walk through one message by the definition of its type."""
+    """A walk through one message by the definition of its type; wide texts have `wide_bytes` for each unit of their length."""
 
-    def __init__(self, raw: bytes, types: Definitions, encoding: Encoding) -> None:
-        self.raw, self.types, self.cdr = raw, types, encoding is Encoding.CDR
+    def __init__(self, raw: bytes, types: Definitions, encoding: Encoding, wide_bytes: int) -> None:
+        self.raw, self.types, self.cdr, self.wide_bytes = raw, types, encoding is Encoding.CDR, wide_bytes
         self.pos = 0
-        self.fixed: list[tuple[int, int]] = []
+        self.constants: list[tuple[int, int]] = []
         self.spots: dict[int, tuple[int, str] | None] = {}
         self.lacks: dict[int, str] = {}
         self.order: Literal["<", ">"] = "<"
@@ -82,7 +93,7 @@ class _Walk:
             start = self.take(4)
             if raw[start : start + 2] not in (b"\0\0", b"\0\1"):
                 raise MalformedError("encapsulation")
-            self.fixed.append((0, 2))
+            self.constants.append((0, 2))
             self.order = "<" if raw[1] else ">"
 
     def take(self, size: int, alignment: int = 1) -> int:
@@ -97,7 +108,7 @@ class _Walk:
 
     def length(self) -> int:
         start = self.take(4, 4)
-        self.fixed.append((start, start + 4))
+        self.constants.append((start, start + 4))
         length = int.from_bytes(self.raw[start : start + 4], "little" if self.order == "<" else "big")
         if length > len(self.raw):
             raise MalformedError("length")
@@ -111,10 +122,20 @@ class _Walk:
             end -= 1
             if end < start or self.raw[end] != 0:
                 raise MalformedError("string")
-            self.fixed.append((end, end + 1))
+            self.constants.append((end, end + 1))
         if keep:
-            self.fixed.append((start, end))
+            self.constants.append((start, end))
         return self.raw[start:end]
+
+    def wide_string(self) -> None:
+        """Step over units of UTF-16; none of them is zero, and one in four bytes has no other than the lower two."""
+        size = self.length() * self.wide_bytes
+        start, unit_bytes = self.take(size), max(self.wide_bytes, 2)
+        if size % unit_bytes:
+            raise MalformedError("wide string")
+        units = np.frombuffer(self.raw, f"{self.order}u{unit_bytes}", size // unit_bytes, start)
+        if not ((units > 0) & (units <= 0xFFFF)).all():
+            raise MalformedError("wide string")
 
     def message(self, msgtype: str, targets: Sequence[tuple[int, Sequence[FieldStep]]]) -> None:
         by_name = [(slot, steps[0]) for slot, steps in targets if steps[0].element is not None]
@@ -126,29 +147,34 @@ class _Walk:
             if field.name == "structure_needs_at_least_one_member":
                 self.take(int(self.cdr))
                 continue
-            count = self.length() if field.many == "sequence" else field.count
-            mine = [(slot, steps) for slot, steps in targets if steps[0].name == field.name]
+            count = self.length() if field.multiplicity == "sequence" else field.count
+            field_targets = [(slot, steps) for slot, steps in targets if steps[0].name == field.name]
             if field.type in NUMBERS:
                 kind = NUMBERS[field.type]
                 start = self.take(count * int(kind[1]), int(kind[1])) if count else self.pos
                 arrays[field.name] = (start, count, kind)
-                for slot, steps in mine:
+                for slot, steps in field_targets:
                     if steps[0].element is None:
                         self._spot(slot, arrays[field.name], steps[0].index or 0)
                         if self.spots[slot] is None:
                             self.lacks[slot] = too_few(field.name, count)
             elif field.type == "string":
                 keep = bool(by_name) and field.name == "name"
-                found = [self.string(keep) for _ in range(count)]
-                names = found if keep else names
+                elements = [self.string(keep) for _ in range(count)]
+                names = elements if keep else names
+            elif field.type == WIDE:
+                for _ in range(count):
+                    self.wide_string()
             elif field.type in self.types:
-                for slot, steps in mine:
+                for slot, steps in field_targets:
                     if (steps[0].index or 0) >= count:
                         self.lacks[slot] = too_few(steps[0].name, count)
                 for index in range(count):
-                    before = self.pos
-                    self.message(field.type, [(slot, steps[1:]) for slot, steps in mine if (steps[0].index or 0) == index])
-                    if self.pos == before:  # elements of zero bytes, in any number
+                    begin = self.pos
+                    self.message(
+                        field.type, [(slot, steps[1:]) for slot, steps in field_targets if (steps[0].index or 0) == index]
+                    )
+                    if self.pos == begin:  # elements of zero bytes, in any number
                         break
             else:
                 raise MalformedError(f"no rule for {field.type}")
@@ -156,8 +182,8 @@ class _Walk:
             element = cast("str", step.element).encode()
             self._spot(slot, arrays[step.name], names.index(element) if element in names else -1)
             if self.spots[slot] is None:
-                few = too_few(step.name, arrays[step.name][1])
-                self.lacks[slot] = few if element in names else other_names([name.decode(errors="replace") for name in names])
+                lack = too_few(step.name, arrays[step.name][1])
+                self.lacks[slot] = lack if element in names else other_names([name.decode(errors="replace") for name in names])
 
     def _spot(self, slot: int, array: tuple[int, int, str], index: int) -> None:
         start, count, kind = array
@@ -165,26 +191,46 @@ class _Walk:
 
 
 def layout_of(
-    raw: bytes, types: Definitions, msgtype: str, paths: Sequence[Sequence[FieldStep]], encoding: Encoding = Encoding.CDR
+    raw: bytes,
+    types: Definitions,
+    msgtype: str,
+    paths: Sequence[Sequence[FieldStep]],
+    encoding: Encoding = Encoding.CDR,
+    wide_bytes: Sequence[int] = WIDE_BYTES,
 ) -> Layout:
     """Decode one message to its end and return the offsets of the wanted numbers.
 
-    Raises MalformedError if the bytes are no message of this type.
+    `wide_bytes`: the sizes of wide texts to try, see `WIDE_BYTES`. Raises MalformedError if the bytes are no message of the type.
     """
-    walk = _Walk(raw, types, encoding)
+    first_size, *other_sizes = wide_bytes
+    try:
+        return _layout(_Walk(raw, types, encoding, first_size), msgtype, paths)
+    except MalformedError:
+        if not (other_sizes and has_wide(types)):
+            raise
+    return layout_of(raw, types, msgtype, paths, encoding, other_sizes)
+
+
+def has_wide(types: Definitions) -> bool:
+    """Whether a message type has a wide text."""
+    return any(field.type == WIDE for fields in types.values() for field in fields)
+
+
+def _layout(walk: _Walk, msgtype: str, paths: Sequence[Sequence[FieldStep]]) -> Layout:
+    raw = walk.raw
     walk.message(msgtype, list(enumerate(paths)))
     padding = 3 if walk.cdr else 0
     if len(raw) > walk.pos + padding:
         raise MalformedError("too long")
-    fixed: list[tuple[int, int]] = []
-    for start, end in sorted(walk.fixed):
-        if fixed and start <= fixed[-1][1]:
-            fixed[-1] = (fixed[-1][0], max(end, fixed[-1][1]))
+    constants: list[tuple[int, int]] = []
+    for start, end in sorted(walk.constants):
+        if constants and start <= constants[-1][1]:
+            constants[-1] = (constants[-1][0], max(end, constants[-1][1]))
         elif end > start:
-            fixed.append((start, end))
+            constants.append((start, end))
     return Layout(
         len(raw),
-        tuple((start, raw[start:end]) for start, end in fixed),
+        tuple((start, raw[start:end]) for start, end in constants),
         tuple(walk.spots.get(slot) for slot in range(len(paths))),
         walk.lacks,
     )
@@ -196,8 +242,8 @@ class Decoded:
 
     stamp_ns: IntArray  # stamps [ns]; 0 if the type has none or the message is malformed, shape (n,)
     value: FloatArray  # the wanted numbers; NaN where absent or malformed, shape (n, k)
-    absent: NDArray[np.bool_]  # the message has no such element, shape (n, k)
-    malformed: NDArray[np.bool_]  # the bytes are no message of the type, shape (n,)
+    is_absent: NDArray[np.bool_]  # the message has no such element, shape (n, k)
+    is_malformed: NDArray[np.bool_]  # the bytes are no message of the type, shape (n,)
 
 
 class FieldReader:
@@ -220,66 +266,84 @@ class FieldReader:
         self.lacks: dict[
             int, list[str]
         ] = {}  # by index of the field: the first `LACKS_SHOWN` reasons why messages do not have it
+        self.representation = ""  # that of messages which are not in CDR, see `REPRESENTATIONS`
+        self._wide_bytes, self._is_wide_open = WIDE_BYTES, has_wide(types)
         self._layouts: dict[int, list[Layout]] = {}
 
     def decode(self, raws: Sequence[bytes]) -> Decoded:
         """Decode n messages."""
         n = len(raws)
-        out = Decoded(
+        if self._is_wide_open:
+            self._compare_wide(raws[:COMPARED_MESSAGES])
+        output = Decoded(
             np.zeros(n, np.int64), np.full((n, self.count), np.nan), np.zeros((n, self.count), np.bool_), np.zeros(n, np.bool_)
         )
         lengths = np.fromiter(map(len, raws), np.int64, n)
         if n and (lengths == lengths[0]).all():
-            self._decode_equal(b"".join(raws), int(lengths[0]), np.arange(n), out)
-            return out
+            self._decode_equal(b"".join(raws), int(lengths[0]), np.arange(n), output)
+            return output
         order = np.argsort(lengths, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if n else ():
-            self._decode_equal(b"".join([raws[row] for row in rows]), int(lengths[rows[0]]), rows, out)
-        return out
+            self._decode_equal(b"".join([raws[row] for row in rows]), int(lengths[rows[0]]), rows, output)
+        return output
 
-    def _decode_equal(self, data: bytes, length: int, rows: NDArray[np.intp], out: Decoded) -> None:
-        """Decode messages of one length, joined; `rows` are their places in `out`."""
-        known = self._layouts.setdefault(length, [])
-        tried = 0
-        left = np.arange(len(rows))
-        while left.size:
-            if tried < len(known):
-                layout = known[tried]
-                tried += 1
+    def _compare_wide(self, raws: Sequence[bytes]) -> None:
+        """Try first the size of wide texts that decodes most messages; short texts may be readable by several."""
+        counts = {size: sum(self._has_layout(raw, size) for raw in raws) for size in self._wide_bytes}
+        self._wide_bytes = tuple(sorted(self._wide_bytes, key=lambda size: -counts[size]))
+        best, second, *_ = sorted(counts.values(), reverse=True)
+        self._is_wide_open = best == second
+
+    def _has_layout(self, raw: bytes, wide_bytes: int) -> bool:
+        with suppress(MalformedError):
+            return bool(layout_of(raw, self.types, self.msgtype, self.paths, self.encoding, (wide_bytes,)).length)
+        return False
+
+    def _decode_equal(self, data: bytes, length: int, rows: NDArray[np.intp], output: Decoded) -> None:
+        """Decode messages of one length, joined; `rows` are their places in `output`."""
+        layouts = self._layouts.setdefault(length, [])
+        attempts = 0
+        remaining_rows = np.arange(len(rows))
+        while remaining_rows.size:
+            if attempts < len(layouts):
+                layout = layouts[attempts]
+                attempts += 1
             else:
-                first = int(left[0])
-                raw = data[first * length : (first + 1) * length]
+                row = int(remaining_rows[0])
+                raw = data[row * length : (row + 1) * length]
                 try:
-                    layout = layout_of(raw, self.types, self.msgtype, self.paths, self.encoding)
+                    layout = layout_of(raw, self.types, self.msgtype, self.paths, self.encoding, self._wide_bytes)
                 except MalformedError:
-                    out.malformed[rows[first]] = True
-                    left = left[1:]
+                    if self.encoding is Encoding.CDR and not self.representation:
+                        self.representation = REPRESENTATIONS.get(int.from_bytes(raw[:2]) & ~1, "")
+                    output.is_malformed[rows[row]] = True
+                    remaining_rows = remaining_rows[1:]
                     continue
-                if len(known) == MAX_LAYOUTS:
-                    self._fill(layout, raw, left[:1] - first, rows[left[:1]], out)
-                    left = left[1:]
+                if len(layouts) == MAX_LAYOUTS:
+                    self._fill(layout, raw, remaining_rows[:1] - row, rows[remaining_rows[:1]], output)
+                    remaining_rows = remaining_rows[1:]
                     continue
-                known.append(layout)
-                tried += 1
-            same = layout.fits(data, left)
-            self._fill(layout, data, left[same], rows[left[same]], out)
-            left = left[~same]
+                layouts.append(layout)
+                attempts += 1
+            matches = layout.match_rows(data, remaining_rows)
+            self._fill(layout, data, remaining_rows[matches], rows[remaining_rows[matches]], output)
+            remaining_rows = remaining_rows[~matches]
 
-    def _fill(self, layout: Layout, data: bytes, take: NDArray[np.intp], rows: NDArray[np.intp], out: Decoded) -> None:
-        """Copy the numbers of messages `take` of `data` to the rows of `out`."""
+    def _fill(self, layout: Layout, data: bytes, take: NDArray[np.intp], rows: NDArray[np.intp], output: Decoded) -> None:
+        """Copy the numbers of messages `take` of `data` to the rows of `output`."""
         columns = [layout.column(data, spot)[take] if spot else None for spot in layout.spots]
         for slot, column in enumerate(columns[: self.count]):
             if column is None:
-                out.absent[rows, slot] = True
-                lacks, lack = self.lacks.setdefault(slot, []), layout.lacks.get(slot, "")
-                if lack not in lacks and len(lacks) < LACKS_SHOWN:
-                    lacks.append(lack)
+                output.is_absent[rows, slot] = True
+                reasons, lack = self.lacks.setdefault(slot, []), layout.lacks.get(slot, "")
+                if lack not in reasons and len(reasons) < LACKS_SHOWN:
+                    reasons.append(lack)
             else:
-                out.value[rows, slot] = column
+                output.value[rows, slot] = column
         if len(columns) > self.count:
             seconds, fraction = columns[self.count :]
             if seconds is not None and fraction is not None:
-                out.stamp_ns[rows] = seconds.astype(np.int64) * SECOND_NS + fraction.astype(np.int64)
+                output.stamp_ns[rows] = seconds.astype(np.int64) * SECOND_NS + fraction.astype(np.int64)
 
 
 class Template:
@@ -298,15 +362,15 @@ class Template:
             if spot is None:
                 raise InputError(f"{msgtype}: field", field, "an element that the template message has")
 
-    def fill(self, out: NDArray[np.uint8], at: int, stamp_ns: IntArray, values: FloatArray) -> None:
+    def fill(self, output: NDArray[np.uint8], start: int, stamp_ns: IntArray, values: FloatArray) -> None:
         """Write n messages into the rows of a matrix of bytes.
 
-        `out`: written from column `at`; C order, shape (n, at + length of the message); `at`: column of the messages' first byte;
-        `stamp_ns`: stamps [ns]; unused if the type has none, shape (n,); `values`: the numbers, shape (n, k).
+        `output`: written from column `start`; C order, shape (n, start + length of the message); `start`: column of the messages'
+        first byte; `stamp_ns`: stamps [ns]; unused if the type has none, shape (n,); `values`: the numbers, shape (n, k).
         """
-        out[:, at:] = np.frombuffer(self.raw, np.uint8)
+        output[:, start:] = np.frombuffer(self.raw, np.uint8)
         seconds, fraction = np.divmod(stamp_ns, SECOND_NS)
         for spot, column in zip(self.layout.spots, (*values.T, seconds, fraction), strict=False):
             if spot:
                 offset, kind = spot
-                np.ndarray((len(out),), kind, out, at + offset, out.strides[:1])[:] = column
+                np.ndarray((len(output),), kind, output, start + offset, output.strides[:1])[:] = column

@@ -36,7 +36,7 @@ class Channel(NamedTuple):
     name: str
     unit: str = ""
     group: str = ""
-    named: tuple[tuple[float, str], ...] = ()
+    value_names: tuple[tuple[float, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +59,10 @@ class ChannelRows(NamedTuple):
 
     # stamps [ns], in a file without dates from its beginning; of a table without dates in the unit of its column; shape (n,)
     time: FloatArray | IntArray
-    timed: NDArray[np.bool_]  # whether a row has a time, shape (n,)
+    has_time: NDArray[np.bool_]  # whether a row has a time, shape (n,)
     # the numbers of the chosen channels, and whether there is one, shape (n, channels)
     cells: FloatArray
-    given: NDArray[np.bool_]
+    has_value: NDArray[np.bool_]
 
 
 class ChannelFile:
@@ -123,10 +123,10 @@ def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> Channe
 
     `seconds`: shape (n,); `cells`: shape (n, channels); `start_ns`: the time 0 [ns since 1970], if the file gives it.
     """
-    given, timed = ~np.isnan(cells), np.ones(len(seconds), np.bool_)
+    has_value, has_time = ~np.isnan(cells), np.ones(len(seconds), np.bool_)
     if not (np.abs(seconds) < MOST_TIME_S).all():  # refused as they are
-        return ChannelRows(seconds, timed, cells, given)
-    return ChannelRows(np.rint(seconds * 1e9).astype(np.int64) + start_ns, timed, cells, given)
+        return ChannelRows(seconds, has_time, cells, has_value)
+    return ChannelRows(np.rint(seconds * 1e9).astype(np.int64) + start_ns, has_time, cells, has_value)
 
 
 MOST_TIME_S = 4.6e9
@@ -139,16 +139,16 @@ def time_note(column: str, text: str) -> str:
     return f"time: column {column}, {text}"
 
 
-def check_dates(time: ChosenChannel, name: str, are_dates: bool, first: str = "") -> None:
+def check_dates(time: ChosenChannel, name: str, are_dates: bool, first_text: str = "") -> None:
     """Refuse what is no time, numbers with an unknown unit, and a scale of dates. Raises InputError with a remedy.
 
-    `first`: the first time, unless it is a number.
+    `first_text`: the first time, unless it is a number.
     """
     where = f"{name}: {time.name}"
-    if first and not are_dates:
+    if first_text and not are_dates:
         allowed = "dates with times, such as 2026-11-23 10:00:00.5, 23.11.2026 10:00, 11/23/2026 10:00"
         remedy = "write date and time in one column as 2026-11-23T10:00:00, or seconds in a column time_s"
-        raise InputError(where, first, allowed if time.dates_only else f"numbers, or {allowed}", remedy)
+        raise InputError(where, first_text, allowed if time.dates_only else f"numbers, or {allowed}", remedy)
     if not are_dates and time.dates_only:
         remedy = f"give the unit in a topics file: time: {{column: {time.name}, unit: ms}}, or name the column time_s"
         raise InputError(where, "numbers of an unknown unit", "dates with times", remedy)

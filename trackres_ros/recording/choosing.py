@@ -3,6 +3,7 @@
 
 """Chooses the channels or topics to read: those that the topics file names, those known by name, else those guessed."""
 
+import itertools
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -15,6 +16,7 @@ import yaml
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.recording.bindings import EXAMPLE, IN_DEGREES, TIME, TopicBinding, Topics, inside_unit
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
+from trackres_ros.recording.guess_values import faults_of
 from trackres_ros.recording.roles import (
     POSITION,
     ROLES,
@@ -52,6 +54,7 @@ PART = re.compile(r"\b(left|right|front|rear|axles?|[lr]|[lr]hs?|[fr][lr]|links|
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
 NOT_GUESSED = "not guessed from"
+NONE_REFUSED: Mapping[tuple[str, str], str] = MappingProxyType({})
 OF_ONE_LETTER = "mnt"
 """Units of one letter that a name may end with; others may be anything, such as a front axle."""
 
@@ -93,122 +96,144 @@ RULES = (
 """In the order of preference."""
 
 
-def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
+def guess(available: Mapping[str, str], refused: Mapping[tuple[str, str], str] = NONE_REFUSED) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
     Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force.
 
-    `available`: message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and
-    type. Returns `topics`: the guesses, and `notes`: one sentence per role, with alternatives.
+    `available`: message type by topic; `refused`: roles and topics that are no guess, by their values, and why. Raises InputError
+    if no topic is recognised as the speed; the text lists every topic and type. Returns `topics`: the guesses, and `notes`: one
+    sentence per role, with alternatives.
     """
-    found: dict[str, list[tuple[TopicBinding, str]]] = {}
+    options_by_role: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:
         for topic in sorted(available, key=lambda topic: (len(topic), topic)):
-            spoken = words(topic)
-            if available[topic] not in rule.types or not re.search(rule.words, spoken):
+            topic_words = words(topic)
+            is_refused = available[topic] not in rule.types or (rule.role, topic) in refused
+            if is_refused or not re.search(rule.words, topic_words):
                 continue
-            unit = _unit_of(rule, spoken)
-            if unit is not None and not re.search(rule.not_words, spoken) and not NOT_MEASURED.search(spoken):
-                by_unit, angle = _converted(rule.role, unit), "deg" if rule.role in POSITION else ""
+            unit = _unit_of(rule, topic_words)
+            if unit is not None and not re.search(rule.not_words, topic_words) and not NOT_MEASURED.search(topic_words):
+                by_unit, angle = _conversion_of(rule.role, unit), "deg" if rule.role in POSITION else ""
                 binding = TopicBinding(
                     topic, available[topic], rule.field, scale=by_unit.scale, offset=by_unit.offset, unit=angle
                 )
-                found.setdefault(rule.role, []).append((binding, unit))
-    if "speed" not in found:
-        listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
-        raise InputError(
-            "speed", listed, "a topic with a type that holds the vehicle's speed", f"give it in a topics file: {EXAMPLE}"
+                options_by_role.setdefault(rule.role, []).append((binding, unit))
+    if "speed" not in options_by_role:
+        topic_list = "; ".join(
+            [
+                *(f"{topic}: {reason}" for (role, topic), reason in refused.items() if role == "speed"),
+                *(f"{topic} ({kind})" for topic, kind in sorted(available.items())),
+            ]
         )
-    of_vehicle = _namespace_of_vehicle(found)
+        raise InputError(
+            "speed",
+            topic_list or "no topic at all",
+            "a topic with a type that holds the vehicle's speed",
+            f"give it in a topics file: {EXAMPLE}",
+        )
+    of_vehicle = _namespace_of_vehicle(options_by_role)
     bindings, notes = dict[str, TopicBinding](), []
-    for role, options in found.items():
-        options.sort(key=lambda one: _doubts(role, one[0].topic, of_vehicle))
+    for role, options in options_by_role.items():
+        options.sort(key=lambda option: _doubts(role, option[0].topic, of_vehicle))
         binding, unit = options[0]
         if _is_part(role, binding.topic):
-            best = _doubts(role, binding.topic, of_vehicle)
-            alike = [one for one, _ in options if _doubts(role, one.topic, of_vehicle)[:2] == best[:2]]
-            notes.append(note_of_parts(role, alike))
+            best_rank = _doubts(role, binding.topic, of_vehicle)
+            rivals = [option for option, _ in options if _doubts(role, option.topic, of_vehicle)[:2] == best_rank[:2]]
+            notes.append(note_of_parts(role, rivals))
             continue
         bindings[role] = binding
-        others = ", ".join(other.topic for other, _ in options[1:] if not _is_part(role, other.topic))
+        other_topics = ", ".join(alternative.topic for alternative, _ in options[1:] if not _is_part(role, alternative.topic))
         notes.append(
             f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
-            + (f"; also possible: {others}" if others else "")
+            + (f"; also possible: {other_topics}" if other_topics else "")
         )
+    notes += [f"{role}: {NOT_GUESSED} {topic}: {reason}" for (role, topic), reason in refused.items()]
     return Topics(MappingProxyType(bindings), "guessed"), notes
 
 
-def _namespace_of_vehicle(found: Mapping[str, Sequence[tuple[TopicBinding, str]]]) -> str:
+def _namespace_of_vehicle(options_by_role: Mapping[str, Sequence[tuple[TopicBinding, str]]]) -> str:
     """The namespace of the first speed, in a bag of several vehicles; else empty.
 
     It is /truck1/ where /truck2/ has a speed of the same name, and topics of other roles too.
     """
-    first, *others = (binding.topic.split("/") for binding, _ in found["speed"])
-    rest = [binding.topic for role, options in found.items() if role != "speed" for binding, _ in options]
-    for other in others:
-        differ = [place for place, (mine, theirs) in enumerate(zip(first, other, strict=False)) if mine != theirs]
-        if len(other) == len(first) and len(differ) == 1 and differ[0] < len(first) - 1:
-            mine, theirs = ("/".join([*parts[: differ[0] + 1], ""]) for parts in (first, other))
-            if any(topic.startswith(theirs) for topic in rest):
-                return mine
+    first_parts, *other_parts = (binding.topic.split("/") for binding, _ in options_by_role["speed"])
+    rest = [binding.topic for role, options in options_by_role.items() if role != "speed" for binding, _ in options]
+    for parts_of_other in other_parts:
+        differing_places = [
+            place
+            for place, (own_part, other_part) in enumerate(zip(first_parts, parts_of_other, strict=False))
+            if own_part != other_part
+        ]
+        if len(parts_of_other) == len(first_parts) and len(differing_places) == 1 and differing_places[0] < len(first_parts) - 1:
+            own_part, other_part = ("/".join([*parts[: differing_places[0] + 1], ""]) for parts in (first_parts, parts_of_other))
+            if any(topic.startswith(other_part) for topic in rest):
+                return own_part
     return ""
 
 
 class Guesses(NamedTuple):
-    """Channels by role: the guessed ones, names of other candidates, and those that measure a part of a role without a guess."""
+    """Channels by role: the guessed ones, other candidates, and those that measure a part of a role without a guess."""
 
     bindings: dict[str, TopicBinding]
-    others: dict[str, list[str]]
+    alternatives: dict[str, list[TopicBinding]]
     parts: dict[str, list[TopicBinding]]
 
 
-def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> Guesses:
+def guess_channels(
+    channels: Sequence[Channel], present_roles: Collection[str], refused: Collection[tuple[str, str]] = ()
+) -> Guesses:
     """Guess by name and unit the channels of roles without one; without a unit there is no guess.
 
-    `channels`: with unique names; `there`: roles that have a channel. Returns bindings without the unit that the file gives.
+    `channels`: with unique names; `present_roles`: roles that have a channel; `refused`: roles and names that are no guess.
+    Returns bindings without the unit that the file gives.
     """
-    found = Guesses({}, {}, {})
-    for role, about in ROLES.items():
-        options = [] if role in there or not about.words else [one for one in channels if _may_be(one, role, about)]
-        whole = sorted((one for one in options if not _is_part(role, one.name)), key=lambda one: _rank(role, one.name))
-        if whole:
-            found.bindings[role] = _of_channel(role, whole[0])
-            found.others[role] = [one.name for one in whole[1:]]
+    guesses = Guesses({}, {}, {})
+    for role, entry in ROLES.items():
+        is_open = role not in present_roles and bool(entry.words)
+        options = [
+            channel for channel in channels if is_open and (role, channel.name) not in refused and _may_be(channel, role, entry)
+        ]
+        whole_channels = sorted(
+            (channel for channel in options if not _is_part(role, channel.name)), key=lambda channel: _rank(role, channel.name)
+        )
+        if whole_channels:
+            guesses.bindings[role], *guesses.alternatives[role] = [_of_channel(role, channel) for channel in whole_channels]
         elif options:
-            found.parts[role] = [_of_channel(role, one) for one in options]
-    _guess_direction(channels, there, found)
-    return found
+            guesses.parts[role] = [_of_channel(role, channel) for channel in options]
+    if "direction" not in present_roles and "speed" in guesses.bindings:
+        _guess_direction([channel for channel in channels if ("direction", channel.name) not in refused], channels, guesses)
+    return guesses
 
 
-def _guess_direction(channels: Sequence[Channel], there: Collection[str], found: Guesses) -> None:
+def _guess_direction(options: Sequence[Channel], channels: Sequence[Channel], guesses: Guesses) -> None:
     """Guess the direction: a channel of a standard, first one in the message of the speed."""
-    options = [one for one in channels if standard_of(one.name) and not NOT_MEASURED.search(words(one.name))]
-    speed = found.bindings.get("speed")
-    if "direction" in there or not options or not speed:
-        return
-    group = next(one.group for one in channels if one.name == speed.column)
-    options.sort(key=lambda one: (one.group != group, "selected" in words(one.name), len(one.name), one.name))
-    best = options[0]
-    ways = named_ways(best.named) or STANDARDS[standard_of(best.name)]
-    found.bindings["direction"] = TopicBinding(column=best.name, ways=ways)
-    found.others["direction"] = [one.name for one in options[1:]]
+    options = [channel for channel in options if standard_of(channel.name) and not NOT_MEASURED.search(words(channel.name))]
+    group = next(channel.group for channel in channels if channel.name == guesses.bindings["speed"].column)
+    options.sort(key=lambda channel: (channel.group != group, "selected" in words(channel.name), len(channel.name), channel.name))
+    bindings = [
+        TopicBinding(column=channel.name, ways=named_ways(channel.value_names) or STANDARDS[standard_of(channel.name)])
+        for channel in options
+    ]
+    if bindings:
+        guesses.bindings["direction"], *guesses.alternatives["direction"] = bindings
 
 
 def _of_channel(role: str, channel: Channel) -> TopicBinding:
     unit = "" if channel.unit or role in POSITION else _unit_in(role, words(channel.name))
-    scale, offset = _converted(role, unit or ROLES[role].unit)
+    scale, offset = _conversion_of(role, unit or ROLES[role].unit)
     return TopicBinding(column=channel.name, scale=scale, offset=offset)
 
 
 def note_of_parts(role: str, parts: Sequence[TopicBinding]) -> str:
     """Note on sources that measure a part of a role each, with the line of a topics file for their sum."""
-    names = ", ".join(one.topic or one.column for one in parts)
-    line, whole = topics_line(role, parts[0]), "it"
+    names = ", ".join(binding.topic or binding.column for binding in parts)
+    line, sensor = topics_line(role, parts[0]), "it"
     if len(parts) > 1:
-        each = ", ".join(topics_line(role, one).removeprefix(f"{role}: ") for one in parts)
-        line, whole = f"{role}: {{sum: [{each}]}}", "their sum"
+        part_lines = ", ".join(topics_line(role, binding).removeprefix(f"{role}: ") for binding in parts)
+        line, sensor = f"{role}: {{sum: [{part_lines}]}}", "their sum"
     return (
-        f"{role}: {NOT_GUESSED} {names}, which may be of a side or an axle only; if {whole} is that of the whole vehicle, write "
+        f"{role}: {NOT_GUESSED} {names}, which may be of a side or an axle only; if {sensor} is that of the whole vehicle, write "
         f"in a topics file: {line}"
     )
 
@@ -220,8 +245,8 @@ def _doubts(role: str, topic: str, of_vehicle: str) -> tuple[bool, bool, bool]:
 
 def _rank(role: str, name: str) -> tuple[bool, bool, int, str]:
     """Key that sorts the candidates for a role, the best one first."""
-    spoken = words(name)
-    return "vehicle" not in spoken, not _is_preferred(role, spoken), len(name), name
+    name_words = words(name)
+    return "vehicle" not in name_words, not _is_preferred(role, name_words), len(name), name
 
 
 def _is_preferred(role: str, words: str) -> bool:
@@ -229,21 +254,25 @@ def _is_preferred(role: str, words: str) -> bool:
     return role not in PREFERRED or bool(PREFERRED[role].search(words))
 
 
-def _may_be(channel: Channel, role: str, about: Role) -> bool:
-    spoken = words(channel.name)
-    if not re.search(about.words, spoken) or any(re.search(no, spoken) for no in (about.not_words, NOT_MEASURED, WHEEL)):
+def _may_be(channel: Channel, role: str, entry: Role) -> bool:
+    name_words = words(channel.name)
+    if not re.search(entry.words, name_words) or any(
+        re.search(pattern, name_words) for pattern in (entry.not_words, NOT_MEASURED, WHEEL)
+    ):
         return False
     if not channel.unit:
-        return role in POSITION or bool(_unit_in(role, spoken))
-    return conversion(channel.unit, about.unit) is not None
+        return role in POSITION or bool(_unit_in(role, name_words))
+    return conversion(channel.unit, entry.unit) is not None
 
 
 def topics_line(role: str, binding: TopicBinding) -> str:
     """The line of a topics file for the source of a role or the time, in the unit of the raw numbers if known."""
-    inside = inside_unit(role)
+    si_unit = inside_unit(role)
     keys = ("topic", "type", "field") if binding.topic else ("column",)
     line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
-    unit = next((name for name, one in UNITS[inside].items() if one == (binding.scale, binding.offset)), "")
+    unit = next(
+        (name for name, known_conversion in UNITS[si_unit].items() if known_conversion == (binding.scale, binding.offset)), ""
+    )
     if unit and binding.ways is None and not (role in POSITION and not binding.unit):
         line["unit"] = unit
     elif (binding.scale, binding.offset) != (1.0, 0.0):
@@ -265,41 +294,43 @@ def _is_part(role: str, name: str) -> bool:
     return role in ADDED and bool(PART.search(words(name)))
 
 
-def _unit_of(rule: _Rule, spoken: str) -> str | None:
+def _unit_of(rule: _Rule, name_words: str) -> str | None:
     """The unit of a topic; None if its name has that of another quantity."""
     if rule.role in POSITION:
         return "degrees"
-    of_name = _unit_in(rule.role, spoken) if rule.field == "data" else ""
+    of_name = _unit_in(rule.role, name_words) if rule.field == "data" else ""
     return of_name if of_name is None else of_name or ROLES[rule.role].unit
 
 
-def _unit_in(role: str, spoken: str) -> str | None:
+def _unit_in(role: str, name_words: str) -> str | None:
     """The unit that the words of a name carry; empty without one, None if they end with that of another quantity."""
-    inside = ROLES[role].unit
-    for text, ends in _texts(spoken.split()):
+    si_unit = ROLES[role].unit
+    for text, ends in _texts(name_words.split()):
         of_text = "m/s" if (role, text) == ("speed", "ms") else text  # a speed is not in milliseconds
-        found = conversion(of_text, inside)
-        if found and (len(text) > 1 or (ends and text in OF_ONE_LETTER)):
-            return next(unit for unit, one in UNITS[inside].items() if one == found)
-        if ends and len(text) > 1 and any(conversion(text, other) for other in UNITS):
+        factor = conversion(of_text, si_unit)
+        if factor and (len(text) > 1 or (ends and text in OF_ONE_LETTER)):
+            return next(unit for unit, known_factor in UNITS[si_unit].items() if known_factor == factor)
+        if ends and len(text) > 1 and any(conversion(text, other_unit) for other_unit in UNITS):
             return None
     return ""
 
 
-def _texts(each: Sequence[str]) -> Iterator[tuple[str, bool]]:
+def _texts(word_list: Sequence[str]) -> Iterator[tuple[str, bool]]:
     """Texts of one to three words that may be a unit, and whether they end the name; the last and longest come first."""
-    for end in range(len(each), 0, -1):
+    for end in range(len(word_list), 0, -1):
         for count in (3, 2, 1):
-            several = each[max(end - count, 0) : end]
-            yield from ((mark.join(several), end == len(each)) for mark in ("", "/"))
+            joined_words = word_list[max(end - count, 0) : end]
+            yield from ((mark.join(joined_words), end == len(word_list)) for mark in ("", "/"))
 
 
-def _converted(role: str, unit: str) -> Conversion:
-    found = conversion(unit, ROLES[role].unit)
-    assert found is not None
-    return found
+def _conversion_of(role: str, unit: str) -> Conversion:
+    factor = conversion(unit, ROLES[role].unit)
+    assert factor is not None
+    return factor
 
 
+IDENTIFIER = re.compile(r"#0x[0-9A-F]+")
+"""In the name of a group: the identifier of a message whose name others have too."""
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")
 """Names of a column of dates with times, in any case; for numbers the unit would be unknown."""
@@ -319,7 +350,7 @@ class Choice:
     time: ChosenChannel | None
     channels: list[ChosenChannel]
     notes: list[str]
-    guessed: frozenset[str] = frozenset()
+    guessed_roles: frozenset[str] = frozenset()
 
 
 def choose(file: ChannelFile, topics: Topics | None) -> Choice:
@@ -329,52 +360,50 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     name and unit. Raises InputError for a missing or ambiguous channel, no time, no speed, or a unit that does not fit its role.
     """
     names = _Names(file)
-    listed = topics.bindings.items() if topics else ()
+    file_lines = topics.bindings.items() if topics else ()
     origin = topics.origin if topics else file.name
     notes = _left_out(file)
     of_file = [
-        one
-        for role, binding in listed
+        channel
+        for role, binding in file_lines
         if not binding.of_topics
-        for part in binding.sources
-        for one in names.with_validity(role, part, origin, notes)
+        for number, part in enumerate(binding.sources, 1)
+        for channel in names.with_validity(
+            role, part, f"{origin}: {role}{f': sum: part {number}' if binding.parts else ''}", notes
+        )
     ]
-    known = _known(file, frozenset(one.role for one in of_file), names, notes)
+    known_channels = _find_known_channels(file, frozenset(channel.role for channel in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
     if topics:
         notes += _units_in_names(file, topics, [*of_file, *([time] if time and topics.time else [])])
-    chosen = [*of_file, *known]
-    there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
-    if file.has_times and not listed and "speed" not in there:
-        guessed, others, parts = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
-        for role, binding in guessed.items():
-            chosen.append(names.chosen(role, binding, origin, []))
-            possible = f"; also possible: {listed_names(others[role])}" if others[role] else ""
-            notes.append(f"{topics_line(role, chosen[-1].binding)}  # guessed{possible}")
-        for role, some in parts.items():
-            notes.append(note_of_parts(role, [names.chosen(role, one, origin, []).binding for one in some]))
-    if not any(one.role == "speed" for one in chosen):
-        own = ", or a speed with a unit whose name a single group has" if file.has_times else ""
-        given = "; ".join([f"columns {names.listed or 'none'}", *_left_out(file)])
-        remedy = f"or give it in a topics file: {_speed_line(file)}"
-        raise InputError(file.name, given, f"a column speed_mps or speed_kmh{own}", remedy)
-    for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
-        names.check_single(name)
-    return Choice(time, chosen, notes, frozenset(guessed))
-
-
-def _speed_line(file: ChannelFile) -> str:
-    """A line of a topics file for a channel named as a speed in a unit, such as speed_mph; else an example."""
-    bare = [one for one in file.channels if not one.unit]
-    found = guess_channels(bare, ROLES.keys() - {"speed"}).bindings
-    return topics_line("speed", found["speed"]) if found else "speed: {channel: NAME, unit: km/h}"
+    chosen_channels = [*of_file, *known_channels]
+    present_roles, guessed_bindings = {base_role(channel.role) for channel in chosen_channels}, dict[str, TopicBinding]()
+    refused: dict[tuple[str, str], str] = {}
+    if file.has_times and not file_lines and "speed" not in present_roles:
+        guesses, refused = _guess_by_values(file, time, names, present_roles)
+        guessed_bindings = guesses.bindings
+        for role, binding in guessed_bindings.items():
+            chosen_channels.append(names.choose_channel(role, binding, origin, []))
+            other_names = [alternative.column for alternative in guesses.alternatives[role]]
+            alternatives = f"; also possible: {listed_names(other_names)}" if other_names else ""
+            notes.append(f"{topics_line(role, chosen_channels[-1].binding)}  # guessed{alternatives}")
+        for role, part_bindings in guesses.parts.items():
+            notes.append(
+                note_of_parts(role, [names.choose_channel(role, channel, origin, []).binding for channel in part_bindings])
+            )
+        notes += [f"{role}: {NOT_GUESSED} {name}: {reason}" for (role, name), reason in refused.items()]
+    if not any(channel.role == "speed" for channel in chosen_channels):
+        raise _no_speed(file, names, refused)
+    for name in ((time.name,) if time else ()) + tuple(channel.name for channel in chosen_channels):
+        names.check_single(name, file.name)
+    return Choice(time, chosen_channels, notes, frozenset(guessed_bindings))
 
 
 def _left_out(file: ChannelFile) -> list[str]:
     """The channels that cannot be read, by reason."""
     return [
-        f"not read, as {why}: {listed_names([one.name for one in file.left_out if file.left_out[one] == why])}"
-        for why in dict.fromkeys(file.left_out.values())
+        f"not read, as {reason}: {listed_names([channel.name for channel in file.left_out if file.left_out[channel] == reason])}"
+        for reason in dict.fromkeys(file.left_out.values())
     ]
 
 
@@ -384,71 +413,116 @@ class _Names:
     def __init__(self, file: ChannelFile) -> None:
         self._file = file
         self._places: dict[str, list[int]] = {}
-        for place, one in enumerate(file.channels):
-            self._places.setdefault(one.name, []).append(place)
-        self.first = {name: places[0] for name, places in self._places.items()}  # channel of each name, without a group
-        for place, one in enumerate(file.channels):
-            if one.group:
-                self._places.setdefault(f"{one.group}/{one.name}", []).append(place)
+        for place, channel in enumerate(file.channels):
+            self._places.setdefault(channel.name, []).append(place)
+        self.first_places = {name: places[0] for name, places in self._places.items()}  # channel of each name, without a group
+        for place, channel in enumerate(file.channels):
+            if channel.group:
+                for group in dict.fromkeys((channel.group, IDENTIFIER.sub("", channel.group))):
+                    self._places.setdefault(f"{group}/{channel.name}", []).append(place)
 
     @property
-    def listed(self) -> str:
+    def list_names(self) -> str:
         """The names, of several groups with the group before it."""
-        channels = self._file.channels
-        each = [f"{one.group}/{one.name}" if one.group and not self.is_single(one.name) else one.name for one in channels]
-        return listed_names(list(dict.fromkeys(each)))
+        return listed_names(list(dict.fromkeys(map(self.full_name, self._file.channels))))
+
+    def full_name(self, channel: Channel) -> str:
+        """The name of a channel, with its group if others have the name too."""
+        return f"{channel.group}/{channel.name}" if channel.group and not self.is_single(channel.name) else channel.name
 
     def is_single(self, name: str) -> bool:
         return len(self._places[name]) == 1
 
-    def check_single(self, name: str) -> None:
+    def check_single(self, name: str, where: str) -> None:
         """Refuse a name of several channels."""
-        places = self._places[name]
-        if len(places) > 1:
-            groups = [self._file.channels[place].group for place in places]
-            several = [f"{group}/{name}" for group in groups if group]
-            remedy = f"put the group name before it: {listed_names(several)}" if len(set(groups)) == len(groups) else ""
-            raise InputError(self._file.name, f"{len(places)} columns {name}", "each column once", remedy)
+        channels = [self._file.channels[place] for place in self._places[name]]
+        if len(channels) > 1:
+            full_names = [f"{channel.group}/{channel.name}" for channel in channels if channel.group]
+            remedy = f"put the group name before it: {listed_names(full_names)}" if len(set(full_names)) == len(channels) else ""
+            raise InputError(where, f"{len(channels)} columns {name}", "each column once", remedy)
 
-    def with_validity(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> Iterator[ChosenChannel]:
+    def with_validity(self, role: str, binding: TopicBinding, where: str, notes: list[str]) -> Iterator[ChosenChannel]:
         """The channel that says whether the one of a line counts, if the line names it, and that one."""
         if binding.valid:
-            valid = self.chosen("enable", binding.valid, f"{origin}: {role}: valid", notes)
-            yield replace(valid, role=role, is_valid=True)
-        yield self.chosen(role, binding, origin, notes)
+            validity_channel = self.choose_channel("enable", binding.valid, f"{where}: valid", notes)
+            yield replace(validity_channel, role=role, is_valid=True)
+        yield self.choose_channel(role, binding, where, notes)
 
-    def chosen(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> ChosenChannel:
-        """A channel that a line names, in the unit of its role."""
+    def choose_channel(self, role: str, binding: TopicBinding, where: str, notes: list[str]) -> ChosenChannel:
+        """A channel that a line names, in the unit of its role; `where`: the line, for messages."""
         if binding.column not in self._places:
-            where = f"{origin}: {role}: column"
-            for one, why in self._file.left_out.items():
-                if binding.column in (one.name, f"{one.group}/{one.name}"):
-                    raise InputError(where, binding.column, "a channel that can be read", why)
-            raise InputError(where, binding.column, self.listed, nearest(binding.column, self._places))
+            for channel, reason in self._file.left_out.items():
+                if binding.column in (channel.name, f"{channel.group}/{channel.name}"):
+                    raise InputError(f"{where}: column", binding.column, "a channel that can be read", reason)
+            raise InputError(f"{where}: column", binding.column, self.list_names, nearest(binding.column, self._places))
+        self.check_single(binding.column, f"{where}: column")
         place = self._places[binding.column][0]
         if role == "direction" and binding.ways is None:
-            binding = replace(binding, ways=_ways_of(self._file.channels[place], origin))
-        return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
+            binding = replace(binding, ways=_ways_of(self._file.channels[place], where))
+        return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, where, notes))
 
 
-def _ways_of(channel: Channel, origin: str) -> Ways:
+def _guess_by_values(
+    file: ChannelFile, time: ChosenChannel | None, names: _Names, present_roles: Collection[str]
+) -> tuple[Guesses, dict[tuple[str, str], str]]:
+    """The guesses that their values allow; roles and names of better ones that they do not, with the reason."""
+    channels = [channel for channel in file.channels if names.is_single(channel.name)]
+    guesses = guess_channels(channels, present_roles)
+    candidates = {role: [binding, *guesses.alternatives[role]] for role, binding in guesses.bindings.items()}
+    faults = faults_of(
+        file,
+        time,
+        {
+            role: [names.choose_channel(role, binding, file.name, []) for binding in of_role]
+            for role, of_role in candidates.items()
+        },
+    )
+    refused = dict[tuple[str, str], str]()
+    for role, of_role in candidates.items():
+        keys = itertools.takewhile(faults.__contains__, ((role, binding.column) for binding in of_role))
+        refused |= {key: faults[key] for key in keys}
+    return guess_channels(channels, present_roles, faults) if faults else guesses, refused
+
+
+def _no_speed(file: ChannelFile, names: _Names, refused: Mapping[tuple[str, str], str]) -> InputError:
+    """The error of a file without a speed: its columns, or the values of those that may be one."""
+    of_speed = [f"{name}: {reason}" for (role, name), reason in refused.items() if role == "speed"]
+    remedy_words = ", or a speed with a unit whose name a single group has" if file.has_times else ""
+    allowed = f"a column speed_mps or speed_kmh{remedy_words}"
+    if of_speed:
+        allowed = "a speed with values that are available, possible and not all the same"
+    reasons = [finding.text for finding in file.findings] if of_speed else []
+    given = "; ".join([*of_speed, *reasons, f"columns {names.list_names or 'none'}", *_left_out(file)])
+    return InputError(file.name, given, allowed, f"or give it in a topics file: {_speed_line(file, names, refused)}")
+
+
+def _speed_line(file: ChannelFile, names: _Names, refused: Collection[tuple[str, str]]) -> str:
+    """A line of a topics file for a channel named as a speed in a unit, such as speed_mph; else an example."""
+    channels = [channel._replace(name=names.full_name(channel)) for channel in file.channels]
+    guess = guess_channels(channels, ROLES.keys() - {"speed"}, refused).bindings.get("speed")
+    if guess is None:
+        return "speed: {channel: NAME, unit: km/h}"
+    return topics_line("speed", names.choose_channel("speed", guess, file.name, []).binding)
+
+
+def _ways_of(channel: Channel, where: str) -> Ways:
     """What the values of a direction mean, by the names that the file gives them, else by its own name.
 
     Raises InputError if neither says it.
     """
-    found = named_ways(channel.named) or STANDARDS.get(standard_of(channel.name))
-    if found is None:
+    ways = named_ways(channel.value_names) or STANDARDS.get(standard_of(channel.name))
+    if ways is None:
         remedy = f"for example: direction: {{channel: {channel.name}, values: {{forward: [1], reverse: [0]}}}}"
-        raise InputError(f"{origin}: direction", f"no values for {channel.name}", "values that mean forward and reverse", remedy)
-    return found
+        raise InputError(where, f"no values for {channel.name}", "values that mean forward and reverse", remedy)
+    return ways
 
 
-def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
+def _in_unit(channel: Channel, role: str, binding: TopicBinding, where: str, notes: list[str]) -> TopicBinding:
     """The binding with the unit of the file, if the line gives neither unit nor scale."""
     if not channel.unit or binding.has_modes:
         return binding
-    inside = inside_unit(role, binding.derivative)
-    of_file = conversion(channel.unit, inside)
+    si_unit = inside_unit(role, binding.derivative)
+    of_file = conversion(channel.unit, si_unit)
     if role == TIME and of_file is None:  # dates have none
         return binding
     of_line = (binding.scale, binding.offset)
@@ -459,41 +533,43 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
             notes.append(f"{role}: {binding.column} is in {channel.unit} according to the file, {read}")
         return binding
     if of_file is None:
-        keys = f"channel: {binding.column}, unit: {next(iter(UNITS[inside]))}{', derivative: true' * binding.derivative}"
+        keys = f"channel: {binding.column}, unit: {next(iter(UNITS[si_unit]))}{', derivative: true' * binding.derivative}"
         remedy = f"give its unit in the topics file: {role}: {{{keys}}}"
-        raise InputError(f"{origin}: {role}: unit of {binding.column}", channel.unit, ", ".join(UNITS[inside]), remedy)
-    unit = next(name for name, one in UNITS[inside].items() if one == of_file)
-    if unit != inside:
+        raise InputError(f"{where}: unit of {binding.column}", channel.unit, ", ".join(UNITS[si_unit]), remedy)
+    unit = next(name for name, known_conversion in UNITS[si_unit].items() if known_conversion == of_file)
+    if unit != si_unit:
         notes.append(f"{role}: {binding.column} is in {unit} according to the file")
     return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
 
 
-def _units_in_names(file: ChannelFile, topics: Topics, chosen: Sequence[ChosenChannel]) -> Iterator[str]:
+def _units_in_names(file: ChannelFile, topics: Topics, channels: Sequence[ChosenChannel]) -> Iterator[str]:
     """Note where the name of a column has a unit, but its line and the file have none and it is read in another one."""
-    for one in chosen:
-        line = topics.time if one.role == TIME and topics.time else topics[one.role]
-        found = UNIT_IN_BRACKETS.search(one.name) or UNIT_AT_THE_END.search(one.name)
-        given = file.channels[one.place].unit or line.converts or one.binding.converts or line.has_modes or one.is_valid
-        if not found or given or one.role in POSITION:  # the values of a position decide
+    for channel in channels:
+        line = topics.time if channel.role == TIME and topics.time else topics[channel.role]
+        match = UNIT_IN_BRACKETS.search(channel.name) or UNIT_AT_THE_END.search(channel.name)
+        given = (
+            file.channels[channel.place].unit or line.converts or channel.binding.converts or line.has_modes or channel.is_valid
+        )
+        if not match or given or channel.role in POSITION:  # the values of a position decide
             continue
-        inside = inside_unit(one.role, line.derivative)
-        of_name = conversion(found[1], inside)
-        foreign = of_name is None and found.re is UNIT_IN_BRACKETS and is_quantity(found[1])
-        if foreign or of_name not in (None, (1.0, 0.0), (one.binding.scale, one.binding.offset)):
-            read = f"but is read in {inside}, as its line has neither unit nor scale"
-            yield f"{one.role}: {one.name} is in {found[1]} according to its name, {read}"
+        si_unit = inside_unit(channel.role, line.derivative)
+        of_name = conversion(match[1], si_unit)
+        is_foreign = of_name is None and match.re is UNIT_IN_BRACKETS and is_quantity(match[1])
+        if is_foreign or of_name not in (None, (1.0, 0.0), (channel.binding.scale, channel.binding.offset)):
+            read = f"but is read in {si_unit}, as its line has neither unit nor scale"
+            yield f"{channel.role}: {channel.name} is in {match[1]} according to its name, {read}"
 
 
-def _known(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: list[str]) -> list[ChosenChannel]:
+def _find_known_channels(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: list[str]) -> list[ChosenChannel]:
     """The columns known by name, of roles that the topics file does not name."""
     columns: dict[str, ChosenChannel] = {}
-    for name, place in names.first.items():
+    for name, place in names.first_places.items():
         base, slash, part = (name.rpartition(".")[2] if file.has_times else name).partition("/")
         if base not in COLUMNS:
             continue
         role, unit = COLUMNS[base][0] + slash + part, COLUMNS[base][1]
-        about = ROLES[base_role(role)]
-        if role in by_file or (slash and not (names_a_part(part) and about.parts)):
+        entry = ROLES[base_role(role)]
+        if role in by_file or (slash and not (names_a_part(part) and entry.parts)):
             continue
         if role == "direction" and not file.is_number(place):  # yes and no, R and D
             continue
@@ -509,18 +585,20 @@ def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[st
 
     Raises InputError if the file gives another unit; a text that is no known unit is only noted.
     """
-    inside = inside_unit(role)
-    by_name, of_file, share = (conversion(*one) for one in ((unit, inside), (channel.unit, inside), (channel.unit, "1")))
+    si_unit = inside_unit(role)
+    by_name, of_file, share = (
+        conversion(*unit_pair) for unit_pair in ((unit, si_unit), (channel.unit, si_unit), (channel.unit, "1"))
+    )
     assert by_name is not None
-    ways = _ways_of(channel, origin) if role == "direction" else None
+    ways = _ways_of(channel, f"{origin}: {role}") if role == "direction" else None
     binding = TopicBinding(column=channel.name, scale=by_name.scale, unit=unit, ways=ways)
     if of_file == by_name or share == (1.0, 0.0):  # the same, or none
         return binding
     if of_file and unit == "1":
-        return _in_unit(channel, role, TopicBinding(column=channel.name), origin, notes)
+        return _in_unit(channel, role, TopicBinding(column=channel.name), f"{origin}: {role}", notes)
     if of_file or share or is_quantity(channel.unit):
-        right = of_file or by_name
-        line = topics_line(role, replace(binding, scale=right.scale, offset=right.offset))
+        true_conversion = of_file or by_name
+        line = topics_line(role, replace(binding, scale=true_conversion.scale, offset=true_conversion.offset))
         raise InputError(f"{origin}: unit of {channel.name}", channel.unit, unit, f"give it in a topics file: {line}")
     if role != TIME:  # dates have none
         notes.append(f"{role}: {channel.name} is in {channel.unit} according to the file: no known unit, so its name decides")
@@ -530,24 +608,26 @@ def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[st
 def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[str]) -> ChosenChannel:
     """The column of the time in a table."""
     if topics and topics.time:
-        return names.chosen(TIME, topics.time, topics.origin, notes)
-    if TIME_S in names.first:
-        place = names.first[TIME_S]
+        return names.choose_channel(TIME, topics.time, f"{topics.origin}: {TIME}", notes)
+    if TIME_S in names.first_places:
+        place = names.first_places[TIME_S]
         return ChosenChannel(place, TIME_S, TIME, _by_name(file.channels[place], TIME, "s", file.name, notes))
-    dated = [name for name in names.first if name.lower() in DATE_NAMES]
-    if len(dated) == 1:
-        chosen = names.chosen(TIME, TopicBinding(column=dated[0]), file.name, notes)
-        return replace(chosen, dates_only=not conversion(file.channels[chosen.place].unit or "?", "s"))
+    date_names = [name for name in names.first_places if name.lower() in DATE_NAMES]
+    if len(date_names) == 1:
+        time_channel = names.choose_channel(TIME, TopicBinding(column=date_names[0]), f"{file.name}: {TIME}", notes)
+        return replace(time_channel, dates_only=not conversion(file.channels[time_channel.place].unit or "?", "s"))
     allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
-    line = next(_time_lines(names.first), "time: {column: NAME, unit: ms}")
-    raise InputError(file.name, f"columns {listed_names(list(names.first))}", allowed, f"or give it in a topics file: {line}")
+    line = next(_time_lines(names.first_places), "time: {column: NAME, unit: ms}")
+    raise InputError(
+        file.name, f"columns {listed_names(list(names.first_places))}", allowed, f"or give it in a topics file: {line}"
+    )
 
 
 def _time_lines(names: Iterable[str]) -> Iterator[str]:
     """Lines of a topics file for columns named as a time in a unit, such as time_ms."""
     for name in names:
-        first, *rest = words(name).split() or [""]
-        unit = conversion(rest[-1], "s") if rest and first in ("t", *DATE_NAMES) else None
+        first_word, *rest = words(name).split() or [""]
+        unit = conversion(rest[-1], "s") if rest and first_word in ("t", *DATE_NAMES) else None
         if unit:
             yield topics_line(TIME, TopicBinding(column=name, scale=unit.scale))
 
@@ -587,14 +667,14 @@ def torque_note(candidates: Sequence[str], roles: Iterable[str]) -> list[str]:
 def torque_remedy(candidates: Sequence[str], of_topics: bool) -> str:
     """Remedy for a recording without a torque; `of_topics`: whether it is a bag."""
     if of_topics:
-        line, more = "torque: {topic: NAME, type: TYPE, field: FIELD}", "{topic: ...}, {topic: ...}"
+        line, part_text = "torque: {topic: NAME, type: TYPE, field: FIELD}", "{topic: ...}, {topic: ...}"
     else:
-        line, more = "torque: {column: NAME, unit: Nm}", "{column: ...}, {column: ...}"
-    several = f", or the sum of left and right: torque: {{sum: [{more}]}}" if len(candidates) > 1 else ""
+        line, part_text = "torque: {column: NAME, unit: Nm}", "{column: ...}, {column: ...}"
+    sum_remedy = f", or the sum of left and right: torque: {{sum: [{part_text}]}}" if len(candidates) > 1 else ""
     where = f"it may be in {listed_names(candidates)}: " if candidates else ""
-    return f"{where}give it in a topics file: {line}{several}"
+    return f"{where}give it in a topics file: {line}{sum_remedy}"
 
 
 def _sounds_like_torque(name: str) -> bool:
-    spoken = words(name)
-    return bool(TORQUE_LIKE.search(spoken)) and not NOT_MEASURED.search(spoken)
+    name_words = words(name)
+    return bool(TORQUE_LIKE.search(name_words)) and not NOT_MEASURED.search(name_words)

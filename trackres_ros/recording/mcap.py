@@ -39,19 +39,23 @@ class Chunk:
 
     first_ns: int
     last_ns: int
-    at: int
+    offset: int
     length: int
     offsets: bytes
     index_length: int
     compression: str
-    packed: int
-    unpacked: int
+    packed_size: int
+    unpacked_size: int
 
     def record(self) -> bytes:
         """The record by which a player finds it."""
-        where = struct.pack("<QQQQ", self.first_ns, self.last_ns, self.at, self.length) + sized(self.offsets)
-        sizes = struct.pack("<Q", self.index_length) + text(self.compression) + struct.pack("<QQ", self.packed, self.unpacked)
-        return record(CHUNK_INDEX, where + sizes)
+        place = struct.pack("<QQQQ", self.first_ns, self.last_ns, self.offset, self.length) + sized(self.offsets)
+        sizes = (
+            struct.pack("<Q", self.index_length)
+            + text(self.compression)
+            + struct.pack("<QQ", self.packed_size, self.unpacked_size)
+        )
+        return record(CHUNK_INDEX, place + sizes)
 
 
 def record(kind: int, content: bytes) -> bytes:
@@ -69,25 +73,25 @@ def text(content: str) -> bytes:
     return sized(content.encode())
 
 
-def message_indices(channel: Whole, log_ns: Whole, offset: Whole, at: int) -> tuple[bytes, bytes]:
+def message_indices(channel: Whole, log_ns: Whole, offset: Whole, data_offset: int) -> tuple[bytes, bytes]:
     """The message indices of a chunk at an offset of the file, and the offset by channel."""
     indices, offsets = b"", b""
     for number in np.unique(channel):
         rows = np.flatnonzero(channel == number)
         pairs = np.stack((log_ns[rows], offset[rows]), axis=1).astype("<u8").tobytes()
-        offsets += struct.pack("<HQ", number, at + len(indices))
+        offsets += struct.pack("<HQ", number, data_offset + len(indices))
         indices += record(MESSAGE_INDEX, struct.pack("<H", number) + sized(pairs))
     return indices, offsets
 
 
 def ending(
-    at: int, schemas: Sequence[bytes], channels: Sequence[bytes], chunks: Sequence[Chunk], counts: Mapping[int, int]
+    data_end: int, schemas: Sequence[bytes], channels: Sequence[bytes], chunks: Sequence[Chunk], counts: Mapping[int, int]
 ) -> bytes:
     """The summary at an offset of the file: topics, chunks, counts of messages by channel."""
     messages = sum(counts.values())
-    first = min((chunk.first_ns for chunk in chunks), default=0)
+    first_ns = min((chunk.first_ns for chunk in chunks), default=0)
     last = max((chunk.last_ns for chunk in chunks), default=0)
-    statistics = struct.pack("<QHIIIIQQ", messages, len(schemas), len(channels), 0, 0, len(chunks), first, last)
+    statistics = struct.pack("<QHIIIIQQ", messages, len(schemas), len(channels), 0, 0, len(chunks), first_ns, last)
     by_channel = sized(b"".join(struct.pack("<HQ", *count) for count in counts.items()))
     groups = {
         SCHEMA: b"".join(schemas),
@@ -95,13 +99,13 @@ def ending(
         CHUNK_INDEX: b"".join(chunk.record() for chunk in chunks),
         STATISTICS: record(STATISTICS, statistics + by_channel),
     }
-    found = record(DATA_END, struct.pack("<I", 0))
-    start, offsets = at + len(found), b""
+    content = record(DATA_END, struct.pack("<I", 0))
+    start, offsets = data_end + len(content), b""
     for kind, records in groups.items():
         if records:
-            offsets += record(SUMMARY_OFFSET, struct.pack("<BQQ", kind, at + len(found), len(records)))
-            found += records
-    return found + offsets + record(FOOTER, struct.pack("<QQI", start, at + len(found), 0)) + MAGIC
+            offsets += record(SUMMARY_OFFSET, struct.pack("<BQQ", kind, data_end + len(content), len(records)))
+            content += records
+    return content + offsets + record(FOOTER, struct.pack("<QQI", start, data_end + len(content), 0)) + MAGIC
 
 
 def ending_without_summary() -> bytes:
@@ -160,11 +164,11 @@ class McapIndex:
                     raise McapError(f"a truncated index: {error}") from error
 
     def _read(self, data: bytes) -> None:
-        at = 0
-        while at < len(data):
-            kind, length = HEAD.unpack_from(data, at)
-            content = data[at + HEAD.size : at + HEAD.size + length]
-            at += HEAD.size + length
+        offset = 0
+        while offset < len(data):
+            kind, length = HEAD.unpack_from(data, offset)
+            content = data[offset + HEAD.size : offset + HEAD.size + length]
+            offset += HEAD.size + length
             if kind == CHANNEL:
                 number, _, size = struct.unpack_from("<HHI", content)
                 self.topics[number] = content[8 : 8 + size].decode()
@@ -179,11 +183,13 @@ class McapIndex:
 
 
 def _chunk(content: bytes) -> IndexedChunk:
-    at, length, size = struct.unpack_from("<QQI", content, 16)
-    where = sorted((offset, channel) for channel, offset in struct.iter_unpack("<HQ", content[36 : 36 + size // 10 * 10]))
+    start, length, size = struct.unpack_from("<QQI", content, 16)
+    channel_offsets = sorted(
+        (offset, channel) for channel, offset in struct.iter_unpack("<HQ", content[36 : 36 + size // 10 * 10])
+    )
     (index,) = struct.unpack_from("<Q", content, 36 + size)
-    ends = [*(offset for offset, _ in where[1:]), at + length + index]
-    spans = zip(where, ends, strict=False)
+    ends = [*(offset for offset, _ in channel_offsets[1:]), start + length + index]
+    spans = zip(channel_offsets, ends, strict=False)
     counts = {channel: (end - offset - INDEX_HEAD_BYTES) // INDEX_ENTRY_BYTES for (offset, channel), end in spans}
     return IndexedChunk({channel: count for channel, count in counts.items() if count})
 
@@ -204,20 +210,20 @@ def zstd() -> ModuleType:
     raise MissingExtraError("unpacking zstd", "zstandard", "bags")
 
 
-def unpack_zstd(packed: bytes) -> bytes:
+def unpack_zstd(data: bytes) -> bytes:
     """Unpack the frames of zstd in some bytes."""
-    with zstd().open(io.BytesIO(packed), "rb") as file:
-        unpacked: bytes = file.read()
-    return unpacked
+    with zstd().open(io.BytesIO(data), "rb") as file:
+        content: bytes = file.read()
+    return content
 
 
-def _unpack_lz4(packed: bytes) -> bytes:
+def _unpack_lz4(data: bytes) -> bytes:
     try:
         from lz4.frame import decompress
     except ImportError:
         raise MissingExtraError("unpacking lz4", "lz4", "bags") from None
-    unpacked: bytes = decompress(packed)
-    return unpacked
+    content: bytes = decompress(data)
+    return content
 
 
 UNPACKERS: Mapping[str, Callable[[bytes], bytes]] = {"": bytes, "zstd": unpack_zstd, "lz4": _unpack_lz4}
@@ -228,16 +234,16 @@ UNPACKERS: Mapping[str, Callable[[bytes], bytes]] = {"": bytes, "zstd": unpack_z
 class _Found:
     """Content up to the last complete chunk, or the last complete message of a file without chunks."""
 
-    whole: int = 0
+    whole_bytes: int = 0
     schemas: dict[int, bytes] = field(default_factory=dict)
     channels: dict[int, bytes] = field(default_factory=dict)
     chunks: list[Chunk] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
     first_ns: int = 2**63
     last_ns: int = 0
-    ended: bool = False  # all messages are there
+    is_complete: bool = False  # all messages are there
     indexed: bool = True  # all messages are in chunks that have an index
-    loose: tuple[int, int] | None = None  # place and channel of the last message outside of a chunk
+    loose_message: tuple[int, int] | None = None  # place and channel of the last message outside of a chunk
     last_chunk: list[tuple[int, int, int]] = field(default_factory=list)  # its messages: channel, log time, offset
     offsets: dict[int, int] = field(default_factory=dict)  # of its index, by channel
 
@@ -254,16 +260,16 @@ class _Found:
 
     def leave_out_last_message(self) -> None:
         """Of messages outside of chunks: without a checksum they may contain arbitrary bytes after a power cut."""
-        if self.loose is not None:
-            self.whole, number = self.loose
+        if self.loose_message is not None:
+            self.whole_bytes, number = self.loose_message
             self.counts[number] -= 1
 
     def close_chunk(self) -> None:
         """The index of the last chunk is read, as another record follows."""
         if self.chunks:
-            start = self.chunks[-1].at + self.chunks[-1].length
+            start = self.chunks[-1].offset + self.chunks[-1].length
             offsets = b"".join(struct.pack("<HQ", *place) for place in self.offsets.items())
-            self.chunks[-1] = replace(self.chunks[-1], offsets=offsets, index_length=self.whole - start)
+            self.chunks[-1] = replace(self.chunks[-1], offsets=offsets, index_length=self.whole_bytes - start)
             self.indexed &= self.offsets.keys() == {channel for channel, _, _ in self.last_chunk}
 
 
@@ -299,18 +305,18 @@ class UnfinishedBag:
         self.path = path
         self._size = path.stat().st_size
         with path.open("rb") as file:
-            found = _scanned(file, self._size)
-        if not found.counts.total():
+            scan = _scanned(file, self._size)
+        if not scan.counts.total():
             raise InputError(
                 str(path), f"an unfinished recording of {self._size} bytes", "one with at least one complete message"
             )
-        self._whole, self._ending = _end_of(found)
-        self.messages = found.counts.total()
-        self.duration_s = (found.last_ns - found.first_ns) * 1e-9
-        self.lost_bytes = 0 if found.ended else self._size - found.whole
+        self._whole_bytes, self._ending = _end_of(scan)
+        self.messages = scan.counts.total()
+        self.duration_s = (scan.last_ns - scan.first_ns) * 1e-9
+        self.lost_bytes = 0 if scan.is_complete else self._size - scan.whole_bytes
         self.remark = (
             f"the recording is unfinished: its {self.messages} messages are read, its index is truncated"
-            if found.ended
+            if scan.is_complete
             else f"the recording is unfinished: {self.messages} messages up to its last whole block are read, "
             f"the {self.lost_bytes} bytes behind it are incomplete; messages that were not written yet do not show"
         )
@@ -328,7 +334,7 @@ class UnfinishedBag:
 
     def open(self, _mode: str = "rb") -> BinaryIO:
         """The file, with its ending, to be read."""
-        return io.BufferedReader(_Joined(self.path.open("rb"), self._whole, self._ending))
+        return io.BufferedReader(_Joined(self.path.open("rb"), self._whole_bytes, self._ending))
 
     def write(self, path: Path) -> None:
         """Write it finished to another file, which is put in place when complete.
@@ -337,8 +343,8 @@ class UnfinishedBag:
         """
         part = path.with_name(f".{path.name}.{os.getpid()}{SUFFIX}")
         try:
-            with self.open() as file, part.open("wb") as finished:
-                shutil.copyfileobj(file, finished, 2**20)
+            with self.open() as file, part.open("wb") as output:
+                shutil.copyfileobj(file, output, 2**20)
             part.replace(path)
         except OSError as error:
             raise InputError(str(path), str(error.strerror), "a writable file") from error
@@ -349,8 +355,8 @@ class UnfinishedBag:
 class _Joined(io.RawIOBase):
     """The first bytes of a file, and others behind them."""
 
-    def __init__(self, file: BinaryIO, whole: int, behind: bytes) -> None:
-        self._file, self._whole, self._behind, self._at = file, whole, behind, 0
+    def __init__(self, file: BinaryIO, whole_bytes: int, tail: bytes) -> None:
+        self._file, self._whole_bytes, self._tail, self._position = file, whole_bytes, tail, 0
 
     def readable(self) -> bool:
         return True
@@ -358,22 +364,22 @@ class _Joined(io.RawIOBase):
     def seekable(self) -> bool:
         return True
 
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._whole + len(self._behind)}[whence]
+    def seek(self, offset: int, origin: int = io.SEEK_SET) -> int:
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._whole_bytes + len(self._tail)}[origin]
         if start + offset < 0:
             raise ValueError("a position before the beginning of the file")
-        self._at = start + offset
-        return self._at
+        self._position = start + offset
+        return self._position
 
     def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
-        wanted = len(buffer)
-        if self._at < self._whole:
-            self._file.seek(self._at)
-            data = self._file.read(min(wanted, self._whole - self._at))
+        count = len(buffer)
+        if self._position < self._whole_bytes:
+            self._file.seek(self._position)
+            data = self._file.read(min(count, self._whole_bytes - self._position))
         else:
-            data = self._behind[self._at - self._whole :][:wanted]
+            data = self._tail[self._position - self._whole_bytes :][:count]
         buffer[: len(data)] = data
-        self._at += len(data)
+        self._position += len(data)
         return len(data)
 
     def close(self) -> None:
@@ -392,39 +398,39 @@ def is_unfinished(path: Path) -> bool:
 
 def _scanned(file: BinaryIO, size: int) -> _Found:
     """Read record by record as far as they are complete, with chunks whose checksum is correct."""
-    found, at = _Found(), len(MAGIC)
-    while at + HEAD.size <= size:
-        file.seek(at)
+    scan, offset = _Found(), len(MAGIC)
+    while offset + HEAD.size <= size:
+        file.seek(offset)
         kind, length = HEAD.unpack(file.read(HEAD.size))
-        end = at + HEAD.size + length
-        found.ended = kind == DATA_END
-        if kind not in LEAST or not LEAST[kind] <= length <= size - at - HEAD.size:
+        end = offset + HEAD.size + length
+        scan.is_complete = kind == DATA_END
+        if kind not in LEAST or not LEAST[kind] <= length <= size - offset - HEAD.size:
             break
         if kind == CHUNK:
-            found.close_chunk()
-            if not _take_chunk(found, file.read(length), at):
+            scan.close_chunk()
+            if not _take_chunk(scan, file.read(length), offset):
                 break
-            found.whole = end
-        elif kind == MESSAGE_INDEX and found.chunks:
-            found.offsets[struct.unpack("<H", file.read(2))[0]] = at
-            found.whole = end
+            scan.whole_bytes = end
+        elif kind == MESSAGE_INDEX and scan.chunks:
+            scan.offsets[struct.unpack("<H", file.read(2))[0]] = offset
+            scan.whole_bytes = end
         elif kind in (SCHEMA, CHANNEL, MESSAGE):
-            number = found.take(kind, file.read(length))
+            number = scan.take(kind, file.read(length))
             if kind == MESSAGE:
-                found.indexed, found.loose, found.whole = False, (at, number), end
-        at = end
-    if not found.ended:
-        found.leave_out_last_message()
-    return found
+                scan.indexed, scan.loose_message, scan.whole_bytes = False, (offset, number), end
+        offset = end
+    if not scan.is_complete:
+        scan.leave_out_last_message()
+    return scan
 
 
-def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
+def _take_chunk(scan: _Found, content: bytes, chunk_offset: int) -> bool:
     """Process the messages of a chunk; return false, and process none, if it is damaged."""
     try:
-        first, last, size, crc, name = struct.unpack_from("<QQQII", content)
+        first_ns, last, size, crc, name = struct.unpack_from("<QQQII", content)
         compression = content[32 : 32 + name].decode()
-        (packed,) = struct.unpack_from("<Q", content, 32 + name)
-        if packed != len(content) - 40 - name:
+        (packed_size,) = struct.unpack_from("<Q", content, 32 + name)
+        if packed_size != len(content) - 40 - name:
             return False
         data = UNPACKERS[compression](content[40 + name :])
         if len(data) != size or (crc and crc != zlib.crc32(data)):
@@ -434,40 +440,40 @@ def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
         raise
     except Exception:  # any exception of the library and its decompressors
         return False
-    found.last_chunk, found.offsets = [], {}
+    scan.last_chunk, scan.offsets = [], {}
     for kind, offset, record_content in records:
-        found.take(kind, record_content)
+        scan.take(kind, record_content)
         if kind == MESSAGE:
             channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(record_content)
-            found.last_chunk.append((channel, log_ns, offset))
-    found.chunks.append(Chunk(first, last, at, HEAD.size + len(content), b"", 0, compression, packed, size))
+            scan.last_chunk.append((channel, log_ns, offset))
+    scan.chunks.append(Chunk(first_ns, last, chunk_offset, HEAD.size + len(content), b"", 0, compression, packed_size, size))
     return True
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
     """Kind, place and content of the records in a chunk. Raises ValueError, struct.error if they do not follow on one another."""
-    at = 0
-    while at < len(data):
-        kind, length = HEAD.unpack_from(data, at)
-        content = data[at + HEAD.size : at + HEAD.size + length]
+    offset = 0
+    while offset < len(data):
+        kind, length = HEAD.unpack_from(data, offset)
+        content = data[offset + HEAD.size : offset + HEAD.size + length]
         if len(content) != length or length < LEAST.get(kind, 0):
             raise ValueError("a truncated record")
         if kind in (SCHEMA, CHANNEL, MESSAGE):
-            yield kind, at, content
-        at += HEAD.size + length
+            yield kind, offset, content
+        offset += HEAD.size + length
 
 
-def _end_of(found: _Found) -> tuple[int, bytes]:
+def _end_of(scan: _Found) -> tuple[int, bytes]:
     """Offset of the end of the usable content, and the bytes to append there.
 
     The index after the last chunk may be cut off, so it is made again.
     """
-    if not found.indexed or not found.chunks:
-        return found.whole, ending_without_summary()
-    chunk = found.chunks[-1]
-    start = chunk.at + chunk.length
-    channel, log_ns, offset = np.array(found.last_chunk, dtype=np.uint64).reshape(-1, 3).T
+    if not scan.indexed or not scan.chunks:
+        return scan.whole_bytes, ending_without_summary()
+    chunk = scan.chunks[-1]
+    start = chunk.offset + chunk.length
+    channel, log_ns, offset = np.array(scan.last_chunk, dtype=np.uint64).reshape(-1, 3).T
     indices, offsets = message_indices(channel, log_ns, offset, start)
-    chunks = [*found.chunks[:-1], replace(chunk, offsets=offsets, index_length=len(indices))]
-    schemas, channels = list(found.schemas.values()), list(found.channels.values())
-    return start, indices + ending(start + len(indices), schemas, channels, chunks, found.counts)
+    chunks = [*scan.chunks[:-1], replace(chunk, offsets=offsets, index_length=len(indices))]
+    schemas, channels = list(scan.schemas.values()), list(scan.channels.values())
+    return start, indices + ending(start + len(indices), schemas, channels, chunks, scan.counts)

@@ -24,6 +24,7 @@ NUMBERS = {
 BASIC = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
 """Numbers that the interface definition language calls otherwise than a .msg file."""
 WIDE = "wstring"
+"""A text of UTF-16, which libraries for messages lack, or take for a message of that name."""
 CONTROL_MSGS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
     "control_msgs/msg/DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
@@ -47,10 +48,10 @@ def add_control_msgs(store: Typestore) -> Typestore:
 class Field:
     """One field of a message: a number or string or message, alone, as fixed array, or as sequence."""
 
-    # its name, and the type of an element: a key of `NUMBERS`, ``string``, or a message type
+    # its name, and the type of an element: a key of `NUMBERS`, ``string``, ``wstring``, or a message type
     name: str
     type: str
-    many: Literal["one", "array", "sequence"]  # ``one``, ``array`` or ``sequence``
+    multiplicity: Literal["one", "array", "sequence"]  # ``one``, ``array`` or ``sequence``
     count: int  # length of a fixed array
 
 
@@ -59,8 +60,8 @@ Definitions = Mapping[str, tuple[Field, ...]]
 
 def message_fields(store: Typestore) -> Typesdict:
     """Return the definitions of a typestore, under the name of this version of rosbags."""
-    found: Typesdict = getattr(store, "fielddefs", None) or getattr(store, "FIELDDEFS")  # noqa: B009
-    return found
+    field_table: Typesdict = getattr(store, "fielddefs", None) or getattr(store, "FIELDDEFS")  # noqa: B009
+    return field_table
 
 
 def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) -> Definitions:
@@ -72,28 +73,28 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
 
     def fields(name: str) -> Iterator[Field]:
         for field, desc in cast("list[tuple[str, tuple[int, tuple[tuple[int, object], int]]]]", fielddefs[name][1]):
-            many: Literal["one", "array", "sequence"] = "one"
-            inner: tuple[int, object] = (desc[0], desc[1])
+            multiplicity: Literal["one", "array", "sequence"] = "one"
+            element: tuple[int, object] = (desc[0], desc[1])
             count = 1
             if desc[0] > 2:
-                many = "array" if desc[0] == 3 else "sequence"
-                inner, count = desc[1]
-            kind = cast("str", inner[1]) if inner[0] == 2 else cast("tuple[str, int]", inner[1])[0]
-            yield Field(field, kind, many, count)
+                multiplicity = "array" if desc[0] == 3 else "sequence"
+                element, count = desc[1]
+            kind = cast("str", element[1]) if element[0] == 2 else cast("tuple[str, int]", element[1])[0]
+            yield Field(field, WIDE if kind.endswith(f"/{WIDE}") else kind, multiplicity, count)
 
     return with_nested(msgtype, lambda name: tuple(fields(name)))
 
 
 def with_nested(msgtype: str, fields: Callable[[str], tuple[Field, ...]]) -> Definitions:
     """The fields of a message type and of all nested types, each as a function gives them."""
-    found: dict[str, tuple[Field, ...]] = {}
-    wanted = [msgtype]
-    while wanted:
-        name = wanted.pop()
-        if name not in found:
-            found[name] = fields(name)
-            wanted += [field.type for field in found[name] if "/" in field.type]
-    return found
+    definitions_by_name: dict[str, tuple[Field, ...]] = {}
+    pending_types = [msgtype]
+    while pending_types:
+        name = pending_types.pop()
+        if name not in definitions_by_name:
+            definitions_by_name[name] = fields(name)
+            pending_types += [field.type for field in definitions_by_name[name] if "/" in field.type]
+    return definitions_by_name
 
 
 def installed_fields(msgtype: str) -> tuple[Field, ...]:
@@ -111,27 +112,27 @@ def installed_fields(msgtype: str) -> tuple[Field, ...]:
 def _of_slot(name: str, kind: Any) -> Field:
     from rosidl_parser.definition import AbstractNestedType, AbstractString, Array, BasicType, NamespacedType
 
-    many: Literal["one", "array", "sequence"] = "one"
+    multiplicity: Literal["one", "array", "sequence"] = "one"
     count = 1
     if isinstance(kind, AbstractNestedType):
-        many = "array" if isinstance(kind, Array) else "sequence"
+        multiplicity = "array" if isinstance(kind, Array) else "sequence"
         count = kind.size if isinstance(kind, Array) else 1
         kind = kind.value_type
     if isinstance(kind, BasicType):
-        return Field(name, BASIC.get(kind.typename, kind.typename), many, count)
+        return Field(name, BASIC.get(kind.typename, kind.typename), multiplicity, count)
     if isinstance(kind, NamespacedType):
-        return Field(name, "/".join([*kind.namespaces, kind.name]), many, count)
+        return Field(name, "/".join([*kind.namespaces, kind.name]), multiplicity, count)
     if isinstance(kind, AbstractString):
-        return Field(name, "string", many, count)
-    return Field(name, WIDE, many, count)
+        return Field(name, "string", multiplicity, count)
+    return Field(name, WIDE, multiplicity, count)
 
 
 def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:
     """Return the path of the stamp of a message type, or an empty one: that of its header, or its own field ``stamp``."""
     for field in types[msgtype]:
-        if field.many == "one" and (field.name, field.type) == ("header", HEADER):
+        if field.multiplicity == "one" and (field.name, field.type) == ("header", HEADER):
             return field_steps("header.stamp")
-        if field.many == "one" and (field.name, field.type) == ("stamp", TIME):
+        if field.multiplicity == "one" and (field.name, field.type) == ("stamp", TIME):
             return field_steps("stamp")
     return ()
 
@@ -142,28 +143,30 @@ def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tupl
     Raises InputError for no such field, no number, an array without index, an index outside of a fixed array.
     """
     steps = field_steps(path)
-    within = msgtype
+    message_name = msgtype
     for depth, step in enumerate(steps):
-        fields = {field.name: field for field in types[within]}
-        listed = f"fields of {within}: {', '.join(fields)}"
+        fields = {field.name: field for field in types[message_name]}
+        field_list = f"fields of {message_name}: {', '.join(fields)}"
         if step.name not in fields:
-            raise InputError(where, path, listed, nearest(step.name, fields))
+            raise InputError(where, path, field_list, nearest(step.name, fields))
         field = fields[step.name]
-        picked = step.index is not None or step.element is not None
-        if picked != (field.many != "one"):
-            allowed = f"an index, as {step.name}[0]" if field.many != "one" else f"no index: {step.name} is no array"
+        has_index = step.index is not None or step.element is not None
+        if has_index != (field.multiplicity != "one"):
+            allowed = f"an index, as {step.name}[0]" if field.multiplicity != "one" else f"no index: {step.name} is no array"
             raise InputError(where, path, allowed)
-        if field.many == "array" and step.index is not None and step.index >= field.count:
+        if field.multiplicity == "array" and step.index is not None and step.index >= field.count:
             raise InputError(where, path, f"an index below {field.count}")
         if step.element is not None:
             names = fields.get("name")
-            if not names or (names.type, names.many) != ("string", "sequence") or field.type not in NUMBERS:
-                raise InputError(where, path, f"an element by name only with a field string[] name; {listed}")
+            if not names or (names.type, names.multiplicity) != ("string", "sequence") or field.type not in NUMBERS:
+                raise InputError(where, path, f"an element by name only with a field string[] name; {field_list}")
         last = depth == len(steps) - 1
         if last and field.type not in NUMBERS:
-            remedy = f"it holds {', '.join(inner.name for inner in types[field.type])}" if field.type in types else ""
+            remedy = (
+                f"it holds {', '.join(fields_within.name for fields_within in types[field.type])}" if field.type in types else ""
+            )
             raise InputError(where, path, f"a number, not {field.type}", remedy)
         if not last and field.type not in types:
             raise InputError(where, path, f"nothing after {step.name}, which is {field.type}")
-        within = field.type
+        message_name = field.type
     return steps

@@ -11,6 +11,7 @@ import os
 import resource
 import signal
 import stat
+import struct
 import threading
 import time
 import traceback
@@ -30,6 +31,8 @@ LEAST_S, S_PER_BYTE = 10.0, 60e-6
 bus, takes some seconds for one."""
 OWN_FAULT = "a bug: please report it, with the file"
 HEAD_BYTES = 512
+MATLAB_4_BYTES = 20
+"""Length of the head of a matrix of MATLAB 4, before its name."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"\x89MCAP", "an MCAP bag", (".mcap", ".part"), "name it .mcap"),
@@ -41,8 +44,10 @@ CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"BZh", "a bzip2 archive", (), "unpack it first: bunzip2"),
     (b"\xfd7zXZ", "an xz archive", (), "unpack it first: unxz"),
     (b"MDF     ", "an MDF file", (".mf4", ".mdf"), "name it .mf4"),
+    (b"TDSm", "a TDMS file of LabVIEW", (), "name it .tdms to see how it is converted"),
     (b"UnFinMF ", "an MDF file that was not finished", (".mf4", ".mdf"), "name it .mf4"),
     (b"LOGG", "a BLF log of CAN frames", (".blf",), "name it .blf"),
+    (b"ULog\x01\x12\x35", "a ULog", (".ulg", ".ulog"), "name it .ulg"),
     (b"MATLAB 5.0 MAT-file", "a MATLAB file", (".mat",), "name it .mat"),
     (b"MATLAB 7.3 MAT-file", "a MATLAB file", (".mat",), "name it .mat"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file", (".mat",), "name it .mat if MATLAB wrote it"),
@@ -91,15 +96,45 @@ def check_file(path: Path) -> None:
     with reading(path, "a readable file"), path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     name = path.name.lower()
-    expected = next((what for _, what, suffixes, _ in CONTENTS if name.endswith(suffixes)), "text")
+    expected_format = next((description for _, description, suffixes, _ in CONTENTS if name.endswith(suffixes)), "text")
     if not head:
-        raise InputError(str(path), "an empty file", f"{expected}, according to its suffix")
-    found = next(((what, suffixes, remedy) for magic, what, suffixes, remedy in CONTENTS if head.startswith(magic)), None)
-    if found and not name.endswith(found[1]):
-        raise InputError(str(path), found[0], f"{expected}, according to its suffix", found[2])
-    if not found and (expected != "text" or (b"\0" in head and not head.startswith(UTF_16))):
+        raise InputError(str(path), "an empty file", f"{expected_format}, according to its suffix")
+    content_match = _content(head)
+    if content_match and not name.endswith(content_match[1]):
+        raise InputError(str(path), content_match[0], f"{expected_format}, according to its suffix", content_match[2])
+    if not content_match and name.endswith(".mat") and _is_matlab_4(head):
+        return
+    if not content_match and (expected_format != "text" or (b"\0" in head and not head.startswith(UTF_16))):
         given = "binary data" if b"\0" in head else f"a file that begins with {head[:16]!r}"
-        raise InputError(str(path), given, f"{expected}, according to its suffix")
+        raise InputError(str(path), given, f"{expected_format}, according to its suffix")
+
+
+def content_of(path: Path) -> tuple[str, str] | None:
+    """What a file is by its first bytes, and the remedy for its suffix; None if they do not show it."""
+    with reading(path, "a readable file"), path.open("rb") as file:
+        match = _content(file.read(HEAD_BYTES))
+    return (match[0], match[2]) if match else None
+
+
+def _content(head: bytes) -> tuple[str, tuple[str, ...], str] | None:
+    return next(
+        ((description, suffixes, remedy) for magic, description, suffixes, remedy in CONTENTS if head.startswith(magic)), None
+    )
+
+
+def _is_matlab_4(head: bytes) -> bool:
+    """Whether a file begins with a matrix of MATLAB 4: its kind in decimal digits, its size, complex or not, the length of its
+    name, and the name (MAT-File Format, level 4).
+    """
+    for order in "<>":
+        if len(head) < MATLAB_4_BYTES:
+            return False
+        kind, rows, columns, is_complex, length = struct.unpack_from(f"{order}5i", head)
+        name = head[MATLAB_4_BYTES : MATLAB_4_BYTES + max(length, 0)]
+        is_kind = kind // 1000 in (0, 1) and kind // 100 % 10 == 0 and kind // 10 % 10 <= 5 and kind % 10 <= 2
+        if is_kind and min(rows, columns) >= 0 and is_complex in (0, 1) and length > 1 and name[:1].isalpha():
+            return True
+    return False
 
 
 @contextmanager
@@ -130,10 +165,10 @@ def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
 
 def read_in_steps(path: Path, allowed: str, parts: Iterator[Part], remedy: str = "") -> Iterator[Part]:
     """The parts of a file, read within the limits; what the caller does with them has none."""
-    limits, ended = Limits(path), False
-    while not ended:
+    limits, is_complete = Limits(path), False
+    while not is_complete:
         read: list[Part] = []
-        refused = None
+        refusal = None
         try:
             with in_one_line(path, allowed, remedy), limits.step():
                 until_s = time.perf_counter() + STEP_S
@@ -142,12 +177,12 @@ def read_in_steps(path: Path, allowed: str, parts: Iterator[Part], remedy: str =
                     if time.perf_counter() > until_s:
                         break
                 else:
-                    ended = True
+                    is_complete = True
         except InputError as error:
-            refused = error
+            refusal = error
         yield from read
-        if refused:
-            raise refused
+        if refusal:
+            raise refusal
 
 
 class Limits:
@@ -172,16 +207,18 @@ class Limits:
         if not self._in_use.acquire(blocking=False):
             yield
             return
-        begun_s, before = time.process_time(), {}
+        begun_s, previous_limits = time.process_time(), {}
         try:
-            for kind, present in ((resource.RLIMIT_DATA, _present_bytes()), (resource.RLIMIT_FSIZE, 0)):
-                before[kind] = soft, hard = resource.getrlimit(kind)
-                most = present + self._bytes
-                resource.setrlimit(kind, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+            for kind, used_amount in ((resource.RLIMIT_DATA, _present_bytes()), (resource.RLIMIT_FSIZE, 0)):
+                previous_limits[kind] = soft_limit, hard = resource.getrlimit(kind)
+                new_limit = used_amount + self._bytes
+                resource.setrlimit(
+                    kind, (new_limit if soft_limit == resource.RLIM_INFINITY else min(new_limit, soft_limit), hard)
+                )
             with _ends_after(self._left_s):
                 yield
         finally:
-            for kind, limits in before.items():
+            for kind, limits in previous_limits.items():
                 resource.setrlimit(kind, limits)
             self._in_use.release()
             self._left_s -= time.process_time() - begun_s
@@ -226,8 +263,8 @@ def _size_of(path: Path) -> int:
 
 def _is_own(error: BaseException, frame: traceback.FrameSummary) -> bool:
     """Whether our code stumbled: the innermost frame is ours, and the exception is one of Python's for faults of a program."""
-    ours = Path(frame.filename).is_relative_to(Path(__file__).parents[1])
-    return ours and type(error).__module__ == "builtins" and not isinstance(error, DATA_FAULTS)
+    is_ours = Path(frame.filename).is_relative_to(Path(__file__).parents[1])
+    return is_ours and type(error).__module__ == "builtins" and not isinstance(error, DATA_FAULTS)
 
 
 def _message_of(error: BaseException) -> str:

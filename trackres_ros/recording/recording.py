@@ -44,40 +44,44 @@ def findings_of(role: str, samples: Series, start: tuple[int, int], zero_is_unse
     `role`: the unit and the normal range depend on it; `samples`: in log order; `start`: stamp and arrival [ns] of
     the first valid speed; `zero_is_unset`: whether stamp 0 means "never set".
     """
-    unit, lively = ROLES[base_role(role)].unit, ROLES[base_role(role)].lively
-    finite = np.isfinite(samples.value)
-    if not finite.any():
+    unit, is_lively = ROLES[base_role(role)].unit, ROLES[base_role(role)].is_lively
+    is_finite = np.isfinite(samples.value)
+    if not is_finite.any():
         text = "no sample at all" if not len(samples) else f"none of {len(samples)} values is finite"
         return [Finding(role, "empty", len(samples), float("nan"), text)]
-    found: list[Finding] = []
+    findings: list[Finding] = []
 
-    def note(kind: str, at: NDArray[np.intp], text: str) -> None:
-        if at.size:
-            of_log = zero_is_unset and not samples.stamp_ns[at[0]]
+    def note(kind: str, rows_at_fault: NDArray[np.intp], text: str) -> None:
+        if rows_at_fault.size:
+            of_log = zero_is_unset and not samples.stamp_ns[rows_at_fault[0]]
             clock = samples.arrival_ns if of_log else samples.stamp_ns
-            found.append(Finding(role, kind, int(at.size), (int(clock[at[0]]) - start[of_log]) / 1e9, text))
+            findings.append(
+                Finding(role, kind, int(rows_at_fault.size), (int(clock[rows_at_fault[0]]) - start[of_log]) / 1e9, text)
+            )
 
-    bad = np.flatnonzero(~finite)
-    note("non_finite", bad, f"{number_of(bad.size, 'value is', 'values are')} not finite")
-    unset = np.flatnonzero(samples.stamp_ns == 0) if zero_is_unset else bad[:0]
-    note("zero_stamp", unset, f"{number_of(unset.size, 'stamp is', 'stamps are')} zero (never set)")
+    bad_rows = np.flatnonzero(~is_finite)
+    note("non_finite", bad_rows, f"{number_of(bad_rows.size, 'value is', 'values are')} not finite")
+    unset_rows = np.flatnonzero(samples.stamp_ns == 0) if zero_is_unset else bad_rows[:0]
+    note("zero_stamp", unset_rows, f"{number_of(unset_rows.size, 'stamp is', 'stamps are')} zero (never set)")
     _look_at_stamps(samples, np.flatnonzero(samples.stamp_ns != 0) if zero_is_unset else np.arange(len(samples)), note)
-    value = samples.value[finite]
+    value = samples.value[is_finite]
     runs = np.flatnonzero(np.concatenate(([True], value[1:] != value[:-1])))
     step = _quantum(value, runs)
     if step:
-        repeats = 1.0 - len(runs) / len(value)
-        text = f"values are quantised in steps of {_step_text(step, unit)}; {repeats:.0%} repeat the previous one"
-        note("quantised", np.flatnonzero(finite)[:1], text)
-    if lively:
-        _look_for_stuck(samples, np.flatnonzero(finite), runs, set_stamps(samples) if zero_is_unset else samples.stamp_ns, note)
+        repeat_share = 1.0 - len(runs) / len(value)
+        text = f"values are quantised in steps of {_step_text(step, unit)}; {repeat_share:.0%} repeat the previous one"
+        note("quantised", np.flatnonzero(is_finite)[:1], text)
+    if is_lively:
+        _look_for_stuck(
+            samples, np.flatnonzero(is_finite), runs, set_stamps(samples) if zero_is_unset else samples.stamp_ns, note
+        )
     if base_role(role) == "speed":
         _look_for_drops(samples, note)
-    return found
+    return findings
 
 
 class _Note(Protocol):
-    def __call__(self, kind: str, at: NDArray[np.intp], text: str) -> None: ...
+    def __call__(self, kind: str, rows_at_fault: NDArray[np.intp], text: str) -> None: ...
 
 
 def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> None:
@@ -88,11 +92,13 @@ def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> Non
         return
     stamp = samples.stamp_ns[rows]
     step = np.diff(stamp)
-    same, back = np.flatnonzero(step == 0), np.flatnonzero(step < 0)
-    note("duplicate_stamp", rows[same + 1], f"{number_of(same.size, 'stamp equals', 'stamps equal')} the previous one")
+    equal_rows, back = np.flatnonzero(step == 0), np.flatnonzero(step < 0)
+    note(
+        "duplicate_stamp", rows[equal_rows + 1], f"{number_of(equal_rows.size, 'stamp equals', 'stamps equal')} the previous one"
+    )
     if back.size:
-        earlier, most = number_of(back.size, "stamp is", "stamps are"), _span(int(-step[back].min()))
-        text = f"{earlier} earlier than the previous one, by up to {most}"
+        count_text, largest_step = number_of(back.size, "stamp is", "stamps are"), _span(int(-step[back].min()))
+        text = f"{count_text} earlier than the previous one, by up to {largest_step}"
         note("backward_stamp", rows[back + 1], text)
     offset = int(np.median(stamp - samples.arrival_ns[rows]))
     if abs(offset) > OFFSET_NS:
@@ -101,40 +107,46 @@ def _look_at_stamps(samples: Series, rows: NDArray[np.intp], note: _Note) -> Non
     forward = step[step > 0]
     if forward.size:
         limit = max(GAP_NS, GAP_FACTOR * int(np.median(forward)))
-        waited = np.diff(samples.arrival_ns[rows])
-        ahead = step - waited
-        jumps = np.flatnonzero((step > limit) & (ahead > limit))
+        arrival_steps = np.diff(samples.arrival_ns[rows])
+        excess = step - arrival_steps
+        jumps = np.flatnonzero((step > limit) & (excess > limit))
         if jumps.size:
-            jumping, most = number_of(jumps.size, "stamp jumps", "stamps jump"), _span(int(ahead[jumps].max()))
-            note("stamp_jump", rows[jumps], f"{jumping} ahead of log time, by up to {most}")
-        paused = np.where(ahead > limit, waited, step)
-        gaps = np.flatnonzero((step > limit) & (paused > limit))
+            jump_text, largest_step = number_of(jumps.size, "stamp jumps", "stamps jump"), _span(int(excess[jumps].max()))
+            note("stamp_jump", rows[jumps], f"{jump_text} ahead of log time, by up to {largest_step}")
+        effective_steps = np.where(excess > limit, arrival_steps, step)
+        gaps = np.flatnonzero((step > limit) & (effective_steps > limit))
         if gaps.size:
-            text = f"{number_of(gaps.size, 'gap')} longer than {_span(limit)}, the longest {_span(int(paused[gaps].max()))}"
+            text = (
+                f"{number_of(gaps.size, 'gap')} longer than {_span(limit)}, the longest {_span(int(effective_steps[gaps].max()))}"
+            )
             note("gap", rows[gaps], text)
 
 
 def _look_for_stuck(samples: Series, rows: NDArray[np.intp], runs: NDArray[np.intp], stamp_ns: IntArray, note: _Note) -> None:
     """Note runs of one non-zero value that last longer than `STUCK_NS`; `runs` are their starts among `rows`."""
     last = np.append(runs[1:], len(rows)) - 1
-    lasting = stamp_ns[rows[last]] - stamp_ns[rows[runs]]
-    stuck = (lasting > STUCK_NS) & (samples.value[rows[runs]] != 0.0)
-    if stuck.any():
-        at = np.flatnonzero(np.repeat(stuck, last - runs + 1))
-        longest = _span(int(lasting[stuck].max()))
-        text = f"{number_of(int(stuck.sum()), 'period')} with one non-zero value for more than 60 s, at most {longest}"
-        note("stuck", rows[at], text)
+    run_ns = stamp_ns[rows[last]] - stamp_ns[rows[runs]]
+    is_stuck = (run_ns > STUCK_NS) & (samples.value[rows[runs]] != 0.0)
+    if is_stuck.any():
+        stuck_rows = np.flatnonzero(np.repeat(is_stuck, last - runs + 1))
+        longest_span = _span(int(run_ns[is_stuck].max()))
+        text = f"{number_of(int(is_stuck.sum()), 'period')} with one non-zero value for more than 60 s, at most {longest_span}"
+        note("stuck", rows[stuck_rows], text)
 
 
 def _look_for_drops(samples: Series, note: _Note) -> None:
     """Note where speed is exactly 0 for a sample or a few, and moving right before and after."""
     zero = np.concatenate(([False], samples.value == 0.0, [False]))
     start, stop = np.flatnonzero(zero[1:] & ~zero[:-1]), np.flatnonzero(zero[:-1] & ~zero[1:])
-    inside = (start > 0) & (stop < len(samples)) & (stop - start <= DROP_SAMPLES)
-    start, stop = start[inside], stop[inside]
-    moving = (np.abs(samples.value[start - 1]) > MOVING_MPS) & (np.abs(samples.value[stop]) > MOVING_MPS)
-    at = start[moving]
-    note("dropout", at, f"{number_of(at.size, 'dropout')} to exactly 0 for {DROP_SAMPLES} samples or fewer while moving")
+    is_drop = (start > 0) & (stop < len(samples)) & (stop - start <= DROP_SAMPLES)
+    start, stop = start[is_drop], stop[is_drop]
+    is_moving = (np.abs(samples.value[start - 1]) > MOVING_MPS) & (np.abs(samples.value[stop]) > MOVING_MPS)
+    drop_rows = start[is_moving]
+    note(
+        "dropout",
+        drop_rows,
+        f"{number_of(drop_rows.size, 'dropout')} to exactly 0 for {DROP_SAMPLES} samples or fewer while moving",
+    )
 
 
 def _quantum(value: FloatArray, runs: NDArray[np.intp]) -> float:
@@ -154,8 +166,8 @@ def _quantum(value: FloatArray, runs: NDArray[np.intp]) -> float:
     ratio = steps / step
     if float(np.abs(ratio - np.rint(ratio)).max()) > GRID_TOLERANCE:
         return 0.0
-    lasting = float(np.median(np.diff(np.append(runs, len(value)))))
-    return step if lasting >= 2.0 or len(runs) >= 4 * len(steps) else 0.0
+    run_length = float(np.median(np.diff(np.append(runs, len(value)))))
+    return step if run_length >= 2.0 or len(runs) >= 4 * len(steps) else 0.0
 
 
 def _span(span_ns: int) -> str:
@@ -192,10 +204,10 @@ class Wheel:
     slip_std: float
 
 
-def wheels(held: Mapping[str, FloatArray]) -> tuple[Wheel, ...]:
+def wheels(aligned_series: Mapping[str, FloatArray]) -> tuple[Wheel, ...]:
     """Wheel ratios and slips of a recording, if it drives straight for long enough.
 
-    `held`: roles on the samples of the speed, from `Recording.aligned`.
+    `aligned_series`: roles on the samples of the speed, from `Recording.aligned`.
 
     Notes
     -----
@@ -203,66 +215,67 @@ def wheels(held: Mapping[str, FloatArray]) -> tuple[Wheel, ...]:
     the delay tau between the two speeds with acceleration a, which would otherwise look like slip. Standard deviations
     are those between consecutive pieces of the recording.
     """
-    time, speed = held["time_s"], held["speed"]
-    roles = [role for role in held if base_role(role) == "wheel_speed"]
+    time, speed = aligned_series["time_s"], aligned_series["speed"]
+    roles = [role for role in aligned_series if base_role(role) == "wheel_speed"]
     if not roles or len(time) < PIECES * FEWEST_EACH:
         return ()
     step = np.gradient(time)
-    usable = np.isfinite(speed) & (np.abs(speed) > SLOWEST_MPS) & (step > 0.0)
-    if "steering_angle" in held:
-        usable &= np.abs(held["steering_angle"]) < STRAIGHT_RAD
-    elif "yaw_rate" in held:
-        usable &= np.abs(held["yaw_rate"]) < STRAIGHT_RADPS
+    is_usable = np.isfinite(speed) & (np.abs(speed) > SLOWEST_MPS) & (step > 0.0)
+    if "steering_angle" in aligned_series:
+        is_usable &= np.abs(aligned_series["steering_angle"]) < STRAIGHT_RAD
+    elif "yaw_rate" in aligned_series:
+        is_usable &= np.abs(aligned_series["yaw_rate"]) < STRAIGHT_RADPS
     accel = np.gradient(speed) / np.where(step > 0.0, step, np.nan)
     columns = [speed, accel]
-    if "torque" in held and np.nanmax(np.abs(held["torque"]), initial=0.0) > 0.0:
-        columns.append(speed * held["torque"] / KNM)
-        usable &= np.isfinite(held["torque"])
+    if "torque" in aligned_series and np.nanmax(np.abs(aligned_series["torque"]), initial=0.0) > 0.0:
+        columns.append(speed * aligned_series["torque"] / KNM)
+        is_usable &= np.isfinite(aligned_series["torque"])
     return tuple(
         wheel
         for role in roles
-        if (wheel := _fitted(role.partition("/")[2] or role, np.stack(columns, axis=1), held[role], usable)) is not None
+        if (wheel := _fit_wheel(role.partition("/")[2] or role, np.stack(columns, axis=1), aligned_series[role], is_usable))
+        is not None
     )
 
 
-def _fitted(name: str, columns: FloatArray, rim: FloatArray, usable: np.ndarray) -> Wheel | None:
-    rows = np.flatnonzero(usable & np.isfinite(rim) & np.isfinite(columns).all(axis=1))
+def _fit_wheel(name: str, columns: FloatArray, rim: FloatArray, is_usable: np.ndarray) -> Wheel | None:
+    rows = np.flatnonzero(is_usable & np.isfinite(rim) & np.isfinite(columns).all(axis=1))
     pieces = [piece for piece in np.array_split(rows, PIECES) if len(piece) >= FEWEST_EACH]
     if len(pieces) < PIECES:
         return None
-    found = np.linalg.lstsq(columns[rows], rim[rows], rcond=None)[0]
-    each = np.array([np.linalg.lstsq(columns[piece], rim[piece], rcond=None)[0] for piece in pieces])
-    std = np.std(each, axis=0, ddof=1) / np.sqrt(len(pieces))
-    slip, slip_std = (float(found[2]), float(std[2])) if len(found) > 2 else (np.nan, np.nan)
-    return Wheel(name, float(found[0]), float(std[0]), slip, slip_std)
+    solution = np.linalg.lstsq(columns[rows], rim[rows], rcond=None)[0]
+    piece_solutions = np.array([np.linalg.lstsq(columns[piece], rim[piece], rcond=None)[0] for piece in pieces])
+    std = np.std(piece_solutions, axis=0, ddof=1) / np.sqrt(len(pieces))
+    slip, slip_std = (float(solution[2]), float(std[2])) if len(solution) > 2 else (np.nan, np.nan)
+    return Wheel(name, float(solution[0]), float(std[0]), slip, slip_std)
 
 
-def driven(found: Sequence[Wheel]) -> dict[str, tuple[float, float]]:
+def driven_wheels(wheels: Sequence[Wheel]) -> dict[str, tuple[float, float]]:
     """Wheels that surely turn faster under torque than the one with the least slip, by how much per kNm, and its std.
 
     That one rolls freely, or slips least: the vehicle's own speed may be that of the driven wheels.
     """
-    if any(np.isnan(wheel.slip) for wheel in found):
+    if any(np.isnan(wheel.slip) for wheel in wheels):
         return {}
-    free = min(found, key=lambda wheel: wheel.slip)
-    more = {wheel.name: (wheel.slip - free.slip, float(np.hypot(wheel.slip_std, free.slip_std))) for wheel in found}
-    return {name: (slip, std) for name, (slip, std) in more.items() if slip > SURE * std}
+    free_wheel = min(wheels, key=lambda wheel: wheel.slip)
+    slips = {wheel.name: (wheel.slip - free_wheel.slip, float(np.hypot(wheel.slip_std, free_wheel.slip_std))) for wheel in wheels}
+    return {name: (slip, std) for name, (slip, std) in slips.items() if slip > SURE * std}
 
 
-def wheel_notes(held: Mapping[str, FloatArray]) -> list[str]:
+def wheel_notes(aligned_series: Mapping[str, FloatArray]) -> list[str]:
     """Radii and slip of the wheels, a sentence each; empty if none is recorded for long enough."""
-    found = wheels(held)
-    if not found:
+    wheel_list = wheels(aligned_series)
+    if not wheel_list:
         return []
-    ratios = ", ".join(f"{wheel.name} {wheel.ratio:.4f} +- {wheel.ratio_std:.4f}" for wheel in found)
+    ratios = ", ".join(f"{wheel.name} {wheel.ratio:.4f} +- {wheel.ratio_std:.4f}" for wheel in wheel_list)
     notes = [f"wheel speed over vehicle speed, straight on without torque (divide each radius by it): {ratios}"]
-    slipping = driven(found)
+    slipping = driven_wheels(wheel_list)
     if slipping:
-        listed = ", ".join(f"{name} {slip:.3%} +- {std:.3%}" for name, (slip, std) in slipping.items())
-        free, most = min(found, key=lambda wheel: wheel.slip), max(slip for slip, _ in slipping.values())
-        text = f"wheels that turn faster than {free.name} under torque, with their slip per kNm: {listed}"
-        behind = free.slip < -0.5 * most  # its speed is closer to that of the slipping wheels
-        notes.append(f"{text}; the vehicle's speed has the same slip" if behind else text)
+        slip_list = ", ".join(f"{name} {slip:.3%} +- {std:.3%}" for name, (slip, std) in slipping.items())
+        free_wheel, largest_slip = min(wheel_list, key=lambda wheel: wheel.slip), max(slip for slip, _ in slipping.values())
+        text = f"wheels that turn faster than {free_wheel.name} under torque, with their slip per kNm: {slip_list}"
+        is_behind = free_wheel.slip < -0.5 * largest_slip  # its speed is closer to that of the slipping wheels
+        notes.append(f"{text}; the vehicle's speed has the same slip" if is_behind else text)
     return notes
 
 
@@ -311,12 +324,12 @@ class Recording:
         """Read a source to its end, and find defects in its samples. Raises InputError for content that it cannot read."""
         blocks = list(source.blocks())
         series = {role: _series_of(blocks, index) for index, role in enumerate(source.roles)}
-        found = (*source.findings, *_defects(series.__getitem__, source))
+        findings = (*source.findings, *_defects(series.__getitem__, source))
         return cls(
             source.name,
             MappingProxyType(series),
             source.notes,
-            found,
+            findings,
             source.zero_is_unset,
             np.concatenate([np.empty(0, np.int16), *(block.role for block in blocks)]),
             torque_candidates=source.torque_candidates,
@@ -327,13 +340,17 @@ class Recording:
         """Roles in the order of `order`."""
         return tuple(self.series)
 
-    def without(self, hidden: Collection[str]) -> Recording:
+    def without(self, hidden_roles: Collection[str]) -> Recording:
         """The recording without some roles; a role hides those of its axles and assemblies too."""
-        shown = {role: s for role, s in self.series.items() if role not in hidden and base_role(role) not in hidden}
+        shown_series = {
+            role: s for role, s in self.series.items() if role not in hidden_roles and base_role(role) not in hidden_roles
+        }
         if self.order is None:
-            return replace(self, series=shown)
-        numbers = np.array([list(shown).index(role) if role in shown else -1 for role in self.series], np.int16)[self.order]
-        return replace(self, series=shown, order=numbers[numbers >= 0])
+            return replace(self, series=shown_series)
+        numbers = np.array([list(shown_series).index(role) if role in shown_series else -1 for role in self.series], np.int16)[
+            self.order
+        ]
+        return replace(self, series=shown_series, order=numbers[numbers >= 0])
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """All samples again, in the order of the log, at most `max_rows` at a time."""
@@ -343,13 +360,13 @@ class Recording:
             rows = np.flatnonzero(order == index)
             place[rows] = np.arange(len(rows))
         for start in range(0, len(order), max_rows):
-            role, at = order[start : start + max_rows], place[start : start + max_rows]
+            role, places = order[start : start + max_rows], place[start : start + max_rows]
             stamp_ns, arrival_ns, value = np.empty(len(role), np.int64), np.empty(len(role), np.int64), np.empty(len(role))
             for index, samples in enumerate(self.series.values()):
                 rows = np.flatnonzero(role == index)
-                stamp_ns[rows] = samples.stamp_ns[at[rows]]
-                arrival_ns[rows] = samples.arrival_ns[at[rows]]
-                value[rows] = samples.value[at[rows]]
+                stamp_ns[rows] = samples.stamp_ns[places[rows]]
+                arrival_ns[rows] = samples.arrival_ns[places[rows]]
+                value[rows] = samples.value[places[rows]]
             yield SampleBlock(role, stamp_ns, arrival_ns, value)
 
     def log_order(self) -> NDArray[np.int16]:
@@ -359,15 +376,15 @@ class Recording:
         if self.order is not None:
             return self.order
         roles = [index for index, _ in sorted(enumerate(self.series), key=lambda pair: pair[1] == "speed")]
-        logged = [samples.arrival_ns for samples in (list(self.series.values())[index] for index in roles)]
-        in_turn = np.lexsort((np.concatenate(logged), np.concatenate(_stretches(logged))))
-        return np.repeat(np.array(roles, np.int16), [len(one) for one in logged])[in_turn]
+        log_times = [samples.arrival_ns for samples in (list(self.series.values())[index] for index in roles)]
+        in_turn = np.lexsort((np.concatenate(log_times), np.concatenate(_stretches(log_times))))
+        return np.repeat(np.array(roles, np.int16), [len(times) for times in log_times])[in_turn]
 
     @property
     def start_ns(self) -> int:
         """Stamp of time 0 [ns]: the earliest valid one of speed, or of the first role with samples."""
-        first = next((r for r in sorted(self.series, key=lambda role: role != "speed") if len(self.series[r])), "")
-        return int(_stamps(self, first).min()) if first else 0
+        first_role = next((r for r in sorted(self.series, key=lambda role: role != "speed") if len(self.series[r])), "")
+        return int(_stamps(self, first_role).min()) if first_role else 0
 
     def time_s(self, role: str) -> FloatArray:
         """Return the stamps of a role from the start of the recording [s], shape (n,).
@@ -399,14 +416,14 @@ class Recording:
             arrival_ns[order == index] = samples.arrival_ns
         turn = np.cumsum(np.diff(arrival_ns, prepend=arrival_ns[:1]) != 0)  # in the log, which may begin anew; one at one time
         turns = {role: turn[order == index] for index, role in enumerate(self.series)}
-        held: dict[str, FloatArray] = {"time_s": self.time_s("speed"), "speed": self.series["speed"].value.copy()}
+        aligned_series: dict[str, FloatArray] = {"time_s": self.time_s("speed"), "speed": self.series["speed"].value.copy()}
         for role, samples in self.series.items():
             if role == "speed":
                 continue
-            finite = np.isfinite(samples.value)
-            last = np.searchsorted(turns[role][finite], turns["speed"], side="right")
-            held[role] = np.concatenate(([np.nan], samples.value[finite]))[last]
-        return held
+            is_finite = np.isfinite(samples.value)
+            last = np.searchsorted(turns[role][is_finite], turns["speed"], side="right")
+            aligned_series[role] = np.concatenate(([np.nan], samples.value[is_finite]))[last]
+        return aligned_series
 
     def __repr__(self) -> str:
         return "\n".join(self.report())
@@ -426,16 +443,16 @@ class Recording:
 
         `roles`: the roles to use; all of them by default.
         """
-        used = set(self.series if roles is None else roles)
-        if not any(base_role(role) == "wheel_speed" for role in used):
+        used_roles = set(self.series if roles is None else roles)
+        if not any(base_role(role) == "wheel_speed" for role in used_roles):
             return []
-        return wheel_notes({role: values for role, values in self.aligned().items() if role in used | {"time_s"}})
+        return wheel_notes({role: values for role, values in self.aligned().items() if role in used_roles | {"time_s"}})
 
     def _findings(self) -> Iterator[tuple[str, str]]:
         """Role and text of each finding, with its first time."""
         for finding in self.findings:
-            first = f" (first at {finding.first_time_s:.2f} s)" if np.isfinite(finding.first_time_s) else ""
-            yield finding.role, finding.text + first
+            first_time = f" (first at {finding.first_time_s:.2f} s)" if np.isfinite(finding.first_time_s) else ""
+            yield finding.role, finding.text + first_time
 
     def report(self) -> list[str]:
         """Report contents, assumptions and defects, one line each.
@@ -455,23 +472,25 @@ class Recording:
         return [*lines, *(f"  {role}: {text}" if role else f"  {text}" for role, text in self._findings())]
 
 
-def _stretches(logged: Sequence[IntArray]) -> list[IntArray]:
+def _stretches(log_times: Sequence[IntArray]) -> list[IntArray]:
     """How often the log began anew before each sample, from the log times of each role.
 
     It began anew where all roles step back together. Roles may end before, and are then in the first stretch. Else a step
     back is a sample out of turn.
     """
-    steps = [np.diff(one, prepend=one[:1]) < 0 for one in logged]
-    spans = [(one[np.roll(back, -1)], one[back]) for one, back in zip(logged, steps, strict=True)]
-    last, first = spans[-1]  # log times before and after each step of the last role
-    anew = all(
-        ((high > first) & (low < last)).all() if len(high) == len(last) else not len(high) and (one <= last[0]).all()
-        for one, (high, low) in zip(logged, spans, strict=True)
+    steps = [np.diff(times, prepend=times[:1]) < 0 for times in log_times]
+    spans = [(times[np.roll(back, -1)], times[back]) for times, back in zip(log_times, steps, strict=True)]
+    last, first_times = spans[-1]  # log times before and after each step of the last role
+    is_restart = all(
+        ((latest > first_times) & (earliest < last)).all()
+        if len(latest) == len(last)
+        else not len(latest) and (times <= last[0]).all()
+        for times, (latest, earliest) in zip(log_times, spans, strict=True)
     )
-    return [np.cumsum(back & anew) for back in steps]
+    return [np.cumsum(back & is_restart) for back in steps]
 
 
-def stamped(recording: Recording) -> Recording:
+def with_stamps(recording: Recording) -> Recording:
     """The recording with stamps that are all set, see `set_stamps`."""
     return replace(recording, series={r: replace(s, stamp_ns=_stamps(recording, r)) for r, s in recording.series.items()})
 
@@ -484,22 +503,22 @@ def _stamps(recording: Recording, role: str) -> IntArray:
 
 def topics_in_use(recordings: Sequence[Recording]) -> Topics | None:
     """The lines of topics files that recordings use; a role has the line of the first one that names it."""
-    given = [recording.topics for recording in recordings if recording.topics]
-    lines = {role: line for topics in reversed(given) for role, line in topics.bindings.items()}
-    return replace(given[0], bindings=MappingProxyType(lines)) if given else None
+    topics_given = [recording.topics for recording in recordings if recording.topics]
+    lines = {role: line for topics in reversed(topics_given) for role, line in topics.bindings.items()}
+    return replace(topics_given[0], bindings=MappingProxyType(lines)) if topics_given else None
 
 
 def _series_of(blocks: Sequence[SampleBlock], index: int) -> Series:
     """The samples of one role."""
     rows = [block.role == index for block in blocks]
 
-    def joined(name: str, kind: type) -> NDArray[Any]:
-        parts = (getattr(block, name)[at] for block, at in zip(blocks, rows, strict=True))
+    def join(name: str, kind: type) -> NDArray[Any]:
+        parts = (getattr(block, name)[block_rows] for block, block_rows in zip(blocks, rows, strict=True))
         column = np.concatenate([np.empty(0, kind), *parts])
         column.setflags(write=False)
         return column
 
-    return Series(joined("stamp_ns", np.int64), joined("arrival_ns", np.int64), joined("value", np.float64))
+    return Series(join("stamp_ns", np.int64), join("arrival_ns", np.int64), join("value", np.float64))
 
 
 def defects_of(blocks: Sequence[SampleBlock], source: Source) -> tuple[Finding, ...]:
@@ -519,25 +538,25 @@ def _defects(series: Callable[[str], Series], source: Source) -> Iterator[Findin
     for role in source.roles:
         samples = series(role)
         if role in bindings and bindings[role].delay_ns:
-            unset = source.zero_is_unset & (samples.stamp_ns == 0)
-            samples = replace(samples, stamp_ns=np.where(unset, 0, samples.stamp_ns + bindings[role].delay_ns))
+            unset_rows = source.zero_is_unset & (samples.stamp_ns == 0)
+            samples = replace(samples, stamp_ns=np.where(unset_rows, 0, samples.stamp_ns + bindings[role].delay_ns))
         yield from findings_of(role, samples, start, source.zero_is_unset)
 
 
 def _measures(recording: Recording, role: str) -> tuple[str, str, str, str]:
     """Number of samples, rate [Hz], least and greatest value of a role; empty texts without samples."""
     samples = recording.series[role]
-    finite = samples.value[np.isfinite(samples.value)]
-    if not finite.size:
+    finite_values = samples.value[np.isfinite(samples.value)]
+    if not finite_values.size:
         return str(len(samples)), "", "", ""
     steps = np.diff(_stamps(recording, role))
     median = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     rate = figures(1e9 / median, 4) if median else ""
-    return str(len(samples)), rate, figures(finite.min(), 6), figures(finite.max(), 6)
+    return str(len(samples)), rate, figures(finite_values.min(), 6), figures(finite_values.max(), 6)
 
 
 def _summary(recording: Recording, role: str) -> str:
-    count, rate, low, high = _measures(recording, role)
-    if not low:
+    count, rate, lowest, highest = _measures(recording, role)
+    if not lowest:
         return f"{count} samples, none with a value"
-    return f"{count} samples{f' at {rate} Hz' if rate else ''}, {low} to {high}"
+    return f"{count} samples{f' at {rate} Hz' if rate else ''}, {lowest} to {highest}"

@@ -3,6 +3,7 @@
 
 """The one table of roles: meaning, unit and known column names of each kind of input; conversions of units; ways of travel."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -55,32 +56,35 @@ SPELLINGS = {
 """Other spellings, as `_plain` simplifies them, in lower case."""
 
 
-def _plain(text: str) -> str:
+def _plain_form(text: str) -> str:
     """A unit without marks that differ from tool to tool: ``N·m``, ``N*m`` and ``N m`` alike."""
-    for mark, plain in (("°", "deg"), ("º", "deg"), ("²", "2"), ("µ", "u")):
-        text = text.replace(mark, plain)
-    plain = "".join(c for c in text if c.isalnum() or c in "/%‰")
-    return plain or "1"
+    for mark, replacement in (("°", "deg"), ("º", "deg"), ("²", "2"), ("µ", "u")):
+        text = text.replace(mark, replacement)
+    replacement = "".join(c for c in text if c.isalnum() or c in "/%‰")
+    return replacement or "1"
 
 
-def conversion(text: str, inside: str) -> Conversion | None:
+def conversion(text: str, si_unit: str) -> Conversion | None:
     """Conversion of a unit to that of the role; None if it does not fit.
 
-    `text`: as written in a file; `inside`: the internal unit.
+    `text`: as written in a file; `si_unit`: the internal unit.
     """
-    given = _plain(text)
-    names = {_plain(name): one for name, one in UNITS[inside].items()}
-    for spelt in (given, _plain(SPELLINGS.get(given.lower(), given))):  # kn is kN of a load, and knots of a speed
-        folded = [one for name, one in names.items() if name.lower() == spelt.lower()]
-        found = names.get(spelt) or (folded[0] if len(folded) == 1 else None)
-        if found:
-            return found
+    plain_text = _plain_form(text)
+    names = {_plain_form(name): factor for name, factor in UNITS[si_unit].items()}
+    for spelt in (
+        plain_text,
+        _plain_form(SPELLINGS.get(plain_text.lower(), plain_text)),
+    ):  # kn is kN of a load, and knots of a speed
+        matches = [factor for name, factor in names.items() if name.lower() == spelt.lower()]
+        result = names.get(spelt) or (matches[0] if len(matches) == 1 else None)
+        if result:
+            return result
     return None
 
 
 def is_quantity(text: str) -> bool:
     """Whether a text is the unit of a quantity: not of a share or a count."""
-    return any(conversion(text, inside) for inside in UNITS if inside != "1")
+    return any(conversion(text, si_unit) for si_unit in UNITS if si_unit != "1")
 
 
 FORWARD, REVERSE, NEUTRAL = 1.0, -1.0, 0.0
@@ -95,12 +99,12 @@ class Ways:
     reverse: tuple[float, ...] = ()
     neutral: tuple[float, ...] = ()
 
-    def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    def directions(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """`FORWARD`, `REVERSE` or `NEUTRAL` for each number; nan for one without a meaning, such as that of an error."""
         if not self.forward and not self.reverse:
             return np.sign(numbers)
-        each = (self.forward, self.reverse, self.neutral)
-        return np.select([np.isin(numbers, some) for some in each], [FORWARD, REVERSE, NEUTRAL], np.nan)
+        number_groups = (self.forward, self.reverse, self.neutral)
+        return np.select([np.isin(numbers, group) for group in number_groups], [FORWARD, REVERSE, NEUTRAL], np.nan)
 
 
 STANDARDS: Mapping[str, Ways] = MappingProxyType(
@@ -119,35 +123,55 @@ KNOWN = {
 }  # fmt: skip
 """Words in the name of a signal or column that is of a standard."""
 SAYS_REVERSE = re.compile(
-    r"\brevers(e|ing)\b|\bdirection (indicator|of travel)\b|\b(machine|driving|travel) direction\b|\bgear\b"
+    r"\brevers(e|ing)\b|\bbackwards?\b|\brueckw|\bdirection (indicator|of travel)\b|"
+    r"\b(machine|driving|travel|drive) direction\b|^(is )?(direction|forward)$|\bgear\b"
 )
 """Words in the name of a column that may say when a vehicle drives backwards."""
-NAMED = {"forward": r"\b(forwards?|drive)\b", "reverse": r"\b(reverse|backwards?)\b", "neutral": r"\b(neutral|park)\b"}
+NAMED = {
+    "forward": r"\b(forwards?|drive|vorwaerts)\b",
+    "reverse": r"\b(revers(e|ing)|backwards?|rueckwaerts)\b",
+    "neutral": r"\b(neutral|park)\b",
+}
 """Words of the names that files give values."""
 
 
 def standard_of(name: str) -> str:
     """The standard of a signal or column by its name; empty if it is none's."""
-    spoken = words(name)
-    return next((standard for standard, pattern in KNOWN.items() if pattern.search(spoken)), "")
+    name_words = words(name)
+    return next((standard for standard, pattern in KNOWN.items() if pattern.search(name_words)), "")
 
 
-def named_ways(named: Iterable[tuple[float, str]]) -> Ways | None:
+def named_ways(named_numbers: Iterable[tuple[float, str]]) -> Ways | None:
     """The meaning of values by the names that a file gives them; None unless one is forward and one reverse."""
-    found: dict[str, list[float]] = {way: [] for way in WAYS}
-    for value, name in named:
+    numbers_by_way: dict[str, list[float]] = {way: [] for way in WAYS}
+    for value, name in named_numbers:
         for way in WAYS:
             if re.search(NAMED[way], words(name)):
-                found[way].append(value)
+                numbers_by_way[way].append(value)
                 break
-    ways = Ways(*(tuple(found[way]) for way in WAYS))
+    ways = Ways(*(tuple(numbers_by_way[way]) for way in WAYS))
     return ways if ways.forward and ways.reverse else None
 
 
 def as_said(ways: Ways) -> str | dict[str, list[float]]:
     """`values` of a topics file for some ways."""
-    standard = next((name for name, one in STANDARDS.items() if one == ways), "")
+    standard = next((name for name, standard_ways in STANDARDS.items() if standard_ways == ways), "")
     return standard or {way: [float(value) for value in getattr(ways, way)] for way in WAYS if getattr(ways, way)}
+
+
+def likely_values(name: str, value_names: Iterable[tuple[float, str]] = ()) -> str:
+    """`values` of a topics file for a column that may say when a vehicle drives backwards, by its value names and its name."""
+    ways, name_words = named_ways(value_names), words(name)
+    if ways:
+        numbers = {way: ", ".join(f"{number:g}" for number in getattr(ways, way)) for way in WAYS}
+        return f"{{{', '.join(f'{way}: [{text}]' for way, text in numbers.items() if text)}}}"
+    standard = standard_of(name)
+    if "forward" in name_words or standard == "iso_11783":
+        return "{forward: [1], reverse: [0]}"
+    if not standard and "direction" in name_words:
+        return "{forward: [1], reverse: [-1]}"
+    is_gear = standard == "gear" or ("gear" in name_words and "revers" not in name_words)
+    return "gear" if is_gear else "{forward: [0], reverse: [1]}"
 
 
 def may_say_reverse(names: Iterable[str]) -> list[str]:
@@ -162,7 +186,7 @@ class Role:
     unit: str  # internal unit of its values, a key of `trackres_ros.recording.roles.UNITS`
     text: str
     parts: bool = False  # whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``)
-    lively: bool = False  # whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor
+    is_lively: bool = False  # whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor
     columns: Mapping[str, str] = field(default_factory=dict)  # names of columns for it, and the unit of each
     # patterns that the words of a channel must and must not match for it to be guessed; never guessed without `words`
     words: str = ""
@@ -191,7 +215,7 @@ CRUISE = (
 ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "speed": Role("m/s", "forward speed of the vehicle",
-            lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
+            is_lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
             not_words=NOT_VEHICLE + "|" + CRUISE + r"|\bset ?(speed|spd)\b|\bforward veh|\bpreceding\b|"
             r"\brelative\b(?! to ground)"),
         "direction": Role("1", "the way a speed without a sign is driven: 1 forward, -1 backwards, 0 neutral",
@@ -200,18 +224,18 @@ ROLES: Mapping[str, Role] = MappingProxyType(
             parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight",
             not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|^(?!.*\bpowered veh).*combination|"
             r"\b(empty|tare|unladen|kerb|curb)\b"),
-        "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly",
-            parts=True, lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b",
+        "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly; or at the motor",
+            parts=True, is_lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b",
             not_words=NOT_VEHICLE + r"|brak|brems|steer|lenk|retard|clutch|\bpto\b"),
         "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT, not_words=NOT_AMBIENT),
         "belt": Role("degC", "measured temperature of the rubber belt",
             parts=True, columns={"belt_degc": "degC"}, words=r"\b(belt|track|rubber)\b", not_words=AMBIENT),
-        "accel": Role("m/s2", "acceleration along the track, without gravity", lively=True, columns={"accel_mps2": "m/s2"}),
+        "accel": Role("m/s2", "acceleration along the track, without gravity", is_lively=True, columns={"accel_mps2": "m/s2"}),
         "specific_force": Role("m/s2", "what an IMU measures along the track: acceleration and, on a slope, gravity",
-            lively=True, columns={"specific_force_mps2": "m/s2"}),
+            is_lively=True, columns={"specific_force_mps2": "m/s2"}),
         "grade": Role("1", "slope as rise over run, positive uphill", columns={"grade": "1"}),
         "yaw_rate": Role("rad/s", "turning rate about the upward axis",
-            lively=True, columns={"yaw_rate_radps": "rad/s"}, words=r"\byaw ?rate\b"),
+            is_lively=True, columns={"yaw_rate_radps": "rad/s"}, words=r"\byaw ?rate\b"),
         "heading": Role("rad", "angle about the upward axis at which the vehicle points", columns={"heading_rad": "rad"}),
         "distance": Role("m", "distance travelled", columns={"distance_m": "m"}),
         "stood": Role("s", "standing time before the recording began; one value", columns={"stood_s": "s"}),
@@ -233,6 +257,27 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 )  # fmt: skip
 
 
+PLAUSIBLE: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "speed": (-120.0, 120.0),  # the fastest vehicle file, and a fifth
+        "load": (1e2, 1e8),
+        "torque": (-1e6, 1e6),
+        "ambient": (-60.0, 60.0),
+        "belt": (-60.0, 180.0),
+        "accel": (-15.0, 15.0),
+        "grade": (-0.6, 0.6),
+        "yaw_rate": (-5.0, 5.0),
+        "heading": (-1e3, 1e3),
+        "distance": (-1e9, 1e9),
+        "passengers": (0.0, 1e3),
+        "latitude": (-0.5 * math.pi, 0.5 * math.pi),
+        "longitude": (-2.0 * math.pi, 2.0 * math.pi),
+        "enable": (0.0, 1.0),
+        "altitude": (-1e3, 1e4),
+        "specific_force": (-30.0, 30.0),
+    }
+)
+"""Limits outside of which a measurement is refused, and a guess, unless the vehicle file gives others: [low, high]."""
 POSITION = ("latitude", "longitude")
 GROUND = ("altitude", "specific_force")
 """Roles that show the rise of the ground, for learning from a measured torque; the estimate itself needs none of them."""

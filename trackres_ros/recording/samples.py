@@ -31,15 +31,15 @@ class SampleBlock:
         return len(self.role)
 
 
-def standing_time(given: FloatArray, name: str) -> float:
+def standing_time(standing_s: FloatArray, name: str) -> float:
     """Standing time before a recording [s] by its samples of the role `stood`, nan without any; `name` is the recording's.
 
     Raises InputError for a negative one.
     """
-    known = given[np.isfinite(given)]
-    if len(known) and known[0] < 0.0:
-        raise InputError(f"{name}: stood", f"{known[0]:g} s", "0 s or more", "give the time since the previous drive ended")
-    return float(known[0]) if len(known) else np.nan
+    finite_s = standing_s[np.isfinite(standing_s)]
+    if len(finite_s) and finite_s[0] < 0.0:
+        raise InputError(f"{name}: stood", f"{finite_s[0]:g} s", "0 s or more", "give the time since the previous drive ended")
+    return float(finite_s[0]) if len(finite_s) else np.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,19 +115,19 @@ def set_stamps(samples: Series, delay_ns: int = 0) -> IntArray:
 
     `delay_ns`: of the role, as without any set stamp none has it.
     """
-    rows, unset = np.arange(len(samples)), samples.stamp_ns == 0
-    if not unset.any():
+    rows, unset_rows = np.arange(len(samples)), samples.stamp_ns == 0
+    if not unset_rows.any():
         return samples.stamp_ns
-    off = np.append(samples.stamp_ns - samples.arrival_ns, -delay_ns)
-    first = -1 if unset.all() else int(np.argmin(unset))
-    last = np.maximum.accumulate(np.where(unset, first, rows))
-    return np.where(unset, samples.arrival_ns + off[last], samples.stamp_ns)
+    offsets_ns = np.append(samples.stamp_ns - samples.arrival_ns, -delay_ns)
+    first_row = -1 if unset_rows.all() else int(np.argmin(unset_rows))
+    last = np.maximum.accumulate(np.where(unset_rows, first_row, rows))
+    return np.where(unset_rows, samples.arrival_ns + offsets_ns[last], samples.stamp_ns)
 
 
 def first_valid(samples: Series | SampleBlock, rows: NDArray[np.bool_], zero_is_unset: bool) -> tuple[int, int] | None:
     """Stamp and arrival [ns] of the first finite value among some rows, shape (n,); a stamp that was never set is the arrival."""
-    found = rows & np.isfinite(samples.value)
-    if not found.any():
+    valid_rows = rows & np.isfinite(samples.value)
+    if not valid_rows.any():
         return None
-    stamp_ns, arrival_ns = (int(times[np.argmax(found)]) for times in (samples.stamp_ns, samples.arrival_ns))
+    stamp_ns, arrival_ns = (int(times[np.argmax(valid_rows)]) for times in (samples.stamp_ns, samples.arrival_ns))
     return arrival_ns if zero_is_unset and not stamp_ns else stamp_ns, arrival_ns

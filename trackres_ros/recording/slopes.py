@@ -48,31 +48,31 @@ def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -
     The rest is fitted by straight lines over a distance that depends on its noise and its steps. A vehicle that turns back is
     taken to retrace its way: such a line is over the way it points. Where it only moves to and fro, the slope is unknown.
     """
-    known = np.isfinite(altitude)
-    unknown = Slopes(np.full(len(time_s), np.nan), np.nan, np.nan)
-    if known.sum() < 2:
-        return unknown
-    height = np.interp(time_s, time_s[known], altitude[known])
-    moving = np.abs(speed) > SLOWEST_MPS
+    has_altitude = np.isfinite(altitude)
+    no_slopes = Slopes(np.full(len(time_s), np.nan), np.nan, np.nan)
+    if has_altitude.sum() < 2:
+        return no_slopes
+    height = np.interp(time_s, time_s[has_altitude], altitude[has_altitude])
+    is_moving = np.abs(speed) > SLOWEST_MPS
     steps = np.nan_to_num(0.5 * (speed[1:] + speed[:-1])) * np.diff(time_s)
-    distance, place = (np.concatenate(([0.0], np.cumsum(of))) for of in (np.abs(steps), steps))
-    rises = np.where(moving[1:] & moving[:-1], np.diff(height), 0.0)
-    along = np.concatenate(([0.0], np.cumsum(rises)))
+    distance, place = (np.concatenate(([0.0], np.cumsum(increments))) for increments in (np.abs(steps), steps))
+    climb = np.where(is_moving[1:] & is_moving[:-1], np.diff(height), 0.0)
+    height_along = np.concatenate(([0.0], np.cumsum(climb)))
     if distance[-1] < SHORTEST_M:
-        return unknown
-    at = np.arange(0.0, distance[-1] + GRID_M, GRID_M)
-    unique, first = np.unique(distance, return_index=True)
-    profile, ahead = (np.interp(at, unique, of[first]) for of in (along, place))
-    step = _step(altitude[known])
-    rough = profile - _lines(ahead, profile, SHORTEST_M)[0]
-    rough = rough[np.isfinite(rough)]
-    if not len(rough):
-        return unknown
-    noise = max(MAD_TO_STD * float(np.median(np.abs(rough - np.median(rough)))), step / OF_A_LINE, error_m)
+        return no_slopes
+    grid = np.arange(0.0, distance[-1] + GRID_M, GRID_M)
+    unique_distance, first_rows = np.unique(distance, return_index=True)
+    profile, place_on_grid = (np.interp(grid, unique_distance, increments[first_rows]) for increments in (height_along, place))
+    step = _step(altitude[has_altitude])
+    roughness = profile - _lines(place_on_grid, profile, SHORTEST_M)[0]
+    roughness = roughness[np.isfinite(roughness)]
+    if not len(roughness):
+        return no_slopes
+    noise = max(MAD_TO_STD * float(np.median(np.abs(roughness - np.median(roughness)))), step / OF_A_LINE, error_m)
     length = min(max(noise * OF_A_LINE / SURE_SLOPE, SHORTEST_M), LONGEST_M)
-    found = np.interp(distance, at, _lines(ahead, profile, length)[1])
-    found[~(np.abs(found) <= STEEPEST) | _untrusted(time_s, height, speed, moving)] = np.nan
-    return Slopes(found, noise * OF_A_LINE / length, length)
+    slope_values = np.interp(distance, grid, _lines(place_on_grid, profile, length)[1])
+    slope_values[~(np.abs(slope_values) <= STEEPEST) | _untrusted(time_s, height, speed, is_moving)] = np.nan
+    return Slopes(slope_values, noise * OF_A_LINE / length, length)
 
 
 def _step(altitude: Array) -> float:
@@ -81,36 +81,43 @@ def _step(altitude: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def _lines(ahead: Array, profile: Array, length: float) -> tuple[Array, Array]:
-    """Level and slope of the straight line, by the place `ahead` [m], through the points of a profile within half a length of
-    each, which are `GRID_M` apart along the drive; nan where these hardly come ahead.
+def _lines(positions: Array, profile: Array, length: float) -> tuple[Array, Array]:
+    """Level and slope of the straight line, by the `positions` along the way [m], through the points of a profile within half a
+    length of each, which are `GRID_M` apart along the drive; nan where these hardly come ahead.
     """
-    half = max(1, min(round(0.5 * length / GRID_M), len(profile) // 2))
-    sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (np.ones(len(profile)), ahead, ahead**2, profile, ahead * profile)]
+    half_width = max(1, min(round(0.5 * length / GRID_M), len(profile) // 2))
+    sums = [
+        np.concatenate(([0.0], np.cumsum(x)))
+        for x in (np.ones(len(profile)), positions, positions**2, profile, positions * profile)
+    ]
     rows = np.arange(len(profile))
-    begin, end = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(profile))
+    begin, end = np.maximum(rows - half_width, 0), np.minimum(rows + half_width + 1, len(profile))
     n, x, xx, y, xy = (s[end] - s[begin] for s in sums)
     spread = n * xx - x**2
-    straight = GRID_M**2 * n**2 * (n**2 - 1.0) / OF_A_LINE**2
-    slope = (n * xy - x * y) / np.where(spread > LEAST_AHEAD**2 * straight, spread, np.nan)
-    return (y - slope * x) / n + slope * ahead, slope
+    variance_scale = GRID_M**2 * n**2 * (n**2 - 1.0) / OF_A_LINE**2
+    slope = (n * xy - x * y) / np.where(spread > LEAST_AHEAD**2 * variance_scale, spread, np.nan)
+    return (y - slope * x) / n + slope * positions, slope
 
 
-def _untrusted(time_s: Array, height: Array, speed: Array, moving: Mask) -> Mask:
+def _untrusted(time_s: Array, height: Array, speed: Array, is_moving: Mask) -> Mask:
     """Around each standstill with a drifting altitude, at most up to the standstills before and after."""
-    stands = [(a, b) for a, b in runs_of(~moving) if time_s[b - 1] - time_s[a] >= STAND_S]
-    usual = float(np.median(np.abs(speed[moving])))
-    bad = np.zeros(len(time_s), dtype=bool)
-    for i, (a, b) in enumerate(stands):
-        t = time_s[a:b] - time_s[a]
-        rate, level = np.polyfit(t, height[a:b], 1)
-        scatter = float(np.std(height[a:b] - level - rate * t))
-        if abs(rate) > HARMLESS_SLOPE * usual and abs(rate) * t[-1] > max(DRIFT * scatter, LEAST_DRIFT_M):
-            begin, end = np.searchsorted(time_s, (time_s[a] - REACH_S, time_s[b - 1] + REACH_S))
-            before = stands[i - 1][1] if i else 0
-            after = stands[i + 1][0] if i + 1 < len(stands) else len(time_s)
-            bad[max(begin, before) : min(end, after)] = True
-    return bad
+    stands = [
+        (stand_begin, stand_end)
+        for stand_begin, stand_end in runs_of(~is_moving)
+        if time_s[stand_end - 1] - time_s[stand_begin] >= STAND_S
+    ]
+    usual_speed = float(np.median(np.abs(speed[is_moving])))
+    is_untrusted = np.zeros(len(time_s), dtype=bool)
+    for i, (stand_begin, stand_end) in enumerate(stands):
+        t = time_s[stand_begin:stand_end] - time_s[stand_begin]
+        rate, level = np.polyfit(t, height[stand_begin:stand_end], 1)
+        scatter = float(np.std(height[stand_begin:stand_end] - level - rate * t))
+        if abs(rate) > HARMLESS_SLOPE * usual_speed and abs(rate) * t[-1] > max(DRIFT * scatter, LEAST_DRIFT_M):
+            begin, end = np.searchsorted(time_s, (time_s[stand_begin] - REACH_S, time_s[stand_end - 1] + REACH_S))
+            previous_end = stands[i - 1][1] if i else 0
+            next_begin = stands[i + 1][0] if i + 1 < len(stands) else len(time_s)
+            is_untrusted[max(begin, previous_end) : min(end, next_begin)] = True
+    return is_untrusted
 
 
 def runs_of(mask: Mask) -> Iterator[tuple[int, int]]:

@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple, cast
 from trackres_ros.errors import InputError
 from trackres_ros.recording.reading import UTF_16
 from trackres_ros.recording.roles import is_quantity
+from trackres_ros.recording.samples import Finding
 from trackres_ros.units import SECOND_NS
 
 Mark = Literal[".", ","]
@@ -34,23 +35,25 @@ EXPONENT = r"(?:[eE][+-]?\d+)?"
 HEAD = r"[+-]?[1-9]\d{0,2}"
 
 
-def _either(mark: Mark) -> str:
+def _either_pattern(mark: Mark) -> str:
     """1,234: one and a bit, or one thousand and more."""
     return rf"{HEAD}[{mark}]\d{{3}}"
 
 
-def _surely(mark: Mark, other: Mark) -> str:
+def _sure_pattern(mark: Mark, other_mark: Mark) -> str:
     """Numbers with a certain decimal mark: 0,5 and 12,34 and 1.234,5 and 1.234.567."""
-    plain = rf"(?!{_either(mark)}$)[+-]?(?:\d+[{mark}]\d*|[{mark}]\d+){EXPONENT}"
-    grouped = rf"{HEAD}(?:[{other}]\d{{3}})+[{mark}]\d*{EXPONENT}|{HEAD}(?:[{other}]\d{{3}}){{2,}}"
-    return rf"(?:{plain}|{grouped})"
+    plain_pattern = rf"(?!{_either_pattern(mark)}$)[+-]?(?:\d+[{mark}]\d*|[{mark}]\d+){EXPONENT}"
+    grouped_pattern = rf"{HEAD}(?:[{other_mark}]\d{{3}})+[{mark}]\d*{EXPONENT}|{HEAD}(?:[{other_mark}]\d{{3}}){{2,}}"
+    return rf"(?:{plain_pattern}|{grouped_pattern})"
 
 
-SURELY = {mark: re.compile(rf"^{_surely(mark, other)}$", re.MULTILINE) for mark, other in MARKS}
-EITHER = {mark: re.compile(rf"^{_either(mark)}$", re.MULTILINE) for mark, _ in MARKS}
+SURELY = {mark: re.compile(rf"^{_sure_pattern(mark, other)}$", re.MULTILINE) for mark, other in MARKS}
+EITHER = {mark: re.compile(rf"^{_either_pattern(mark)}$", re.MULTILINE) for mark, _ in MARKS}
 GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPONENT}", re.ASCII) for mark, other in MARKS}
 """A number with a mark between thousands, by its decimal mark."""
-NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?)", re.IGNORECASE)
+NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?|true|false)", re.IGNORECASE)
+TRUTH = {"true": 1.0, "false": 0.0}
+"""Cells of a switch, in lower case."""
 NO_VALUE = frozenset(("", "-", "--", "---", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "Null", "null", "None", "none"))
 """Cells without a value: no sample."""
 
@@ -59,10 +62,10 @@ NO_VALUE = frozenset(("", "-", "--", "---", "NA", "N/A", "n/a", "na", "#N/A", "#
 class ColumnMarks:
     """Evidence on the marks in the cells of one column."""
 
-    given: Mark | Literal[""] = ""  # the decimal mark that the topics file names; empty without one
+    topics_mark: Mark | Literal[""] = ""  # the decimal mark that the topics file names; empty without one
     # by mark: the first cell in which it is surely the decimal mark, and the first in which it may also separate thousands
-    surely: dict[Mark, str] = field(default_factory=dict)
-    either: dict[Mark, str] = field(default_factory=dict)
+    sure_examples: dict[Mark, str] = field(default_factory=dict)
+    either_examples: dict[Mark, str] = field(default_factory=dict)
     marks: set[Mark] = field(default_factory=set)  # all marks in any cell
 
     def see(self, cells: Sequence[str]) -> None:
@@ -70,18 +73,18 @@ class ColumnMarks:
         text = "\n".join(cells)
         for mark in (POINT, COMMA):
             self.marks |= {mark} if mark in text else set()
-        for found, patterns in ((self.surely, SURELY), (self.either, EITHER)):
+        for examples, patterns in ((self.sure_examples, SURELY), (self.either_examples, EITHER)):
             for mark, pattern in patterns.items():
-                if mark not in found and self.marks and (match := pattern.search(text)):
-                    found[mark] = match.group()
+                if mark not in examples and self.marks and (match := pattern.search(text)):
+                    examples[mark] = match.group()
 
 
 def marks_of(lines: Iterable[tuple[str, Mark | Literal[""]]]) -> dict[str, ColumnMarks]:
     """The evidence to collect, by column: of several lines for one column, any may give its decimal mark."""
     marks: dict[str, ColumnMarks] = {}
-    for column, given in lines:
-        one = marks.setdefault(column, ColumnMarks())
-        one.given = one.given or given
+    for column, mark in lines:
+        marks_of_column = marks.setdefault(column, ColumnMarks())
+        marks_of_column.topics_mark = marks_of_column.topics_mark or mark
     return marks
 
 
@@ -94,24 +97,26 @@ def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool 
     `columns`: by name; `name`: of the table, for messages; `commas_separate`: the cells of the table. Raises InputError if
     neither the column nor the others decide, or a column shows both.
     """
-    sure = {mark for marks in columns.values() for mark in ((marks.given,) if marks.given else marks.surely)}
-    shown = sure or ({POINT} if commas_separate else set())
-    return {column: _mark_of(marks, shown, f"{name}: {column}") for column, marks in columns.items()}
+    sure_marks = {
+        mark for marks in columns.values() for mark in ((marks.topics_mark,) if marks.topics_mark else marks.sure_examples)
+    }
+    shown_marks = sure_marks or ({POINT} if commas_separate else set())
+    return {column: _mark_of(marks, shown_marks, f"{name}: {column}") for column, marks in columns.items()}
 
 
-def _mark_of(marks: ColumnMarks, shown: set[Mark], where: str) -> Mark:
-    if marks.given:
-        return marks.given
-    if len(marks.surely) > 1:
-        given = f"{marks.surely[POINT]} with a decimal point and {marks.surely[COMMA]} with a decimal comma"
+def _mark_of(marks: ColumnMarks, shown_marks: set[Mark], where: str) -> Mark:
+    if marks.topics_mark:
+        return marks.topics_mark
+    if len(marks.sure_examples) > 1:
+        given = f"{marks.sure_examples[POINT]} with a decimal point and {marks.sure_examples[COMMA]} with a decimal comma"
         raise InputError(where, given, "one decimal mark in a column")
-    if marks.surely:
-        return next(iter(marks.surely))
-    if not marks.either:
+    if marks.sure_examples:
+        return next(iter(marks.sure_examples))
+    if not marks.either_examples:
         return POINT
-    if set(marks.either) == shown:
-        return next(iter(shown))
-    given = f"{next(iter(marks.either.values()))}, a number whose mark may be a decimal or a thousands separator"
+    if set(marks.either_examples) == shown_marks:
+        return next(iter(shown_marks))
+    given = f"{next(iter(marks.either_examples.values()))}, a number whose mark may be a decimal or a thousands separator"
     remedy = "give the decimal mark in a topics file, in the line of the column: decimal: ',' or decimal: '.'"
     raise InputError(where, given, "a column or table with an unambiguous decimal mark, as in 0,5", remedy)
 
@@ -128,17 +133,21 @@ def is_number(text: str) -> bool:
 
 def number_of(text: str, mark: Mark, where: str = "") -> float | None:
     """The number in a cell, None where it is empty. Raises InputError with its place if it is no number."""
-    bare, other = text.strip(), COMMA if mark == POINT else POINT
-    if not bare:
+    number_text, other_mark = text.strip(), COMMA if mark == POINT else POINT
+    if not number_text:
         return None
     try:
-        if "_" in bare or (other in bare and not GROUPED[mark].fullmatch(bare)):  # 1_0 is Python's notation, not that of a table
+        if "_" in number_text or (
+            other_mark in number_text and not GROUPED[mark].fullmatch(number_text)
+        ):  # 1_0 is Python's notation, not that of a table
             raise ValueError(text)
-        bare = bare.replace(other, "")
-        return float(bare if mark == POINT else bare.replace(COMMA, POINT))
+        number_text = number_text.replace(other_mark, "")
+        return float(number_text if mark == POINT else number_text.replace(COMMA, POINT))
     except ValueError:
-        if bare in NO_VALUE:
+        if number_text in NO_VALUE:
             return None
+        if number_text.lower() in TRUTH:
+            return TRUTH[number_text.lower()]
         raise InputError(where, text, "a number, or an empty cell") from None
 
 
@@ -173,15 +182,15 @@ class DateTimes:
     names it. With dots the day comes first.
     """
 
-    def __init__(self, first: str, order: Order = "") -> None:
-        match = YEAR_FIRST.fullmatch(first.strip()) or YEAR_LAST.fullmatch(first.strip())
+    def __init__(self, first_text: str, order: Order = "") -> None:
+        match = YEAR_FIRST.fullmatch(first_text.strip()) or YEAR_LAST.fullmatch(first_text.strip())
         assert match
         self._pattern = match.re
         self._mark = match["mark"]
         self._has_zone = bool(match["zone"])
         self._order: Order = order or ("dmy" if self._mark == "." else "")
-        self._first = first.strip()
-        self._more: dict[Order, str] = {}
+        self._first_text = first_text.strip()
+        self._order_examples: dict[Order, str] = {}
 
     @property
     def is_open(self) -> bool:
@@ -193,9 +202,9 @@ class DateTimes:
         for text in cells:
             if match := YEAR_LAST.fullmatch(text.strip()):
                 if int(match["one"]) > MOST_MONTHS:
-                    self._more.setdefault("dmy", text)
+                    self._order_examples.setdefault("dmy", text)
                 if int(match["two"]) > MOST_MONTHS:
-                    self._more.setdefault("mdy", text)
+                    self._order_examples.setdefault("mdy", text)
 
     def decide(self, where: str) -> None:
         """Settle the order of day and month from the cells so far.
@@ -204,13 +213,13 @@ class DateTimes:
         """
         if not self.is_open:
             return
-        if len(self._more) > 1:
-            raise InputError(where, " and ".join(self._more.values()), "dates in one order of day and month")
-        if not self._more:
+        if len(self._order_examples) > 1:
+            raise InputError(where, " and ".join(self._order_examples.values()), "dates in one order of day and month")
+        if not self._order_examples:
             remedy = "give the order in a topics file: time: {column: NAME, order: dmy}, or mdy; or write dates as 2026-11-23"
-            given = f"{self._first}: the order of day and month is ambiguous in the whole column"
+            given = f"{self._first_text}: the order of day and month is ambiguous in the whole column"
             raise InputError(where, given, "at least one date with a day above 12", remedy)
-        self._order = next(iter(self._more))
+        self._order = next(iter(self._order_examples))
 
     def ns(self, text: str, where: str = "") -> int:
         """Time since 1970 in UTC [ns]; digits below a nanosecond are cut off.
@@ -272,6 +281,10 @@ def _zone_s(zone: str | None) -> int:
 # --- tables
 
 COMMENTS = ("#", "%", "//", "!")
+SECTION = re.compile(r"\[[^\[\]]*\]|\*{3}\w+\*{3}")
+"""A line that begins or ends a part of a file, as VBOX and LabVIEW write it: like a comment it is no row."""
+REMARKS = "X_Value", "Comment"
+"""The first and last name of a LabVIEW table. Rows have a cell for the last one only where they have a comment."""
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
 SEPARATOR_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """As Excel takes it from the first line."""
@@ -290,7 +303,7 @@ class Header(NamedTuple):
     names: Row
     units: Row
     place: int  # index of the row of names
-    first: int  # index of the row below the names and the units
+    first_row: int  # index of the row below the names and the units
     rows: int  # rows of numbers of the same width below them, up to `COMPARED_ROWS`
     numbers: int  # numbers and times in the first row
 
@@ -301,29 +314,39 @@ def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] =
     `rows`: each row, empty or not, and whether it is a comment, which may hold the names too; `is_unit`: whether a text is a
     unit. Returns None if all rows are empty.
     """
-    filled = [(place, cells) for place, (cells, comment) in enumerate(rows) if any(cells) and not comment]
-    best: Header | None = None
+    filled_rows = [(place, cells) for place, (cells, comment) in enumerate(rows) if any(cells) and not comment]
+    best_header: Header | None = None
     for place, (cells, _) in enumerate(rows):
-        is_first, several = bool(filled) and place == filled[0][0], sum(map(bool, cells)) > 1
-        if not (is_first or (several and not any(map(is_number_or_time, cells)))):
+        if has_remarks(cells):
+            return Header(cells, (), place, place + 1, COMPARED_ROWS, len(cells))
+        is_first, has_several = bool(filled_rows) and place == filled_rows[0][0], sum(map(bool, cells)) > 1
+        if not (is_first or (has_several and not any(map(is_number_or_time, cells)))):
             continue
-        below = [one for one in filled if one[0] > place and one[1] != cells]
+        rows_below = [entry for entry in filled_rows if entry[0] > place and entry[1] != cells]
         units: Row = ()
-        if below and any(map(is_unit, below[0][1])) and not any(map(is_number_or_time, below[0][1])):
-            units = below[0][1]
-            below = [one for one in below if one[1] != units]  # some instruments write both again
-        fitting = [several and any(map(is_number_or_time, row)) and fits(row, len(cells)) for _, row in below[:COMPARED_ROWS]]
+        if rows_below and any(map(is_unit, rows_below[0][1])) and not any(map(is_number_or_time, rows_below[0][1])):
+            units = rows_below[0][1]
+            rows_below = [entry for entry in rows_below if entry[1] != units]  # some instruments write both again
+        fitting = [
+            has_several and any(map(is_number_or_time, row)) and fits_width(row, len(cells))
+            for _, row in rows_below[:COMPARED_ROWS]
+        ]
         count = [*fitting, False].index(False)
-        numbers = sum(map(is_number_or_time, below[0][1])) if count else 0
-        first = below[0][0] if below else len(rows)
-        if best is None or count > best.rows:
-            best = Header(cells, units, place, first, count, numbers) if count or is_first else best
+        numbers = sum(map(is_number_or_time, rows_below[0][1])) if count else 0
+        first = rows_below[0][0] if rows_below else len(rows)
+        if best_header is None or count > best_header.rows:
+            best_header = Header(cells, units, place, first, count, numbers) if count or is_first else best_header
         if fitting and all(fitting):
             break
-    return best
+    return best_header
 
 
-def fits(row: Row, width: int) -> bool:
+def has_remarks(names: Row) -> bool:
+    """Whether the last column holds comments, and most rows end before it."""
+    return len(names) > 1 and (names[0], names[-1]) == REMARKS
+
+
+def fits_width(row: Row, width: int) -> bool:
     """Whether a row has as many cells as there are names; further ones may be empty."""
     return len(row) == width or (len(row) > width and not any(row[width:]))
 
@@ -333,13 +356,13 @@ class Progress:
     """State of one reading of a table."""
 
     rows: int = 0  # rows so far
-    complete: bool = False  # whether that is all
-    quoted: bool = False  # whether there are quotes
+    is_complete: bool = False  # whether that is all
+    has_quotes: bool = False  # whether there are quotes
     last: bytes = b""  # the last byte
     line: int = 0  # number of the last line
-    ended: bool = True  # false after a row of one line without an end, which may be cut
+    has_line_end: bool = True  # false after a row of one line without an end, which may be cut
     left_out: bool = False  # whether that row is
-    aside: int = 0  # rows between the others that are comments, or the names and units again
+    side_rows: int = 0  # rows between the others that are comments, or the names and units again
 
 
 class Column(NamedTuple):
@@ -361,43 +384,44 @@ class TextTable:
         self.path, self.name, self.encoding, self.notes = path, name, "utf-8", list[str]()
         lines = self._head()
         given = SEPARATOR_LINE.fullmatch(lines[0].rstrip("\r\n")) if lines else None
-        found: list[tuple[tuple[int, int, int], str, Header]] = []
+        candidates: list[tuple[tuple[int, int, int], str, Header]] = []
         for separator in given[1] if given else SEPARATORS:
-            if separator == " " and any(key[0] for key, _, _ in found):
+            if separator == " " and any(key[0] for key, _, _ in candidates):
                 break  # spaces are in dates and names too
             rows = [_cells(line, separator) for line in lines[given is not None :]]
             header = header_of([((), True)] * (given is not None) + rows, is_unit)
             if header:
                 count = lines[header.place].count(separator) * (separator != " ")
-                found.append(((header.rows, header.numbers, count), separator, header))
-        if not found:
+                candidates.append(((header.rows, header.numbers, count), separator, header))
+        if not candidates:
             raise InputError(name, "no line with text", "a table with a line of column names")
-        _, self.separator, header = max(found, key=itemgetter(0))
-        self.names = [cell.strip() for cell in header.names]
+        _, self.separator, header = max(candidates, key=itemgetter(0))
+        self.has_remarks = has_remarks(header.names)
+        self.names = [cell.strip() for cell in header.names[: -1 if self.has_remarks else None]]
         self.units = [cell.strip() for cell in header.units]
-        self.line, self.first = header.place + 1, header.first
+        self.line, self.first_row, self.lines_above = header.place + 1, header.first_row, lines[: header.place]
 
     def _head(self) -> list[str]:
         """The first lines, and so the encoding."""
         with self.binary() as file:
-            head, more = b"", b"-"
-            while more and (len(head) < HEAD_BYTES or len(re.findall(rb"\r\n|\r|\n", head)) < LEAST_LINES):
-                more = file.read(max(HEAD_BYTES, len(head)))
-                head += more
+            head, block = b"", b"-"
+            while block and (len(head) < HEAD_BYTES or len(re.findall(rb"\r\n|\r|\n", head)) < LEAST_LINES):
+                block = file.read(max(HEAD_BYTES, len(head)))
+                head += block
         try:
-            text = codecs.getincrementaldecoder("utf-8-sig")().decode(head, not more)
+            text = codecs.getincrementaldecoder("utf-8-sig")().decode(head, not block)
         except UnicodeDecodeError:
             self.encoding, text = "latin-1", head.decode("latin-1")
             self.notes.append("the file is not UTF-8; read as Latin-1")
         if "\0" in text:
             raise InputError(self.name, "binary data", "a table as text", "save it as text, such as CSV")
         lines = list(itertools.islice(io.StringIO(text, newline=""), MOST_LINES))
-        return lines[:-1] if more and not lines[-1].endswith(("\n", "\r")) else lines
+        return lines[:-1] if block and not lines[-1].endswith(("\n", "\r")) else lines
 
     def binary(self) -> BinaryIO:
         """The unpacked file; one in UTF-16 as UTF-8."""
-        packed = self.path.name.lower().endswith(".gz")
-        file = cast("BinaryIO", gzip.open(self.path) if packed else self.path.open("rb"))  # noqa: SIM115 - the caller closes it
+        is_packed = self.path.name.lower().endswith(".gz")
+        file = cast("BinaryIO", gzip.open(self.path) if is_packed else self.path.open("rb"))  # noqa: SIM115 - the caller closes it
         is_wide = file.read(2) in UTF_16
         file.seek(0)
         return cast("BinaryIO", codecs.EncodedFile(file, "utf-8", "utf-16", "replace")) if is_wide else file
@@ -406,21 +430,21 @@ class TextTable:
         """The rows below the header, with the state of reading. Raises InputError with the line for one that is no row."""
         tap = cast("BinaryIO", Tap(self, progress))
         with tap, io.TextIOWrapper(tap, self.encoding, errors="replace", newline="") as file:
-            inside = False  # of a row of several lines
+            is_inside = False  # of a row of several lines
 
             def lines() -> Iterator[str]:
-                nonlocal inside
-                several = self.separator == " "
-                for progress.line, line in enumerate(itertools.islice(file, self.first, None), self.first + 1):
-                    progress.ended = inside or line.endswith(("\n", "\r"))
-                    inside = True
-                    yield " ".join(line.split()) + "\n" if several else line
+                nonlocal is_inside
+                has_spaces = self.separator == " "
+                for progress.line, line in enumerate(itertools.islice(file, self.first_row, None), self.first_row + 1):
+                    progress.has_line_end = is_inside or line.endswith(("\n", "\r"))
+                    is_inside = True
+                    yield " ".join(line.split()) + "\n" if has_spaces else line
 
             try:
                 for row in csv.reader(lines(), delimiter=self.separator):
-                    inside = False
+                    is_inside = False
                     if row:
-                        yield row
+                        yield row[: len(self.names)] if self.has_remarks else row
             except csv.Error as error:
                 raise InputError(f"{self.name}: line {progress.line}", str(error), "a table to the end of the file") from error
 
@@ -429,18 +453,18 @@ class TextTable:
         progress, width = Progress(), len(self.names)
         with suppress(InputError):
             for place, row in enumerate(self.rows(progress)):
-                if fits(row, width) and (progress.ended or not place):
+                if fits_width(row, width) and (progress.has_line_end or not place):
                     yield row
 
     def first_cell(self, place: int) -> str:
         """The first cell of a column with a value; empty without one."""
         return next((cell for row in self.whole_rows() if (cell := row[place].strip()) not in NO_VALUE), "")
 
-    def look(self, looks: Sequence[tuple[int, Callable[[Sequence[str]], None]]]) -> None:
+    def look(self, observers: Sequence[tuple[int, Callable[[Sequence[str]], None]]]) -> None:
         """Show the cells of some columns to a function each."""
-        rows = ([row[place].strip() for place, _ in looks] for row in self.whole_rows())
+        rows = ([row[place].strip() for place, _ in observers] for row in self.whole_rows())
         while chunk := list(itertools.islice(rows, LOOKED_AT_ROWS)):
-            for (_, see), cells in zip(looks, zip(*chunk, strict=True), strict=True):
+            for (_, see), cells in zip(observers, zip(*chunk, strict=True), strict=True):
                 see(cells)
 
     def numbers(self, rows: Iterator[list[str]], columns: Sequence[Column], progress: Progress) -> Iterator[list[Any]]:
@@ -454,18 +478,18 @@ class TextTable:
                 numbers = self._numbers(row, columns, progress.line)
             except InputError:
                 if row[0].lstrip().startswith(COMMENTS) or [cell.strip() for cell in row] in (self.names, self.units):
-                    progress.aside += 1
+                    progress.side_rows += 1
                     continue
-                if progress.ended or len(row) > len(self.names):
+                if progress.has_line_end or len(row) > len(self.names):
                     raise
                 numbers = [None]
-            progress.left_out = not progress.ended and numbers[0] is None
+            progress.left_out = not progress.has_line_end and numbers[0] is None
             if not progress.left_out:
                 yield numbers
 
     def _numbers(self, row: Sequence[str], columns: Sequence[Column], line: int) -> list[float | int | None]:
         width = len(self.names)
-        if len(row) != width and not fits(row, width):
+        if len(row) != width and not fits_width(row, width):
             remedy = ""
             if self.separator == "," and len(row) > width:
                 remedy = "if numbers have a decimal comma, separate cells by semicolons or tabs"
@@ -480,11 +504,28 @@ class TextTable:
                 raise InputError(f"{self.name}: line {line}, column {name}", error.given, error.allowed) from None
         return numbers
 
+    def look_at_lines(self, progress: Progress) -> Iterator[Finding]:
+        """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
+        if progress.side_rows:
+            text = f"{progress.side_rows} lines between the rows are skipped: they are comments, or the names again"
+            yield Finding("", "comment", progress.side_rows, float("nan"), text)
+        if progress.has_quotes:
+            with io.TextIOWrapper(self.binary(), "latin-1") as file:  # whatever ends the lines
+                lines = sum(line != "\n" for line in itertools.islice(file, self.first_row, None))
+            swallowed = lines - progress.rows - progress.left_out - progress.side_rows
+            if swallowed > 0:
+                text = f"{swallowed} lines are not rows: they are inside a quotation that an earlier line opens"
+                yield Finding("", "quoted", swallowed, float("nan"), text)
+        if progress.last not in (b"\n", b"\r"):
+            consequence = "it is left out" if progress.left_out else "the file and its last number may be truncated"
+            text = f"the last line is incomplete: {consequence}"
+            yield Finding("", "cut", 1, float("nan"), text)
+
 
 def _cells(line: str, separator: str) -> tuple[Row, bool]:
     """The cells of a line without its mark of a comment, and whether it is one."""
     text = line.strip("\r\n")
-    comment = text.lstrip().startswith(COMMENTS)
+    comment = text.lstrip().startswith(COMMENTS) or SECTION.fullmatch(text.strip()) is not None
     text = text.lstrip("#%!/ ") if comment else text
     if separator == " ":
         return (text.split("\t") if "\t" in text.strip() else text.split()), comment
@@ -508,7 +549,7 @@ class Tap(io.BufferedIOBase):
         """Pass on the next bytes."""
         data = self._file.read(-1 if size is None else size)
         if data:
-            self._progress.quoted = self._progress.quoted or b'"' in data
+            self._progress.has_quotes = self._progress.has_quotes or b'"' in data
             self._progress.last = data[-1:]
         return data
 

@@ -32,61 +32,61 @@ NOTHING_YET = (*(math.nan,) * 6, 0.0, 0.0, 0.0, 0.0, EVERY_S, *(math.nan,) * 3, 
 
 
 @kernel
-def forget(followed: Array) -> None:
+def forget_position(follower: Array) -> None:
     """As at the start."""
     for i in range(FOLLOWED):
-        followed[i] = NOTHING_YET[i]
+        follower[i] = NOTHING_YET[i]
 
 
 @kernel
-def take_position(followed: Array, x: float, y: float) -> None:
+def take_position(follower: Array, x: float, y: float) -> None:
     """A position came, east and north of the frame [m]; nan of one beyond it. A repeated one is none: receivers repeat their last
     one where they have no reception.
     """
-    if x == followed[AT_X] and y == followed[AT_Y]:
+    if x == follower[AT_X] and y == follower[AT_Y]:
         return
-    moved = length(x - followed[FROM_X], y - followed[FROM_Y])
-    if math.isnan(moved) or moved > FARTHEST_M:
-        followed[EAST] = followed[NORTH] = math.nan
-        followed[FROM_X], followed[FROM_Y], followed[SINCE_M] = x, y, 0.0
-    elif moved >= COURSE_M and followed[SINCE_M] > 0.5 * COURSE_M:
-        followed[EAST], followed[NORTH] = (x - followed[FROM_X]) / moved, (y - followed[FROM_Y]) / moved
-        followed[FROM_X], followed[FROM_Y], followed[SINCE_M] = x, y, 0.0
-    followed[AT_X], followed[AT_Y], followed[AHEAD_M], followed[IS_NEW] = x, y, 0.0, 1.0
+    step_m = length(x - follower[FROM_X], y - follower[FROM_Y])
+    if math.isnan(step_m) or step_m > FARTHEST_M:
+        follower[EAST] = follower[NORTH] = math.nan
+        follower[FROM_X], follower[FROM_Y], follower[SINCE_M] = x, y, 0.0
+    elif step_m >= COURSE_M and follower[SINCE_M] > 0.5 * COURSE_M:
+        follower[EAST], follower[NORTH] = (x - follower[FROM_X]) / step_m, (y - follower[FROM_Y]) / step_m
+        follower[FROM_X], follower[FROM_Y], follower[SINCE_M] = x, y, 0.0
+    follower[AT_X], follower[AT_Y], follower[AHEAD_M], follower[IS_NEW] = x, y, 0.0, 1.0
 
 
 @kernel
-def drive_on(followed: Array, speed: float, dt: float, since_position: float) -> None:
+def drive_on(follower: Array, speed: float, dt: float, since_position: float) -> None:
     """Process a speed [m/s], given the time since the last one and since the last position, by their stamps [s]."""
-    followed[SINCE_M] += abs(speed) * dt
-    followed[LOOKED_S] += dt
+    follower[SINCE_M] += abs(speed) * dt
+    follower[LOOKED_S] += dt
     if abs(speed) > REVERSING_MPS:
-        backward = 1.0 if speed < 0.0 else 0.0
-        if backward != followed[BACKWARD]:  # it comes back on its way
-            followed[EAST], followed[NORTH], followed[AHEAD_M] = -followed[EAST], -followed[NORTH], -followed[AHEAD_M]
-        followed[BACKWARD] = backward
-    along = -speed if followed[BACKWARD] > 0.0 else speed
-    followed[AHEAD_M] += along * (min(max(since_position, 0.0), dt) if followed[IS_NEW] > 0.0 else dt)
-    followed[IS_NEW] = 0.0
+        is_backward = 1.0 if speed < 0.0 else 0.0
+        if is_backward != follower[BACKWARD]:  # it comes back on its way
+            follower[EAST], follower[NORTH], follower[AHEAD_M] = -follower[EAST], -follower[NORTH], -follower[AHEAD_M]
+        follower[BACKWARD] = is_backward
+    way_speed = -speed if follower[BACKWARD] > 0.0 else speed
+    follower[AHEAD_M] += way_speed * (min(max(since_position, 0.0), dt) if follower[IS_NEW] > 0.0 else dt)
+    follower[IS_NEW] = 0.0
 
 
 @kernel
-def look(cells: IntArray, places: Array, followed: Array, is_old: bool) -> None:
+def look_up_ground(cells: IntArray, places: Array, follower: Array, is_old: bool) -> None:
     """Look up the ground under the vehicle, if the last look-up is old enough; `is_old` means that the last position
     is old.
     """
-    if followed[LOOKED_S] < EVERY_S:
+    if follower[LOOKED_S] < EVERY_S:
         return
-    followed[LOOKED_S] = followed[PLACE_KNOWN] = 0.0
-    followed[SLOPE] = followed[TORQUE] = followed[TORQUE_STD] = math.nan
-    ahead, east, north = followed[AHEAD_M], followed[EAST], followed[NORTH]
-    if math.isnan(followed[AT_X]) or math.isnan(east) or (is_old and ahead != 0.0) or abs(ahead) > LONGEST_M:
+    follower[LOOKED_S] = follower[PLACE_KNOWN] = 0.0
+    follower[SLOPE] = follower[TORQUE] = follower[TORQUE_STD] = math.nan
+    ahead, east, north = follower[AHEAD_M], follower[EAST], follower[NORTH]
+    if math.isnan(follower[AT_X]) or math.isnan(east) or (is_old and ahead != 0.0) or abs(ahead) > LONGEST_M:
         return
-    followed[PLACE_KNOWN] = 1.0
-    x, y = followed[AT_X] + ahead * east, followed[AT_Y] + ahead * north
+    follower[PLACE_KNOWN] = 1.0
+    x, y = follower[AT_X] + ahead * east, follower[AT_Y] + ahead * north
     for kind in (SLOPES, TORQUES):  # a loop: with constants, each would be compiled by itself
         value, std = learned_at(cells, places, kind, x, y, east, north)
         if kind == SLOPES:
-            followed[SLOPE] = -value if followed[BACKWARD] > 0.0 else value
+            follower[SLOPE] = -value if follower[BACKWARD] > 0.0 else value
         else:
-            followed[TORQUE], followed[TORQUE_STD] = value, std
+            follower[TORQUE], follower[TORQUE_STD] = value, std

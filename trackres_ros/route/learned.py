@@ -39,13 +39,13 @@ class RouteMap:
         return len(self.latitude)
 
     def times(self, factor: float) -> RouteMap:
-        """The same with values so many times as large."""
+        """The same map with its values multiplied."""
         return replace(self, value=factor * self.value, std=abs(factor) * self.std)
 
     @cached_property
     def frame(self) -> Frame:
         """Local metres about the middle of it."""
-        return Frame.about(self.latitude, self.longitude)
+        return Frame.of_positions(self.latitude, self.longitude)
 
     @cached_property
     def places(self) -> Places:
@@ -64,12 +64,14 @@ class RouteMap:
 
 def of_kind(route: Sequence[RouteMap], kind: str) -> RouteMap | None:
     """The map of a kind, or None."""
-    return next((one for one in route if one.kind == kind), None)
+    return next((route_map for route_map in route if route_map.kind == kind), None)
 
 
 def frame_of(route: Sequence[RouteMap]) -> Frame:
     """Local metres about the middle of all maps."""
-    return Frame.about(*(np.concatenate([np.empty(0), *(getattr(m, name) for m in route)]) for name in ("latitude", "longitude")))
+    return Frame.of_positions(
+        *(np.concatenate([np.empty(0), *(getattr(m, name) for m in route)]) for name in ("latitude", "longitude"))
+    )
 
 
 def followed_in(route: Sequence[RouteMap], frame: Frame) -> Lookup:

@@ -57,8 +57,8 @@ def lookup_of(kinds: list[Array]) -> Lookup:
     keys = [kind * OF_A_KIND + _keys(places) for kind, places in enumerate(kinds)]
     key = np.concatenate([np.empty(0, dtype=np.int64), *keys])
     order = np.argsort(key, kind="stable")
-    known, first, count = np.unique(key[order], return_index=True, return_counts=True)
-    cells = np.stack([known, first, first + count], axis=1).astype(np.int64)
+    cell_keys, start, count = np.unique(key[order], return_index=True, return_counts=True)
+    cells = np.stack([cell_keys, start, start + count], axis=1).astype(np.int64)
     return Lookup(cells, np.concatenate([np.empty((0, PLACE_COLUMNS)), *kinds])[order])
 
 
@@ -81,54 +81,56 @@ def seen_from(
 
     Returns
     -------
-    along, far, sign
+    offset, far, sign
         Distance along the travel [m]; weighted distance [m], infinite for a place on another street or out of reach;
         1 if its direction is that of the travel, else -1.
     """
-    alike = of_east * east + of_north * north
-    along = (of_x - x) * east + (of_y - y) * north
-    aside = abs((of_y - y) * east - (of_x - x) * north)
-    if abs(alike) < ALIKE or aside > ASIDE_M or abs(along) > REACH * SPACING_M:
-        return along, math.inf, 0.0
-    return along, abs(along) + SIDEWAYS * aside, math.copysign(1.0, alike)
+    cosine = of_east * east + of_north * north
+    offset = (of_x - x) * east + (of_y - y) * north
+    lateral = abs((of_y - y) * east - (of_x - x) * north)
+    if abs(cosine) < ALIKE or lateral > ASIDE_M or abs(offset) > REACH * SPACING_M:
+        return offset, math.inf, 0.0
+    return offset, abs(offset) + SIDEWAYS * lateral, math.copysign(1.0, cosine)
 
 
 @kernel
-def between(
+def neighbour_places(
     cells: IntArray, places: Array, kind: int, x: float, y: float, east: float, north: float
 ) -> tuple[int, int, float, float, float]:
     """The places behind and ahead of a vehicle at (x, y) [m] that travels in a direction.
 
     Returns
     -------
-    behind, ahead, share, sign_behind, sign_ahead
+    back, front, share, back_sign, front_sign
         Rows of `places`, -1 without a near one; the weight of the one ahead; and whether the direction of each is along the
         travel (1) or against it (-1).
     """
     if not (abs(x) < CELL_M * (HALF - 2) and abs(y) < CELL_M * (HALF - 2)):
         return NOWHERE
-    behind = ahead = -1
-    nearest_behind = nearest_ahead = math.inf
-    along_behind = along_ahead = sign_behind = sign_ahead = 0.0
+    back = front = -1
+    back_distance = front_distance = math.inf
+    back_offset = front_offset = back_sign = front_sign = 0.0
     column, row = cell_of(x), cell_of(y)
     for step in range(-1, 2):
-        last = kind * OF_A_KIND + (column + step) * SPAN + row + 1
-        cell = first_at(cells, last - 2)
-        while cell < cells.shape[0] and cells[cell, KEY] <= last:
+        last_key = kind * OF_A_KIND + (column + step) * SPAN + row + 1
+        cell = first_at(cells, last_key - 2)
+        while cell < cells.shape[0] and cells[cell, KEY] <= last_key:
             for place in range(cells[cell, FIRST], cells[cell, END]):
-                at = places[place]
-                along, far, sign = seen_from(x, y, east, north, at[X], at[Y], at[EAST], at[NORTH])
-                if along <= 0.0 and far < nearest_behind:
-                    behind, nearest_behind, along_behind, sign_behind = place, far, along, sign
-                elif along > 0.0 and far < nearest_ahead:
-                    ahead, nearest_ahead, along_ahead, sign_ahead = place, far, along, sign
+                row_values = places[place]
+                offset, distance, sign = seen_from(
+                    x, y, east, north, row_values[X], row_values[Y], row_values[EAST], row_values[NORTH]
+                )
+                if offset <= 0.0 and distance < back_distance:
+                    back, back_distance, back_offset, back_sign = place, distance, offset, sign
+                elif offset > 0.0 and distance < front_distance:
+                    front, front_distance, front_offset, front_sign = place, distance, offset, sign
             cell += 1
-    if behind >= 0 and ahead >= 0:
-        return behind, ahead, along_behind / (along_behind - along_ahead), sign_behind, sign_ahead
-    if behind >= 0 and -along_behind <= JOINED * SPACING_M:
-        return behind, behind, 0.0, sign_behind, sign_behind
-    if ahead >= 0 and along_ahead <= JOINED * SPACING_M:
-        return ahead, ahead, 0.0, sign_ahead, sign_ahead
+    if back >= 0 and front >= 0:
+        return back, front, back_offset / (back_offset - front_offset), back_sign, front_sign
+    if back >= 0 and -back_offset <= JOINED * SPACING_M:
+        return back, back, 0.0, back_sign, back_sign
+    if front >= 0 and front_offset <= JOINED * SPACING_M:
+        return front, front, 0.0, front_sign, front_sign
     return NOWHERE
 
 
@@ -137,11 +139,11 @@ def first_at(cells: IntArray, key: int) -> int:
     """The first cell with a key that is not smaller."""
     low, high = 0, cells.shape[0]
     while low < high:
-        middle = (low + high) // 2
-        if cells[middle, KEY] < key:
-            low = middle + 1
+        centre = (low + high) // 2
+        if cells[centre, KEY] < key:
+            low = centre + 1
         else:
-            high = middle
+            high = centre
     return low
 
 
@@ -150,18 +152,18 @@ def learned_at(cells: IntArray, places: Array, kind: int, x: float, y: float, ea
     """Learned value of a kind for travel at (x, y) [m] in a direction, and its standard deviation; nan where
     unknown.
     """
-    behind, ahead, share, sign_behind, sign_ahead = between(cells, places, kind, x, y, east, north)
+    back, front, share, back_sign, front_sign = neighbour_places(cells, places, kind, x, y, east, north)
     total = spread = weight = 0.0
-    if behind >= 0 and share < 1.0:
-        against = 1 if sign_behind < 0.0 else 0
-        if not math.isnan(places[behind, ALONG + against]):
-            total += (1.0 - share) * places[behind, ALONG + against]
-            spread += (1.0 - share) * places[behind, STD_ALONG + against]
+    if back >= 0 and share < 1.0:
+        side = 1 if back_sign < 0.0 else 0
+        if not math.isnan(places[back, ALONG + side]):
+            total += (1.0 - share) * places[back, ALONG + side]
+            spread += (1.0 - share) * places[back, STD_ALONG + side]
             weight += 1.0 - share
-    if ahead >= 0 and share > 0.0:
-        against = 1 if sign_ahead < 0.0 else 0
-        if not math.isnan(places[ahead, ALONG + against]):
-            total += share * places[ahead, ALONG + against]
-            spread += share * places[ahead, STD_ALONG + against]
+    if front >= 0 and share > 0.0:
+        side = 1 if front_sign < 0.0 else 0
+        if not math.isnan(places[front, ALONG + side]):
+            total += share * places[front, ALONG + side]
+            spread += share * places[front, STD_ALONG + side]
             weight += share
     return (total / weight, spread / weight) if weight > 0.0 else (math.nan, math.nan)

@@ -19,9 +19,9 @@ from trackres_ros.route.lookup import (
     SPACING_M,
     Array,
     Lookup,
-    between,
     cell_of,
     lookup_of,
+    neighbour_places,
     seen_from,
 )
 from trackres_ros.route.track import STEP_M, DrivenTrack
@@ -69,11 +69,11 @@ class Places:
     def is_near(self, x: float, y: float, east: float, north: float) -> bool:
         """Whether there is a place already."""
         column, row = cell_of(x), cell_of(y)
-        around = ((i, j) for i in (column - 1, column, column + 1) for j in (row - 1, row, row + 1))
+        cells = ((i, j) for i in (column - 1, column, column + 1) for j in (row - 1, row, row + 1))
         return any(
-            far < np.inf and abs(along) <= JOINED * SPACING_M
-            for cell in around
-            for along, far, _ in (seen_from(x, y, east, north, *place) for place in self._cells.get(cell, ()))
+            distance < np.inf and abs(offset) <= JOINED * SPACING_M
+            for cell in cells
+            for offset, distance, _ in (seen_from(x, y, east, north, *place) for place in self._cells.get(cell, ()))
         )
 
 
@@ -88,74 +88,76 @@ class Matched:
     number_this_way: Indices  # among those in this direction
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def is_known(self) -> NDArray[np.bool_]:
         """Whether each point is at a place."""
         return np.asarray(self.number >= 0)
 
-    def at(self, points: Indices) -> Matched:
+    def select(self, points: Indices) -> Matched:
         """Of some points of the track, in their order."""
         number, this_way = self.number[points], self.number_this_way[points]
         return Matched(self.place[points], self.share[points], self.sign[points], number, this_way)
 
-    def middles(self, each: int) -> Matched:
-        """The middle point of each group of so many; at no place unless all of them are at one."""
-        middle = self.at(np.arange(each // 2, len(self.number), each))
-        whole = self.known.reshape(-1, each).all(axis=1)
-        number, this_way = (np.where(whole, n, -1) for n in (middle.number, middle.number_this_way))
-        return Matched(middle.place, middle.share, middle.sign, number, this_way)
+    def middles(self, size: int) -> Matched:
+        """The middle point of each group of `size` points. It is at no place unless all points of the group are at one."""
+        centre = self.select(np.arange(size // 2, len(self.number), size))
+        is_whole = self.is_known.reshape(-1, size).all(axis=1)
+        number, this_way = (np.where(is_whole, n, -1) for n in (centre.number, centre.number_this_way))
+        return Matched(centre.place, centre.share, centre.sign, number, this_way)
 
 
 def places_of(tracks: Sequence[DrivenTrack]) -> Places:
     """Places of all driven streets, in the order of their first pass."""
     places = Places()
     for track in tracks:
-        for at in _known(track):
-            if not places.is_near(*at[1:]):
-                places.add(*at[1:])
+        for point in _known_points(track):
+            if not places.is_near(*point[1:]):
+                places.add(*point[1:])
     return places
 
 
-def matched(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
+def match_tracks(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
     """Position of tracks between places, and the number of earlier passes of each."""
-    passes, last = np.full((len(places), 3), -1), np.full((len(places), 3), -np.inf)  # one way, the other, and either
+    pass_counts, last_m = np.full((len(places), 3), -1), np.full((len(places), 3), -np.inf)  # one way, the other, and either
     lookup = places.lookup
     numbers = lookup.places[:, NUMBER].astype(np.int64)
-    found, before_m = [], 0.0
+    matches, before_m = [], 0.0
     for track in tracks:
         place, share, sign = np.full((len(track), 2), -1), np.zeros((len(track), 2)), np.zeros((len(track), 2))
         number = np.full((len(track), 2), -1)
-        for i, *at in _known(track):
-            behind, ahead, of_ahead, *signs = between(*lookup, 0, *at)
-            if behind < 0:
+        for i, *point in _known_points(track):
+            back, front, front_share, *signs = neighbour_places(*lookup, 0, *point)
+            if back < 0:
                 continue
-            place[i], share[i], sign[i] = numbers[[behind, ahead]], (1.0 - of_ahead, of_ahead), signs
-            side, here = int(share[i, 1] > 0.5), before_m + i * STEP_M
-            nearer, ways = place[i, side], [2, int(sign[i, side] < 0.0)]
-            passes[nearer, ways] += here - last[nearer, ways] > AGAIN_M
-            last[nearer, ways] = here
-            number[i] = passes[nearer, ways]
-        found.append(Matched(place, share, sign, number[:, 0], number[:, 1]))
+            place[i], share[i], sign[i] = numbers[[back, front]], (1.0 - front_share, front_share), signs
+            side, way_m = int(share[i, 1] > 0.5), before_m + i * STEP_M
+            nearest, ways = place[i, side], [2, int(sign[i, side] < 0.0)]
+            pass_counts[nearest, ways] += way_m - last_m[nearest, ways] > AGAIN_M
+            last_m[nearest, ways] = way_m
+            number[i] = pass_counts[nearest, ways]
+        matches.append(Matched(place, share, sign, number[:, 0], number[:, 1]))
         before_m += len(track) * STEP_M + AGAIN_M
-    return found
+    return matches
 
 
-def neighbours(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
+def neighbour_pairs(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
     """Consecutive places on some track, the lower number first, and whether they have the same direction (1, else -1)."""
-    found: dict[tuple[int, int], float] = {}
+    pairs: dict[tuple[int, int], float] = {}
     for track in tracks:
-        before: tuple[int, float] | None = None
-        for places, signs, known in zip(track.place.tolist(), track.sign.tolist(), track.known.tolist(), strict=True):
-            if not known:
-                before = None
+        last_place: tuple[int, float] | None = None
+        for places, signs, has_place in zip(track.place.tolist(), track.sign.tolist(), track.is_known.tolist(), strict=True):
+            if not has_place:
+                last_place = None
                 continue
-            for now in zip(places, signs, strict=True):
-                if before is not None and before[0] != now[0]:
-                    found.setdefault((min(before[0], now[0]), max(before[0], now[0])), before[1] * now[1])
-                before = now
-    return found
+            for place_sign in zip(places, signs, strict=True):
+                if last_place is not None and last_place[0] != place_sign[0]:
+                    pairs.setdefault(
+                        (min(last_place[0], place_sign[0]), max(last_place[0], place_sign[0])), last_place[1] * place_sign[1]
+                    )
+                last_place = place_sign
+    return pairs
 
 
-def _known(track: DrivenTrack) -> list[tuple[int, float, float, float, float]]:
-    at = np.flatnonzero(track.known)
-    rows = zip(*(x[at].tolist() for x in (track.x, track.y, track.east, track.north)), strict=True)
-    return [(i, *row) for i, row in zip(at.tolist(), rows, strict=True)]
+def _known_points(track: DrivenTrack) -> list[tuple[int, float, float, float, float]]:
+    index = np.flatnonzero(track.is_known)
+    rows = zip(*(x[index].tolist() for x in (track.x, track.y, track.east, track.north)), strict=True)
+    return [(i, *row) for i, row in zip(index.tolist(), rows, strict=True)]

@@ -31,9 +31,9 @@ def flat(latitude: Any, longitude: Any, of_latitude: Any, of_longitude: Any) -> 
     return EARTH_M * math.cos(latitude) * east, EARTH_M * (of_latitude - latitude)
 
 
-def on_same_turn(longitude: Array, other: float) -> Array:
-    """Longitudes [rad], whole turns on where that is nearer to another one; the others are the same bits."""
-    return longitude - TURN * np.round((longitude - other) / TURN)
+def on_same_turn(longitude: Array, reference: float) -> Array:
+    """Longitudes [rad], moved by whole turns to be next to a reference; those already next to it keep their bits."""
+    return longitude - TURN * np.round((longitude - reference) / TURN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,18 +44,21 @@ class Frame:
     longitude: float
 
     @classmethod
-    def about(cls, latitude: Array, longitude: Array) -> Frame:
+    def of_positions(cls, latitude: Array, longitude: Array) -> Frame:
         """The middle of positions [rad], on either side of the date line too; zero without any."""
-        there = np.isfinite(latitude) & np.isfinite(longitude)
-        if not there.any():
+        has_position = np.isfinite(latitude) & np.isfinite(longitude)
+        if not has_position.any():
             return cls(0.0, 0.0)
-        return cls(float(np.median(latitude[there])), float(np.median(on_same_turn(longitude[there], longitude[there][0]))))
+        return cls(
+            float(np.median(latitude[has_position])),
+            float(np.median(on_same_turn(longitude[has_position], longitude[has_position][0]))),
+        )
 
     def metres(self, latitude: Array, longitude: Array) -> tuple[Array, Array]:
         """East and north [m] of positions [rad]; nan where these are nan, or too far for a flat map."""
         x, y = flat(self.latitude, self.longitude, latitude, longitude)
-        near = np.hypot(x, y) < FARTHEST_M
-        return np.where(near, x, np.nan), np.where(near, y, np.nan)
+        is_near = np.hypot(x, y) < FARTHEST_M
+        return np.where(is_near, x, np.nan), np.where(is_near, y, np.nan)
 
     def position(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Latitude and longitude [rad] of places [m], the latter from -pi to pi."""
@@ -71,12 +74,12 @@ class DrivenTrack:
     y: Array  # north [m]
     east: Array  # direction of travel, of length 1
     north: Array
-    known: Mask  # where positions and the distance driven agree
+    is_known: Mask  # where positions and the distance driven agree
 
     def __len__(self) -> int:
         return len(self.x)
 
-    def nearest(self, distance: Array) -> NDArray[np.int64]:
+    def nearest_index(self, distance: Array) -> NDArray[np.int64]:
         """The point at each distance driven [m]."""
         return np.clip(np.round(distance / STEP_M).astype(np.int64), 0, len(self) - 1)
 
@@ -96,27 +99,28 @@ def track_of(distance: Array, x: Array, y: Array) -> DrivenTrack:
     Between positions the path is straight, by the distance driven; between positions further apart than `LONGEST_GAP_M` it is
     unknown. A mean over some metres reduces scatter; a standstill has the weight of one point.
     """
-    at = np.arange(0.0, float(distance[-1]) + 2.0 * STEP_M, STEP_M)
-    there = np.isfinite(x) & np.isfinite(y)
-    if there.sum() < 2:
-        nothing = np.full(len(at), np.nan)
-        return DrivenTrack(nothing, nothing, nothing, nothing, np.zeros(len(at), dtype=bool))
-    driven, of = np.unique(np.round(distance[there], 1), return_inverse=True)
-    count = np.bincount(of.ravel())
-    fixes = [np.bincount(of.ravel(), weights=p[there]) / count for p in (x, y)]
-    after = np.clip(np.searchsorted(driven, at), 1, max(len(driven) - 1, 1))
-    known = (at >= driven[0]) & (at <= driven[-1])
-    if len(driven) > 1:
-        known &= driven[after] - driven[after - 1] <= LONGEST_GAP_M
+    grid = np.arange(0.0, float(distance[-1]) + 2.0 * STEP_M, STEP_M)
+    has_position = np.isfinite(x) & np.isfinite(y)
+    if has_position.sum() < 2:
+        blank = np.full(len(grid), np.nan)
+        return DrivenTrack(blank, blank, blank, blank, np.zeros(len(grid), dtype=bool))
+    distances, index = np.unique(np.round(distance[has_position], 1), return_inverse=True)
+    count = np.bincount(index.ravel())
+    fixes = [np.bincount(index.ravel(), weights=p[has_position]) / count for p in (x, y)]
+    next_index = np.clip(np.searchsorted(distances, grid), 1, max(len(distances) - 1, 1))
+    is_known = (grid >= distances[0]) & (grid <= distances[-1])
+    if len(distances) > 1:
+        is_known &= distances[next_index] - distances[next_index - 1] <= LONGEST_GAP_M
     reach = math.ceil(3.0 * SMOOTH_M / STEP_M)
-    near = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP_M / SMOOTH_M) ** 2)
-    share = np.convolve(known, near, mode="full")[reach:-reach]
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP_M / SMOOTH_M) ** 2)
+    share = np.convolve(is_known, weights, mode="full")[reach:-reach]
     mean_x, mean_y = (
-        np.convolve(np.where(known, np.interp(at, driven, p), 0.0), near, mode="full")[reach:-reach] / np.maximum(share, 1e-9)
+        np.convolve(np.where(is_known, np.interp(grid, distances, p), 0.0), weights, mode="full")[reach:-reach]
+        / np.maximum(share, 1e-9)
         for p in fixes
     )
     east, north = np.gradient(mean_x, STEP_M), np.gradient(mean_y, STEP_M)
     way = np.hypot(east, north)
-    known &= (way > STRAIGHT[0]) & (way < STRAIGHT[1])
-    way = np.where(known, way, 1.0)
-    return DrivenTrack(mean_x, mean_y, east / way, north / way, known)
+    is_known &= (way > STRAIGHT[0]) & (way < STRAIGHT[1])
+    way = np.where(is_known, way, 1.0)
+    return DrivenTrack(mean_x, mean_y, east / way, north / way, is_known)

@@ -18,7 +18,7 @@ from trackres_ros.recording.mcap import Recovered, UnfinishedBag, is_unfinished
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.reading import check_file
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.topics_files import guessed_topics, shipped, shipped_text
+from trackres_ros.recording.topics_files import guessed_topics, shipped_files, shipped_text
 from trackres_ros.tasks import options
 from trackres_ros.tasks.arguments import StrPath, TopicsGiven, as_paths, as_topics
 from trackres_ros.tasks.terminal import Command, Commands, emit, watch
@@ -139,7 +139,7 @@ def topics_command() -> None:
 @options.json
 def list_command(as_json: bool) -> None:
     """List the shipped topics files; commands accept their names instead of a path."""
-    files = shipped()
+    files = shipped_files()
     emit({"topics": files}, as_json, lambda: shipped_text(files))
 
 

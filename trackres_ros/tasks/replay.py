@@ -21,17 +21,17 @@ import numpy as np
 from trackres_ros import checks
 from trackres_ros.errors import InputError, encodable, one_line
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.energy import taken_text
+from trackres_ros.estimator.energy import drive_text
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.settings import settings_for
 from trackres_ros.estimator.snapshot import save, state_file
 from trackres_ros.files.file_sets import file_set
 from trackres_ros.files.output_files import BAG_SUFFIX, no_two_alike, not_an_input, output_file
-from trackres_ros.learning.columns import column_names, shown
+from trackres_ros.learning.columns import column_names, learning_values
 from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.learner import MODES, OFF, Learner
-from trackres_ros.learning.store import LearnedFile, go_on_from, stored, write_learned
+from trackres_ros.learning.store import LearnedFile, continue_from, learner_content, write_learned
 from trackres_ros.model.coverage import beyond
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.node.parameters import make_parameters, read_parameters
@@ -50,6 +50,7 @@ from trackres_ros.tasks.arguments import (
     input_files,
     load_vehicle,
 )
+from trackres_ros.tasks.replay_comparison import MeasuredTorque, TorqueTotals
 from trackres_ros.tasks.replay_run import DisturbanceColumns, KeptSource, Replayed, result_writer, resumed
 from trackres_ros.tasks.replay_run import replay as run
 from trackres_ros.tasks.results import Array, SeriesResult
@@ -95,7 +96,7 @@ def replay(
     topics
         As in `read`, where paths are given.
     params
-        Parameters of the estimator (docs/settings.md): a file, flat or as the live node reads it, or a mapping of name to value.
+        Parameters of the estimator (config/trackres.yaml): a file, flat or as the live node reads it, or a mapping.
     resume, save_state
         State files: to continue from, and to write at the end. A recording whose times begin before the end of the state
         continues after time off: its standing time, or none.
@@ -157,7 +158,8 @@ def replay(
         from trackres_ros.tasks.both_sides import with_both_sides
 
         source, comparison = with_both_sides(in_memory or Recording.from_source(source_file), machine)
-    settings = settings_for(make_parameters(entries).settings(), source_file.topics, source.roles)
+    parameters = make_parameters(entries)
+    settings = settings_for(parameters.settings(), source_file.topics, source.roles)
     learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
     inputs = input_files(mapping, *paths, *files_of(machine), params)
     not_an_input(state, inputs, "save_state")  # it may replace the state to resume
@@ -175,14 +177,16 @@ def replay(
         session = learned_before = off_s = None
         if resume_file is not None:
             session, off_s, learned_before, unlearned_s = resumed(source, estimator, resume_file)
-            go_on_from(resume_file, session, learner, learned_before, unlearned_s)
+            continue_from(resume_file, session, learner, learned_before, unlearned_s)
         write = blocks.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
-        run_result = run(source, estimator, write if comparison is None else comparison.writer(write), session, progress, learner)
+        write = write if comparison is None else comparison.writer(write)
+        torques = TorqueTotals(parameters.mismatch()) if "torque" in source.roles else None
+        run_result = run(source, estimator, write, session, progress, learner, torques)
         run_result = run_result if comparison is None else replace(run_result, comparison=comparison.as_dict())
         outputs = [finding for finding in (file, state) if finding is not None]
         if state is not None:
             saved_at = int(run_result.session.memory.times[at.SPEED, at.Times.last_arrival]) * NANOSECOND
-            save(run_result.session, state, saved_at, learned_before if learner is None else stored(learner))
+            save(run_result.session, state, saved_at, learned_before if learner is None else learner_content(learner))
         if learned_file is not None and learner is not None:
             learned = write_learned(learner, estimator.vehicle, learned_file)
             run_result = replace(run_result, learned_file=learned)
@@ -193,6 +197,8 @@ def replay(
     rows = blocks if file is None else None
     notes = source.notes if off_s is None else (*source.notes, AFTER_TIME_OFF.format(off_s))
     result = ReplayResult(run_result, rows, title, source.name, notes, findings, file, [*inputs, resume_file])
+    if torques is not None:
+        result.measured_torque = torques.result(source_file.bindings, estimator.vehicle.chassis.motor_ratio)
     result.written = tuple(outputs)
     return result
 
@@ -214,6 +220,8 @@ class ReplayResult(SeriesResult):
         The file written during the replay; its rows are then not in memory.
     written
         All files that the replay wrote: `output`, the state, the vehicle file and the files copied for it.
+    measured_torque
+        Means of measured and expected torque [Nm], see `MeasuredTorque`; None without a torque.
     """
 
     def __init__(
@@ -231,6 +239,7 @@ class ReplayResult(SeriesResult):
         self.session: Session = replayed.session
         self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.totals.duration_s
         self.written: tuple[Path, ...] = ()
+        self.measured_torque: MeasuredTorque | None = None
         self._replayed, self._stored_blocks, self._inputs = replayed, blocks, inputs
 
     @property
@@ -338,7 +347,8 @@ class ReplayResult(SeriesResult):
         dict
             Input, defects, and the last estimate.
         """
-        return summary(self._replayed, self.name, self.notes, self.findings)
+        measured = {} if self.measured_torque is None else {"measured_torque": self.measured_torque.as_dict()}
+        return {**summary(self._replayed, self.name, self.notes, self.findings), **measured}
 
     def __repr__(self) -> str:
         return summary_text(self.as_dict())
@@ -418,7 +428,7 @@ def summary_text(report: dict[str, Any]) -> str:
     lines += [f"  status: {item['text']} ({number_of(item['steps'], 'step')})" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
     stood = not report["drive"]["under_way_s"] and set(report["counters"].get("speed", ())) - {"accepted"}
-    totals = taken_text(report["drive"]) + (" in the accepted samples" if stood else "")
+    totals = drive_text(report["drive"]) + (" in the accepted samples" if stood else "")
     lines.append(totals if report["duration_s"] else "The drive has no totals: no two rows without a long gap between them")
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
@@ -426,6 +436,8 @@ def summary_text(report: dict[str, Any]) -> str:
         + ", ".join(f"{part} {decimals(last[column])}" for part, column in resistance_parts(bool(belts)).items())
         + ")"
     )
+    if measured := report.get("measured_torque"):
+        lines += [measured["text"], *([f"  ! {measured['finding']}"] if measured["finding"] else [])]
     if (comparison := report.get("comparison")) and comparison["steps"]:
         error, steps = decimals(comparison["mean_error_nm"], 3), number_of(comparison["steps"], "step")
         lines.append(
@@ -442,12 +454,12 @@ def summary_text(report: dict[str, Any]) -> str:
 
 def _learned(learner: Learner) -> dict[str, Any]:
     """Learned parameters at the end."""
-    values = shown(learner)
+    values = learning_values(learner)
     texts = lines_of(learner, values)
     return {
         "mode": learner.mode,
         "text": learner.text,
-        "acts": learner.acts,
+        "acts": learner.is_active,
         "coverage": values[0],
         "parameters": [{"name": name, "text": text, **dict(fields)} for name, text, fields in texts],
     }
@@ -520,7 +532,7 @@ def replay_command(
 
     RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read in sequence), or one .csv, .csv.gz,
     .parquet or .xlsx with time_s and speed_mps (or speed_kmh), or with columns that the topics file names; or one .mf4, .blf,
-    .asc, .log (candump) or .mat, whose channels are named there too or guessed by name and unit.
+    .asc, .log (candump), .mat, .ulg, .vbo or .lvm, whose channels are named there too or guessed.
 
     \b
     trackres replay lap.mcap --vehicle xgd24d --topics topics.yaml -o out.mcap

@@ -22,22 +22,24 @@ from numpy.typing import NDArray
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.disturbance import STEADY_MPS, STEADY_MPS2, DisturbanceWatch
+from trackres_ros.estimator.disturbance import DisturbanceWatch
 from trackres_ros.estimator.drives import by_column
 from trackres_ros.estimator.energy import DriveTotals, StepTimes
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.records import Steps
-from trackres_ros.estimator.snapshot import read_learning, rested, resume
+from trackres_ros.estimator.snapshot import read_learning, rest_session, resume
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.learning.columns import LearningColumns, column_names
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import LearnedFile, since_saved
+from trackres_ros.node.measured_torque import MismatchSettings
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
 from trackres_ros.recording.recording import defects_of
 from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.recording.samples import Finding, SampleBlock, Source, first_valid, standing_time
+from trackres_ros.tasks.replay_comparison import TorqueTotals
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import AnyVehicle
 
@@ -156,7 +158,7 @@ def resumed(source: Source, estimator: Estimator, path: Path) -> Resumed:
         of_stood = [role == "stood" for role in source.roles]
         off_s = standing_time(first.value[np.array(of_stood)[first.role]], source.name)
         off_s = 0.0 if math.isnan(off_s) else off_s
-        session = rested(session, off_s)
+        session = rest_session(session, off_s)
     end_s, begin_s = int(last.last_arrival) * NANOSECOND, int(first.arrival_ns[0]) * NANOSECOND
     return Resumed(session, off_s, *since_saved(path, learned, end_s, begin_s, off_s))
 
@@ -168,6 +170,7 @@ def replay(
     session: Session | None = None,
     progress: Callable[[float], None] | None = None,
     learner: Learner | None = None,
+    torques: TorqueTotals | None = None,
 ) -> Replayed:
     """Feed a source through a session, block by block: memory does not grow with the recording.
 
@@ -181,6 +184,8 @@ def replay(
         Takes the number of messages of each block.
     learner
         Learns from each step, as live; its columns then follow those of the estimate.
+    torques
+        Takes the results of each block, with the times of their steps.
 
     Raises
     ------
@@ -198,7 +203,10 @@ def replay(
 
     def take(steps: Steps) -> None:
         if len(steps):
-            totals.add(times.of(steps), by_column(estimator, steps.rows))
+            step_s = times.step_times(steps)
+            totals.add(step_s, by_column(estimator, steps.rows))
+            if torques is not None:
+                torques.add(step_s, steps.rows)
         preview.take(steps, write)
 
     messages, start = 0, None
@@ -222,11 +230,12 @@ def replay(
     counts = tuple(session.counts(counters))
     if not preview.steps:
         refusals = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in counts)
+        faults = [finding.text for finding in source.findings if finding.role in ("speed", "") and finding.count]
         raise InputError(
             source.name,
-            f"{messages} messages, but no usable speed ({refusals or 'no message'})",
+            f"{messages} messages, but no usable speed ({'; '.join([refusals, *faults]).strip('; ') or 'no message'})",
             "at least one finite, plausible speed",
-            "check topic, field, scale and unit of the speed",
+            "check topic or channel, field, scale and unit of the speed",
         )
     reason_counts = session.reason_counts(reasons)
     late_s = (preview.first_ns - start[0]) * NANOSECOND if start else 0.0
@@ -255,7 +264,7 @@ class LearningSteps:
             row, of_speed = estimate.row.tolist(), at.Times(session.memory.times[at.SPEED])
             stamp = int(of_speed.last_stamp)
             learner.take(stamp, row, session)
-            rows.append([*row, *self._columns.of(row, session)])
+            rows.append([*row, *self._columns.row_values(row, session)])
             stamps.append(stamp)
             arrivals.append(int(of_speed.last_arrival))
         width = len(session.estimator.columns) + len(column_names(learner.learnables))
@@ -272,7 +281,7 @@ class DisturbanceColumns:
 
     def of(self, steps: Steps) -> list[Array]:
         """The columns of a block, each of shape (steps,)."""
-        watch = self._watch
+        watch, compares = self._watch, MismatchSettings().compares
         if watch is None:
             return []
         columns = np.empty((len(self.names), len(steps)))
@@ -280,7 +289,7 @@ class DisturbanceColumns:
         for i, (stamp, arrival, (residual, speed, accel, reasons)) in enumerate(zip(*times, rows, strict=True)):
             if int(reasons) & TIME_RESET:
                 watch.restart()
-            counts = abs(speed) >= STEADY_MPS and abs(accel) <= STEADY_MPS2
+            counts = compares(speed, accel)
             jumped = bool(int(reasons) & CLOCK_JUMPED)
             belief = watch.take(stamp, residual if counts else math.nan, speed, stamp - arrival, jumped)
             columns[:, i] = belief.there, belief.torque_nm

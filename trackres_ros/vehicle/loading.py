@@ -93,10 +93,10 @@ class VehicleReader(DataReader):
         self.parameters: dict[str, Quantity] = {}
         self._overrides = dict(overrides or {})
 
-    def noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
+    def read_noted(self, kind: Any, note: Any, value: Any, key: str) -> Any:
         """Read a quantity, or another value with a note."""
         if not isinstance(note, Limits):
-            return super().noted(kind, note, value, key)
+            return super().read_noted(kind, note, value, key)
         entry, quantity = self.read_cache.quantities.get(key, (None, None))
         if quantity is None or entry is not value or key in self._overrides:
             quantity = self._quantity(value, key, note)
@@ -233,10 +233,10 @@ def listed_effects(
 
 def _rubber(reader: VehicleReader, section: RubberSection) -> tuple[Rubber, Path]:
     file = Path(section.file)
-    path, shipped = reader.path.parent / file, config_dir() / "rubber" / file.name
-    if not is_there(path) and not file.is_absolute() and is_there(shipped):
-        _say_shipped(path, shipped)
-        path = shipped
+    path, package_path = reader.path.parent / file, config_dir() / "rubber" / file.name
+    if not is_there(path) and not file.is_absolute() and is_there(package_path):
+        _say_shipped(path, package_path)
+        path = package_path
     if not (is_there(path) and path.is_file()):
         raise InputError(reader.where("rubber.file"), str(path), "a readable CSV with a temperature sweep, relative to this file")
     if path not in reader.read_cache.sweeps:
@@ -247,9 +247,9 @@ def _rubber(reader: VehicleReader, section: RubberSection) -> tuple[Rubber, Path
 
 
 @cache
-def _say_shipped(path: Path, shipped: Path) -> None:
+def _say_shipped(path: Path, package_path: Path) -> None:
     """Log, once, that the shipped file is used in place of a missing one of that name."""
-    logging.getLogger("trackres").warning("trackres: %s does not exist: the shipped %s is used", path, shipped)
+    logging.getLogger("trackres").warning("trackres: %s does not exist: the shipped %s is used", path, package_path)
 
 
 def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -259,19 +259,19 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     sweep's frequency is in the vehicle file. Further columns are allowed, and lines that begin with # are comments.
     """
     text = read_text(path, "CSV with a temperature sweep", MOST_RUBBER_BYTES)
-    numbered = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
     try:
-        rows = list(csv.DictReader(line for _, line in numbered))
+        rows = list(csv.DictReader(line for _, line in lines))
     except csv.Error as error:
         raise InputError(f"{path}", str(error), "a CSV with a temperature sweep") from None
     header = list(rows[0]) if rows else []
     columns = [name if name in header else f"{name}{AT_10_HZ}" for name in RUBBER_COLUMNS]
-    absent = [name for name, column in zip(RUBBER_COLUMNS, columns, strict=True) if column not in header]
-    if len(rows) < 4 or absent:
+    missing_columns = [name for name, column in zip(RUBBER_COLUMNS, columns, strict=True) if column not in header]
+    if len(rows) < 4 or missing_columns:
         # A vehicle file may name any file: if it is no rubber file, the error shows no content.
         raise InputError(
             f"{path}",
-            f"{len(rows)} rows {f'without the column {absent[0]}' if absent else 'below the column names'}",
+            f"{len(rows)} rows {f'without the column {missing_columns[0]}' if missing_columns else 'below the column names'}",
             f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)} (or with {AT_10_HZ} behind the last two)",
             "trackres compound fit reads the file of a DMA instrument",
         )
@@ -281,7 +281,7 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             try:
                 table[i, j] = float(row[name])
             except (TypeError, ValueError):
-                raise InputError(f"{path}: row {numbered[i + 1][0]}, {name}", row[name], "a number") from None
+                raise InputError(f"{path}: row {lines[i + 1][0]}, {name}", row[name], "a number") from None
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         problem = "temperatures that do not increase, or values that are not finite"
         raise InputError(f"{path}", problem, "finite numbers with T_degC increasing from row to row")
@@ -315,9 +315,9 @@ def _check_assemblies(reader: VehicleReader, file: TrackVehicleFile) -> None:
     """Refuse repeated names, assemblies on unknown axles or of unknown tracks, and unused axles and tracks."""
     axles, tracks = [axle.name for axle in file.chassis.axles], list(file.tracks)
     for key, names in (("chassis.axles", axles), ("assemblies", [*(a.name for a in file.assemblies), *axles])):
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise InputError(reader.where(key), ", ".join(repeated), "unique names of axles and assemblies")
+        duplicates = sorted({name for name in names if names.count(name) > 1})
+        if duplicates:
+            raise InputError(reader.where(key), ", ".join(duplicates), "unique names of axles and assemblies")
     for assembly in file.assemblies:
         key = f"assemblies.{assembly.name}"
         checks.one_of(assembly.axle, reader.where(f"{key}.axle"), axles)
@@ -364,21 +364,21 @@ def _check_geometry(reader: VehicleReader, key: str, track: Track) -> None:
     if (np.diff(positions) <= 0).any() or positions[-1] > wheels.ground_run:
         allowed = f"rising positions on the ground run of {wheels.ground_run:g} m"
         raise refusal("road_wheels.positions", list(wheels.positions), allowed)
-    hung = [track.beams] if isinstance(track.beams, int) else list(track.beams.wheels())
-    if sorted(hung) != list(range(count)):
-        raise refusal("beams", [wheel + 1 for wheel in hung], f"each road wheel 1 to {count} on exactly one beam end")
+    beam_wheels = [track.beams] if isinstance(track.beams, int) else list(track.beams.wheels())
+    if sorted(beam_wheels) != list(range(count)):
+        raise refusal("beams", [wheel + 1 for wheel in beam_wheels], f"each road wheel 1 to {count} on exactly one beam end")
     if belt.cord_height >= belt.thickness:
         raise refusal("belt.cord_height", belt.cord_height, f"less than the thickness {belt.thickness:g} m")
     if wheels.contact_length > belt.width:
         raise refusal("road_wheels.contact_length", wheels.contact_length, f"at most the belt width {belt.width:g} m")
     reach = 2 * wheels.radius * (1 - 1e-9)
-    abreast = max(
+    row_count = max(
         int(np.count_nonzero((positions >= position) & (positions < position + reach))) for position in positions
     )  # if they interleave
-    if abreast * wheels.contact_length > belt.width:
+    if row_count * wheels.contact_length > belt.width:
         raise refusal(
             "road_wheels.positions",
-            f"{abreast} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
+            f"{row_count} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
             f"{wheels.contact_length:g} m each on a belt {belt.width:g} m wide",
             f"wheels at least {2 * wheels.radius:g} m apart, or so narrow that overlapping wheels fit side by side",
             "check radius (not diameter) and positions",

@@ -61,6 +61,7 @@ class RoadLoad:
     coulomb_friction: Annotated[float | None, Limits("N", 0.0, 1e6, "Coulomb friction")] = None
     viscous_friction: Annotated[float | None, Limits("N s/m", 0.0, 1e8, "viscous friction over speed")] = None
     torque_offset: Annotated[float | None, Limits("Nm", -1e5, 1e5, "reading at zero torque, over the scale")] = None
+    motor_ratio: Annotated[float | None, Limits("1", 0.1, 500.0, "motor speed over wheel speed")] = None
 
 
 ROAD_LOAD = limits_of(RoadLoad)
@@ -156,7 +157,10 @@ class RoadVehicle:
         """A track vehicle's quantities other than tracks; its bearing friction is the rolling resistance at a crawl."""
         v = self.values
         shared = {name: v[name] for name in ("air_density", "rotating_mass_factor", "max_speed", "ambient")}
-        return Chassis(bearing_friction=v["rolling_coefficient"], drag_coefficient=v["drag_area"], frontal_area=1.0, **shared)
+        # The expected torque has the loss of the gears, by `efficiency`.
+        gears = {"motor_ratio": v["motor_ratio"], "motor_efficiency": 1.0} if "motor_ratio" in v else {}
+        own = {"bearing_friction": v["rolling_coefficient"], "drag_coefficient": v["drag_area"], "frontal_area": 1.0}
+        return Chassis(**own, **shared, **gears)
 
     @property
     def constants(self) -> VehicleConstants:

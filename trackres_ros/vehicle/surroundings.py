@@ -51,8 +51,8 @@ def with_surroundings(vehicle: Kind, file: str | os.PathLike[str] | None) -> Kin
     if file is None or (isinstance(file, str) and not file):
         return vehicle
     path, size = checks.path(file, "surroundings"), vehicle.size
-    around = load_surroundings(path, vehicle.name, size, vehicle.kind)
-    return replace(vehicle, surroundings=around, surroundings_source=path, route=load_route(path, size))
+    effects = load_surroundings(path, vehicle.name, size, vehicle.kind)
+    return replace(vehicle, surroundings=effects, surroundings_source=path, route=load_route(path, size))
 
 
 def load_surroundings(path: Path, vehicle: str, size: float, kind: VehicleKind) -> tuple[Active, ...]:
@@ -90,7 +90,7 @@ def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:
     file = path.parent / name
     route, limit = read_route(file), MOST_SHARE * size
     torques = of_kind(route, TORQUE)
-    largest = 0.0 if torques is None else float(np.nanmax(np.abs(torques.value)))
-    if largest > limit:
-        raise InputError(str(file), f"a torque by place of {figures(largest)} Nm", f"at most {figures(limit)} Nm of this vehicle")
+    peak = 0.0 if torques is None else float(np.nanmax(np.abs(torques.value)))
+    if peak > limit:
+        raise InputError(str(file), f"a torque by place of {figures(peak)} Nm", f"at most {figures(limit)} Nm of this vehicle")
     return route

@@ -4,6 +4,7 @@
 """Two designs side by side."""
 
 import json
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -11,24 +12,21 @@ import pytest
 import yaml
 
 import trackres_ros as tr
-from trackres_ros.effects.effect import Active
-from trackres_ros.effects.registry import catalogue
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.documents import read_yaml
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.model.operating_point import explain, explain_road
-from trackres_ros.model.track import belt_network, with_methods
 from trackres_ros.tools.design.compare import compare_designs, display_names, request_of
-from trackres_ros.tools.design.compare_text import designs_text, draw_designs
-from trackres_ros.tools.design.drives import read_cycle, run_cycle, with_factors
-from trackres_ros.tools.design.steady import FileErrors, plain_vehicle, solver, steady
-from trackres_ros.tools.design.uncertain import difference_std, sensitivities, slopes_of
+from trackres_ros.tools.design.compare_text import designs_text, draw_designs, draw_energy, headline, is_undecided
+from trackres_ros.tools.design.draws import distribution, draws, uncertain_values
+from trackres_ros.tools.design.drives import estimator_of, read_cycle, run_cycle
 from trackres_ros.tools.fleet.compare import draw_overlay
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import load, load_any, variants
+from trackres_ros.vehicle.description import Quantity
 
-GRID = ("--speed-kmh", "5,12", "--belt-degc", "0,60")
+GRID = ("--speed-kmh", "5,12", "--belt-degc", "0,60", "--draws", "16")
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +60,11 @@ def test_half_the_loss_modulus_is_half_the_hysteresis_everywhere(good, softer):
     assert drives[0]["km"] == drives[1]["km"]
     assert drives[1]["kwh_per_km"] < drives[0]["kwh_per_km"]
     assert {row["outcome"] for row in found["steady"]} == {"cold_nm", "warm_nm", "belt_degc", "kwh_per_km"}
-    assert all(0.0 < row["std"] < row["std_with_changed"] for row in (*found["steady"], *found["drives"]))
+    for row in (*found["steady"], *found["drives"]):
+        (low, high), (lower, higher) = row["difference_95"], row["difference_95_with_changed"]
+        assert lower < low < row["difference"] < high < 0.0
+        assert higher < 0.0
+        assert row["probability_less"] == row["probability_less_with_changed"] == 1.0
 
 
 @pytest.mark.parametrize("max_speed", [0.5, 1.0, 5.0 / 3.6, 1.5, 10.0])
@@ -79,7 +81,7 @@ def test_without_speeds_those_of_any_vehicle_are_compared(softer, max_speed):
 def test_the_tables_and_the_picture(good, softer, tmp_path):
     other = softer.with_name("wider.yaml")  # another version of the same name: it goes by its file
     other.write_text(softer.read_text().replace("value: 0.5", "value: 0.55"))
-    text = good("compare", softer, other, "--speed-kmh", "10", "--belt-degc", "20", "-o", tmp_path / "out")
+    text = good("compare", softer, other, "--speed-kmh", "10", "--belt-degc", "20", "--draws", "8", "-o", tmp_path / "out")
     places = [softer.parent / folder / "same.yaml" for folder in "ab"]
     assert display_names([replace(load(softer), source=place) for place in places]) == list(map(str, places))
     values, _, rest = text.partition("Steady")
@@ -97,7 +99,7 @@ def test_each_load_air_speed_and_drive_has_its_rows(good, softer, tmp_path):
     recording.write_text(
         "time_s,speed_kmh,torque_nm,weight_n,ambient_degc\n0,0,0,250000,5\n30,9,900,250000,5\n300,9,900,250000,5\n"
     )
-    words = ("--speed-kmh", "8", "--belt-degc", "20", "--cycle", recording)
+    words = ("--speed-kmh", "8", "--belt-degc", "20", "--draws", "8", "--cycle", recording)
     listed = ("--weight-kn", "240,300", "--ambient-degc", "-10:20:2")
     found = json.loads(good("compare", "xgd24d", softer, *words, *listed, "--json"))["designs"]
     assert len(found["steady"]) == 2 * 2 * 4
@@ -124,99 +126,107 @@ def test_each_load_air_speed_and_drive_has_its_rows(good, softer, tmp_path):
     assert "load and air as recorded" in designs_text(own)
 
 
-PATHS = (
-    "rubber.loss_modulus_scale",
-    "rubber.glass_transition",
-    "chassis.bearing_friction",
-    "chassis.drag_coefficient",
-    "belt.thickness",
-    "belt.film_offset",
-    "sprocket_radius",
-)
+LOSS, FRICTION = "rubber.loss_modulus_scale", "chassis.bearing_friction"
 
 
-def test_a_differences_std_moves_shared_values_in_both_vehicles(good, tmp_path):
-    """Each value moved by a little in both vehicles, by the exact methods; where it differs, in each by itself."""
-    good("vehicle", "new", "mine", "--like", "agri3t", "-o", tmp_path)
-    content = yaml.safe_load((tmp_path / "mine.yaml").read_text())
-    content["rubber"]["loss_modulus_scale"].update(value=0.7, range=[0.6, 0.8])
-    content["chassis"]["bearing_friction"].update(value=0.0, range=[0.0, 0.012])  # whose range counts too
-    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(content))
-    one, other = load("agri3t"), load(tmp_path / "mine.yaml")
-    speed, air = 2.0, 5.0
-    paths = [path for end in PATHS for path in one.parameters if path.endswith(end)]
-
-    def of(vehicle, by=()):
-        values = {path: vehicle.parameters[path].value + step for path, step in by}
-        return np.array(steady(variants(vehicle)(values), speed, air).outcomes)
-
-    moves = []
-    for vehicle in (one, other):
-        found = of(vehicle)
-        slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
-        off = sensitivities(
-            slopes, lambda by, _, of=vehicle: np.array(plain_vehicle(of, speed, air).solve(by).outcomes), [air, *[found[2]] * 3]
-        )
-        exact = {}
-        for path in paths:
-            std = vehicle.parameters[path].standard_deviation
-            exact[path] = (of(vehicle, [(path, 0.1 * std)]) - found) / 0.1
-            assert np.all(np.abs(off[path] - exact[path]) <= 0.1 * np.abs(exact[path]) + 1e-3 * np.abs(found)), path
-        moves.append(({path: off[path] for path in paths}, exact))
-    by_slopes, by_vehicles = (difference_std((one, other), both) for both in zip(*moves, strict=True))
-    assert np.array(by_slopes) == pytest.approx(np.array(by_vehicles), rel=0.1)
-    assert np.all(by_slopes[1] > by_slopes[0])
+def changed(folder, name, like="agri3t", **values):
+    """A file of a shipped vehicle with other values and ranges by path."""
+    file = folder / f"{name}.yaml"
+    content = deepcopy(read_yaml(find_vehicle(like)))
+    for path, (value, low, high) in values.items():
+        section, key = path.split("__")
+        content[section][key].update(value=value, range=[low, high])
+    content["rubber"]["file"] = str(find_vehicle(like).parent / content["rubber"]["file"])
+    content["name"] = name
+    file.write_text(yaml.safe_dump(content))
+    return str(file)
 
 
-@pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
-def test_ranges_inside_a_belt_move_its_steady_state(thermal):
-    """Conductivity and cooled area change the heat's way out alone: the loss stays."""
-    whole, speed, air = with_methods(load("agri3t"), thermal=thermal), 2.0, 5.0
-    paths = ["rubber.conductivity", f"tracks.{whole.assemblies[0].track}.belt.exposed_share"]
-    certain = {path: replace(q, low=q.value, high=q.value) for path, q in whole.parameters.items() if path not in paths}
-    vehicle = replace(whole, parameters={**whole.parameters, **certain})
-    own = plain_vehicle(vehicle, speed, air)
-    found, (kind,) = np.array(own.solve().outcomes), own.kinds
-    slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
-    off = sensitivities(slopes, lambda by, _: np.array(own.solve(by).outcomes), np.array([air, *[found[2]] * 3]))
-    for path in paths:
-        quantity = vehicle.parameters[path]
-        network = belt_network(variants(vehicle)({path: quantity.value + 0.1 * quantity.standard_deviation}), kind.track)
-        other = replace(kind, network=network, film=kind.film / kind.network.area * network.area)
-        exact = (np.array(replace(own, kinds=(other,)).solve().outcomes) - found) / 0.1
-        assert off[path] == pytest.approx(exact, rel=0.05, abs=1e-9)
-        assert exact[2] < -0.3 or (thermal == "lumped" and path == paths[0])
+def drawn_comparison(*files, draws=16):
+    return compare_designs(request_of(files, speed_kmh="8", belt_degc="20", cycle=("laps",), draws=draws))
 
 
-def test_errors_of_a_file_act_with_its_effects():
-    """With more air drag, an error of the drag area moves the torque more; those of loss and cooling as before."""
-    plain, speed, air, share = load("agri3t"), 4.0, 5.0, 0.5
-    vehicle = replace(plain, effects=(Active(catalogue()["air_drag"], {"share": share}),))
-    solvers, track = [solver(one, speed, air) for one in (plain, vehicle)], plain.assemblies[0].track
-    before = [np.array(solve(FileErrors()).outcomes) for solve in solvers]
-    for change, factor in (({"loss": 1.1}, 1.0), ({"film": 1.1}, 1.0), ({"drag_area": 1.0}, 1.0 + share)):
-        one, other = (solve(FileErrors(track, **change)).outcomes - at for solve, at in zip(solvers, before, strict=True))
-        assert np.abs(one).max() > 1.0
-        assert other[[0, 1, 3]] == pytest.approx(factor * one[[0, 1, 3]], rel=0.02, abs=1e-3)
-        assert other[2] == pytest.approx(one[2], rel=0.02, abs=0.1)
-        assert solvers[1](FileErrors("another", **change | {"drag_area": 0.0})).outcomes == tuple(before[1])
+def test_swapped_designs_give_the_complement(tmp_path):
+    """And the difference has the other sign."""
+    other = changed(tmp_path, "other", chassis__bearing_friction=(0.011, 0.005, 0.02))
+    there, back = drawn_comparison("agri3t", other), drawn_comparison(other, "agri3t")
+    for row, mirrored in zip(there["steady"] + there["drives"], back["steady"] + back["drives"], strict=True):
+        for end in ("", "_with_changed"):
+            assert row[f"probability_less{end}"] == 1.0 - mirrored[f"probability_less{end}"]
+            low, high = mirrored[f"difference_95{end}"]
+            assert row[f"difference_95{end}"] == pytest.approx([-high, -low], abs=1e-9)
+        assert (row["one_95"], row["other_95"]) == (mirrored["other_95"], mirrored["one_95"])
+    energy = there["drives"][0]
+    assert energy["probability_less"] == 0.0  # more friction, all else alike
+    assert 0.0 < energy["probability_less_with_changed"] < 0.5
 
 
-def test_a_radius_error_moves_energy_by_torques_of_effects():
-    """On a drive: their force along the way is smaller with a larger sprocket. The belt's loss is a force already."""
-    plain, radius = load("agri3t"), 1.25
-    dragged = replace(plain, effects=(Active(catalogue()["drivetrain_drag"], {"drag": 20.0}),))
-    totals = [
-        [
-            run_cycle(with_factors(Estimator(one), FileErrors(radius=r)), read_cycle("laps", 3.0), None, 5.0)[0]
-            for r in (1.0, radius)
-        ]
-        for one in (plain, dragged)
-    ]
-    for name, factor in (("kwh_per_km", 1.0 / radius), ("mean_resistance_nm", 1.0)):
-        (bare, barer), (first, last) = ([total[name] for total in pair] for pair in totals)
-        assert last - barer == pytest.approx(factor * (first - bare), rel=1e-3)
-        assert barer == pytest.approx(bare * (radius if name.endswith("_nm") else 1.0), rel=1e-3)
+def test_a_dominated_design_has_a_probability_near_zero(tmp_path):
+    """Also where a shared value moves both by far more than they differ."""
+    other = changed(tmp_path, "other", rubber__loss_modulus_scale=(1.3, 1.29, 1.31))
+    one = changed(tmp_path, "one", rubber__loss_modulus_scale=(1.2, 1.19, 1.21))
+    energy = drawn_comparison(one, other)["drives"][0]
+    assert energy["probability_less"] == energy["probability_less_with_changed"] == 0.0
+    (low, high), (least, most) = energy["difference_95"], energy["one_95"]
+    assert 0.0 < low < energy["difference"] < high
+    assert most - least > 5.0 * energy["difference"]
+
+
+def test_an_overlap_of_changed_ranges_is_undecided(tmp_path):
+    """The headline says that it is these ranges; where it is all, it says that too."""
+    other = changed(tmp_path, "other", chassis__bearing_friction=(0.0101, 0.005, 0.02))
+    found = drawn_comparison("agri3t", other)
+    row = found["drives"][0]
+    assert row["probability_less"] == 0.0
+    assert is_undecided(row["probability_less_with_changed"])
+    names = ("agri3t", "other")
+    assert "so narrow them to what you can build." in headline(row, names)
+    assert "do not decide which takes more." in headline({**row, "probability_less": 0.4}, names)
+    sure = headline({**row, "probability_less_with_changed": 0.004}, names)
+    assert sure.endswith("less is < 1 %, and < 1 % with the ranges of the changed values.")
+
+
+def test_equal_values_are_drawn_once_in_the_narrowest_range():
+    one = {LOSS: Quantity(1.0, "1", "A", 0.8, 1.2, ""), FRICTION: Quantity(0.01, "1", "A", 0.0, 0.02, "")}
+    other = {LOSS: Quantity(1.0, "1", "A", 0.9, 1.1, ""), FRICTION: Quantity(0.011, "1", "A", 0.0, 0.02, "")}
+    pairs = draws([one, other], 400, 1)
+    losses, frictions = (np.array([[values[path] for values in pair] for pair in pairs]) for path in (LOSS, FRICTION))
+    assert np.array_equal(losses[:, 0], losses[:, 1])
+    assert abs(np.corrcoef(frictions.T)[0, 1]) < 0.15
+    assert 0.9 <= losses.min() < 0.905 < 1.095 < losses.max() <= 1.1
+    assert losses.mean() == pytest.approx(1.0, abs=1e-3)
+    assert losses.std() == pytest.approx(0.05 * 0.88, rel=0.02)  # a normal distribution cut at two standard deviations
+    assert draws([other, one], 400, 1) == [(second, first) for first, second in pairs]
+    assert draws([one, other], 400, 2) != pairs
+
+
+def test_values_that_cannot_be_drawn_are_held():
+    vehicle = load("xgd24d")
+    paths = set(uncertain_values(vehicle, 8.0, 15.0))
+    assert {LOSS, FRICTION, "tracks.triangular.belt.thickness", "chassis.air_density"} <= paths
+    assert not any(path.endswith((".load", ".own_weight", "ambient", "max_speed", "wrap_angle")) for path in paths)
+
+
+def test_lost_draws_leave_an_interval_until_they_are_many():
+    one, other = np.arange(100.0), np.arange(100.0) + 1.0
+    one[:25] = np.nan
+    found = distribution(one, other)
+    assert (found.less, found.difference) == (0.0, (1.0, 1.0))
+    assert found.one == pytest.approx((26.85, 97.15))
+    one[25] = np.nan
+    assert distribution(one, other).less is distribution(one, other).difference is None
+    assert distribution(other, other).less == 0.5
+
+
+@pytest.mark.parametrize("name", ["xgd24d", "agri3t"])
+def test_a_drawn_estimator_drives_as_a_new_one(name):
+    """By its quick table within 0.1 %."""
+    values = {LOSS: 1.15, FRICTION: 0.009, "rubber.glass_transition": -55.0}
+    vehicle, base = variants(load(name))(values), Estimator(name)
+    cycle = read_cycle("laps", vehicle.chassis.max_speed)
+    (drawn, _), (new, _) = (run_cycle(each, cycle, None, 5.0) for each in (estimator_of(vehicle, base), Estimator(vehicle)))
+    assert drawn == pytest.approx(new, rel=1e-3)
+    assert drawn["kwh_per_km"] != pytest.approx(run_cycle(base, cycle, None, 5.0)[0]["kwh_per_km"], rel=1e-2)
 
 
 def test_the_same_design_twice_is_the_same(good, softer):
@@ -226,10 +236,12 @@ def test_the_same_design_twice_is_the_same(good, softer):
     drag = content["chassis"]["drag_coefficient"]
     drag.update(range=[drag["value"]] * 2)
     known.write_text(yaml.safe_dump(content))
-    same = json.loads(good("compare", softer, known, "--speed-kmh", "10", "--belt-degc", "20", "--json"))
+    same = json.loads(good("compare", softer, known, "--speed-kmh", "10", "--belt-degc", "20", "--draws", "8", "--json"))
     for row in (*same["designs"]["steady"], *same["designs"]["drives"]):
         assert row["difference"] == 0.0
-        assert row["std"] == row["std_with_changed"] < 1e-4 * row["one"]
+        assert row["probability_less"] == row["probability_less_with_changed"] == 0.5
+        assert row["difference_95"] == row["difference_95_with_changed"] == [0.0, 0.0]
+        assert row["one_95"] == row["other_95"]
     one, other = same["designs"]["designs"]
     assert {**one, "vehicle": "known"} == other
     assert [value["ratio"] for value in same["values"]] == [1.0, 1.0]
@@ -265,7 +277,13 @@ def test_each_part_of_a_comparison_says_what_it_lacks(tmp_path, degc, outside):
     scrub = {**read_yaml(find_vehicle("xgd24d")), "effects": {"turning_scrub": {"friction": 0.5}}}
     (tmp_path / "scrub.yaml").write_text(yaml.safe_dump(scrub))
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n0,50\n9,50\n")
-    conditions = {"speed_kmh": "50", "belt_degc": str(degc), "ambient_degc": str(degc), "cycle": (str(tmp_path / "drive.csv"),)}
+    conditions = {
+        "speed_kmh": "50",
+        "belt_degc": str(degc),
+        "ambient_degc": str(degc),
+        "cycle": (str(tmp_path / "drive.csv"),),
+        "draws": 8,
+    }
     found = compare_designs(request_of(("xgd24d", str(tmp_path / "scrub.yaml")), **conditions))
     parts = [f"{name}{of}" for name in ("xgd24d", "scrub") for of in ("", ", table of resistance", " on drive.csv") if outside]
     assert {text.partition(": track")[0] for text in found["remarks"] if ": track" in text} == set(parts)
@@ -307,3 +325,27 @@ def test_designs_of_any_name_are_drawn(drawn, tmp_path):
     draw_designs({"designs": designs, "speeds_kmh": [9.0, 5.0], "belts_degc": [20.0]}, tmp_path / "designs.png")
     assert [axes.get_title(loc="left") for axes in drawn.figures[0].axes] == ["a $x$ $, 200 kN", r"$\b$, 200 kN"]
     np.testing.assert_allclose([axes.lines[0].get_xydata() for axes in drawn.figures[0].axes], [[[5.0, 2.0], [9.0, 3.0]]] * 2)
+
+
+def test_the_energy_of_both_designs_is_drawn_over_the_air(drawn, tmp_path):
+    """In the order of the air, with all intervals; a missing one is a gap."""
+    row = {"outcome": "kwh_per_km", "cycle": "stages", "weight_kn": [200.0, 200.0], "one": 2.0, "other": 1.5, "difference": -0.5}
+    ends = {
+        "one_95": [1.5, 2.5],
+        "other_95": [1.2, 1.9],
+        "difference_95": [-0.6, -0.4],
+        "difference_95_with_changed": [-1.0, 0.1],
+    }
+    sure = {**row, **ends, "probability_less_with_changed": 0.96}
+    unknown = {**row, **dict.fromkeys(ends), "probability_less_with_changed": None}
+    rows = [{**unknown, "ambient_degc": 30.0}, {**sure, "ambient_degc": -10.0}, {**sure, "cycle": "laps", "ambient_degc": 0.0}]
+    designs = [{"vehicle": name} for name in ("a $x$ $", r"$\b$")]
+    draw_energy({"designs": designs, "drives": rows}, tmp_path / "energy.png")
+    (figure,) = drawn.figures
+    assert not drawn.faults(figure)
+    energy, difference = figure.axes
+    assert [text.get_text() for text in energy.get_legend().get_texts()] == ["a $x$ $", r"$\b$"]
+    assert [text.get_text() for text in difference.texts] == ["96 %", "-"]
+    np.testing.assert_allclose(difference.lines[0].get_xydata(), [[-10.0, -0.5], [30.0, -0.5]])
+    bars = [bar.get_segments()[0][:, 1].tolist() for axes in figure.axes for bar in axes.collections]
+    assert bars == [ends["one_95"], ends["other_95"], ends["difference_95_with_changed"], ends["difference_95"]]

@@ -16,7 +16,7 @@ import trackres_ros as tr
 from trackres_ros.effects import Active, Effect, Parameter, Terms, catalogue
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.drives import by_column
-from trackres_ros.estimator.energy import RESISTANCE, DriveTotals, StepTimes, energy_j, steps_of, summed, taken
+from trackres_ros.estimator.energy import RESISTANCE, DriveTotals, StepTimes, energy_j, steps_of, sum_drive, summed
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import Steps
 from trackres_ros.estimator.settings import Settings
@@ -84,7 +84,7 @@ def end_of_a_drive(vehicle, speed, air):
     first = estimator.cold_start(estimator.inputs(speed, ambient=air))
     _, rows = estimator.run(first, time, np.full_like(time, speed), vehicle.weight, air, 0.0)
     last = by_column(estimator, rows[-3:])
-    return last, taken(vehicle, time[-3:], last)
+    return last, sum_drive(vehicle, time[-3:], last)
 
 
 SUN_AND_GROUND = "core_surface", "ground_conduction", "solar", "tension_torque"
@@ -153,7 +153,9 @@ def test_totals_of_a_drive_do_not_depend_on_its_step(step_s, end_mps):
     vehicle, time = load("xgd24d"), np.arange(0.0, 60.0 + step_s / 2.0, step_s)
     speed = np.interp(time, [0.0, 20.0, 40.0, 60.0], [0.0, 10.0, 10.0, end_mps])
     radius, torque = vehicle_constants(vehicle).radius, 1000.0
-    found = taken(vehicle, time, {"speed_mps": speed, RESISTANCE: torque * np.sign(np.where(np.abs(speed) < 1e-9, 0.0, speed))})
+    found = sum_drive(
+        vehicle, time, {"speed_mps": speed, RESISTANCE: torque * np.sign(np.where(np.abs(speed) < 1e-9, 0.0, speed))}
+    )
     assert found["distance_m"] == pytest.approx(400.0)
     assert found["under_way_s"] == pytest.approx(60.0 - 2.0 * STANDSTILL_MPS / 0.5)
     assert found["energy_mj"] == pytest.approx(1e-6 * torque / radius * 400.0)
@@ -195,15 +197,15 @@ def test_where_stamps_jump_a_step_has_the_time_of_arrival():
     given = Steps(stamp, arrival, np.empty((40, 0)))
     of_blocks = StepTimes(Settings())
     blocks = (Steps(stamp[rows], arrival[rows], given.rows[rows]) for rows in (slice(25), slice(25, 40)))
-    assert np.concatenate([of_blocks.of(block) for block in blocks]) == pytest.approx([0.0] + [0.1] * 39)
-    assert StepTimes(Settings()).of(Steps(stamp, stamp, given.rows)).sum() == pytest.approx(3.6)
+    assert np.concatenate([of_blocks.step_times(block) for block in blocks]) == pytest.approx([0.0] + [0.1] * 39)
+    assert StepTimes(Settings()).step_times(Steps(stamp, stamp, given.rows)).sum() == pytest.approx(3.6)
 
 
 def test_what_waited_in_a_queue_adds_no_time_to_a_replay():
     stamp = np.concatenate([np.arange(50), np.arange(1000, 1100)]) * 20_000_000 + 10**18
     arrival = np.where(np.arange(150) < 25, stamp, np.maximum(stamp, stamp[50]))
     steps = Estimator(load("agri3t")).session().handle_block(np.zeros(150, np.int16), stamp, arrival, np.full(150, 2.0))
-    assert StepTimes(Settings()).of(steps).sum() == pytest.approx((stamp[-1] - stamp[0]) * 1e-9)
+    assert StepTimes(Settings()).step_times(steps).sum() == pytest.approx((stamp[-1] - stamp[0]) * 1e-9)
 
 
 def test_an_effect_may_cool_a_belt_below_the_air():
@@ -495,6 +497,36 @@ def test_a_sweep_over_the_air_says_so(good):
     told = json.loads(good(*words, "--json"))
     assert told["ambient_degc"] is None
     assert told["columns"]["cold_nm"][0] > told["columns"]["cold_nm"][1]
+
+
+@pytest.mark.parametrize("words", [("--ambient-degc", "-10,30"), ("--ambient-degc=-10,30",)])
+def test_several_air_temperatures_are_rows_of_a_sweep(good, words):
+    """As if varied, and with a drive in that air; one alone is a condition."""
+    swept = json.loads(good("sweep", "agri3t", *words, "--cycle", "laps", "--json"))
+    assert swept["ambient_degc"] is None
+    columns = swept["columns"]
+    assert columns["chassis.ambient"] == [-10.0, 30.0]
+    for row, air in enumerate((-10, 30)):
+        alone = json.loads(
+            good("sweep", "agri3t", "--vary", "belt.width=+0%", "--ambient-degc", air, "--cycle", "laps", "--json")
+        )
+        assert alone["ambient_degc"] == air
+        for outcome in ("cold_nm", "warm_nm", "belt_degc", "kwh_per_km", "drive_kwh_per_km"):
+            assert alone["columns"][outcome][0] == columns[outcome][row]
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        ((), "several --ambient-degc"),
+        (("--ambient-degc", "-10"), "several --ambient-degc"),
+        (("--ambient-degc", "-100,3"), "numbers from -60 to 60"),
+        (("--vary", "chassis.ambient=1,2", "--ambient-degc", "-10,30"), "each value once"),
+        (("--vary", "chassis.ambient=1,2", "--ambient-degc", "-10"), "leave out --ambient-degc"),
+    ],
+)
+def test_a_sweep_without_a_varied_value_is_refused(refused, words, part):
+    assert part in refused("sweep", "agri3t", *words)
 
 
 def test_the_command_says_what_to_measure_first(good, tmp_path, vary):

@@ -192,7 +192,7 @@ def test_a_limit_is_its_vehicles_own_and_a_given_one_of_all(dataset, tmp_path):
     assert limits_of(dataset.folder, {}) == {None: {"bearing_friction": 0.012}}
 
 
-def test_recordings_without_load_do_not_set_a_months_colour(dataset):
+def test_recordings_without_load_do_not_set_a_months_mean(dataset):
     dataset.put(row("steady", RECORDINGS, mismatch=0.5, load=False), None)
     dataset.put(row("unloaded", 0, mismatch=0.5, load=False), None)
     found = trends(dataset, {})
@@ -205,9 +205,8 @@ def test_recordings_without_load_do_not_set_a_months_colour(dataset):
     assert only["mismatch"] is None
     assert "2 recordings have no load" in "\n".join(sentences(found))
     page = write_pages(dataset.folder, found, dataset).read_text()
-    assert 'class="cell unloaded"' in page
-    assert "1 without load" in page
-    assert 'class="cell s5"' in page  # of 4 %, the worst that is known
+    assert '<small class="unloaded">50.0 % · 1, 1 without load' in page
+    assert "4.0 % · 5, 1 without load" in page
     assert "50.0 % without load" in (dataset.folder / "vehicles" / "steady.html").read_text()
 
 

@@ -184,7 +184,7 @@ def test_what_rises_more_and_more_is_a_ramp_with_a_forecast():
 @given(st.sampled_from([1.0, -1.0]), st.floats(0.1, 10.0), st.floats(-10.0, 10.0), st.floats(0.1, 10.0))
 def test_a_limit_is_reached_only_on_the_way_of_the_trend(sign, size, before, far):
     line = TrendLine(sign * (before + size), 0.01 * sign * size, 0.0, (0.001 * size) ** 2, 0.0, 0.0)
-    change = VehicleChange("x", (), RAMP, 0.0, DAY_S, 8, sign * before, sign * size, 0.1 * size, 0.1, 20.0, (line,))
+    change = VehicleChange("x", (), RAMP, 0.0, DAY_S, 8, sign * before, sign * size, 0.1 * size, 20.0, (line,))
 
     def told(limit, in_file):  # both along the trend, which goes up or down
         return forecast(change, 100.0 * DAY_S, sign * limit, sign * in_file)
@@ -271,7 +271,7 @@ def test_the_range_of_a_forecast_covers_the_truth():
         of = history(0.02 * np.maximum(0.0, day - 30.0)[:, None], seed, std=0.15)
         found = search(of, LEAST)[:1]
         lines = lines_of(variants(of, found), 0, 0.0, 1.0)
-        change = VehicleChange("x", (), RAMP, 0.0, 0.0, 8, 0.0, 1.2, 0.1, 0.1, 20.0, lines)
+        change = VehicleChange("x", (), RAMP, 0.0, 0.0, 8, 0.0, 1.2, 0.1, 20.0, lines)
         told = forecast(change, of.time_s[-1], 2.4, 0.0)
         inside += np.datetime64(told["from"]) <= begin + 151 and begin + 149 <= np.datetime64(told["to"] or "2099")
     assert inside >= 27

@@ -130,17 +130,22 @@ class Base(ABC):
         The last simulation is kept, also for copies: calls of a fit often differ only by sensor effects.
         """
         values = {**self._by_default, **values}
-        acting = Acting.of([*self._own_effects(values), *effects], self.facts)
-        stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
-        key = (*sessions, *values.values(), acting.sensors.speed_factor, *stepped)
+        acting_effects = Acting.of([*self._own_effects(values), *effects], self.facts)
+        step_effects = tuple(
+            (active.effect, *active.numbers)
+            for active in (*acting_effects.step_effects, *acting_effects.slopes, *acting_effects.torques)
+        )
+        key = (*sessions, *values.values(), acting_effects.sensors.speed_factor, *step_effects)
         if key not in self._last:
-            rows = self._simulate(sessions, values, acting)
+            rows = self._simulate(sessions, values, acting_effects)
             self._last.clear()
             self._last[key] = rows
         predictions = []
-        for i, (session, (simulated, belt, skin)) in enumerate(zip(sessions, self._last[key], strict=True)):
-            drive = acting.with_watched(simulated, i)
-            predictions.append(Predicted(self._shown(values) * acting.sensed(drive, session), drive, belt, skin))
+        for i, (session, (simulation, belt, skin)) in enumerate(zip(sessions, self._last[key], strict=True)):
+            drive = acting_effects.with_watched(simulation, i)
+            predictions.append(
+                Predicted(self._shown_value(values) * acting_effects.sensor_torque(drive, session), drive, belt, skin)
+            )
         return predictions
 
     def share_limits(self, _: Sequence[DriveSession]) -> tuple[float, float] | None:
@@ -153,16 +158,16 @@ class Base(ABC):
         """Effects of the vehicle and its surroundings."""
         return ()
 
-    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting_effects: Acting) -> list[Array]:
         """Step through sessions: torque [Nm], belt and surface temperature [degC] of each, shape (3, n)."""
         raise NotImplementedError
 
-    def _shown(self, _: Values) -> float:
+    def _shown_value(self, _: Values) -> float:
         """Torque of a session over the sensed one."""
         return 1.0
 
     @abstractmethod
-    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
+    def write(self, path: Path, file_changes: FileChanges, text: str) -> list[Path]:
         """Write a vehicle file with the kept changes, and surroundings next to it; returns the files to use."""
 
     @property
@@ -170,9 +175,9 @@ class Base(ABC):
         """The same vehicle without the given surroundings, as a controller runs it."""
         return self
 
-    def inside_ranges(self, free: Collection[str]) -> Self:
-        """The same base, its parameters bound to the ranges of the vehicle file, except those in `free`."""
-        return self._with_parameters(tuple(q if q.name in free else q.inside() for q in self.parameters))
+    def inside_ranges(self, free_names: Collection[str]) -> Self:
+        """The same base, its parameters bound to the ranges of the vehicle file, except those in `free_names`."""
+        return self._with_parameters(tuple(q if q.name in free_names else q.inside() for q in self.parameters))
 
     def as_written(self, values: Values) -> Self:
         """The base that a reader gets from the file `write` makes of these values, in the same surroundings."""
@@ -188,9 +193,9 @@ class Base(ABC):
 class Acting:
     """Effects sorted: those of every step, those with their own series, slopes and torques by place, and those of sensors."""
 
-    stepped: tuple[Active, ...]
+    step_effects: tuple[Active, ...]
     table: EffectTable
-    watched: tuple[Active, ...]
+    watched_effects: tuple[Active, ...]
     slopes: tuple[Active, ...]
     torques: tuple[Active, ...]
     sensors: Terms
@@ -201,11 +206,11 @@ class Acting:
         series = tuple(active for active in effects if isinstance(active.effect, ResidualPattern))
         slopes = tuple(active for active in series if isinstance(active.effect, SlopeByPlace))
         torques = tuple(active for active in series if isinstance(active.effect, TorqueByPlace))
-        watched = tuple(active for active in series if active not in slopes and active not in torques)
-        stepped = tuple(active for active in effects if active not in series and active.effect.acts_on != "sensor")
+        watched_effects = tuple(active for active in series if active not in slopes and active not in torques)
+        step_effects = tuple(active for active in effects if active not in series and active.effect.acts_on != "sensor")
         sensor_effects = [active for active in effects if active.effect.acts_on == "sensor"]
         sensors = terms_by_parameters(tuple(a.effect for a in sensor_effects), tuple(a.numbers for a in sensor_effects), facts)
-        return cls(stepped, fit_table(stepped), watched, slopes, torques, sensors)
+        return cls(step_effects, fit_table(step_effects), watched_effects, slopes, torques, sensors)
 
     def speed(self, session: DriveSession) -> Array:
         """True speed [m/s]."""
@@ -227,9 +232,9 @@ class Acting:
 
     def with_watched(self, torque: Array, session: int) -> Array:
         """Torque of session `number` plus the effects with their own series [Nm]."""
-        return _with_series(torque, self.watched, session)
+        return _with_series(torque, self.watched_effects, session)
 
-    def sensed(self, torque: Array, session: DriveSession) -> Array:
+    def sensor_torque(self, torque: Array, session: DriveSession) -> Array:
         """Torque as the sensor shows it [Nm]."""
         terms = self.sensors
         reading = terms.sensor_gain * torque + terms.sensor_offset
@@ -238,15 +243,15 @@ class Acting:
         if session.torque_course is None:  # not measured: a step's mean is at its middle
             return np.interp(session.time - terms.sensor_delay, session.time, reading)
         # Torque may jump within a step, which its mean does not show. So the measured torque is shifted instead, exactly.
-        later = session.torque_course.later_means(session.time, session.step, terms.sensor_delay)
-        return np.asarray(reading - (later - session.torque))
+        delayed_torque = session.torque_course.later_means(session.time, session.step, terms.sensor_delay)
+        return np.asarray(reading - (delayed_torque - session.torque))
 
-    def check(self, omitted: Array, session: DriveSession, facts: VehicleConstants) -> None:
+    def check(self, omissions: Array, session: DriveSession, facts: VehicleConstants) -> None:
         """Raise the error of a user effect that was omitted in a step, although all its inputs are known there."""
-        user_effects = [active for active in self.stepped if active.effect.source is not None]
-        if not user_effects or not omitted.any():
+        user_effects = [active for active in self.step_effects if active.effect.source is not None]
+        if not user_effects or not omissions.any():
             return
-        for i in np.flatnonzero(omitted)[:MOST_CHECKED]:
+        for i in np.flatnonzero(omissions)[:MOST_CHECKED]:
             inputs = conditions(
                 facts, self.speed(session)[i], self.accel(session)[i], session.weight[i],
                 session.ambient[i], session.yaw_rate[i], session.heading[i], session.distance[i],

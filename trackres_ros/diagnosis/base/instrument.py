@@ -32,7 +32,9 @@ def instrument(base: Base) -> tuple[Effect, ...]:
         (TorqueGain(), GAIN, MOST_GAIN),
         (TorqueOffset(), offset, offset * MOST_OFFSET_NM / OFFSET_NM),
     )
-    return tuple(narrowed(effect, std, most) for effect, std, most in limits if effect.name not in base.includes)
+    return tuple(
+        narrow_prior(effect, std, largest_value) for effect, std, largest_value in limits if effect.name not in base.includes
+    )
 
 
 def usual_offset(base: Base) -> float:
@@ -40,8 +42,10 @@ def usual_offset(base: Base) -> float:
     return OFFSET_NM * base.facts.weight * base.facts.radius / REFERENCE_NM
 
 
-def narrowed(effect: Effect, std: float, most: float) -> Effect:
+def narrow_prior(effect: Effect, std: float, largest_value: float) -> Effect:
     """An effect whose parameters get this prior standard deviation and bound, in its unit, around no effect."""
-    narrow = copy.copy(effect)
-    narrow.parameters = tuple(replace(q, low=-most, high=most, start=std / PRIOR_STDS) for q in effect.parameters)
-    return narrow
+    narrow_effect = copy.copy(effect)
+    narrow_effect.parameters = tuple(
+        replace(q, low=-largest_value, high=largest_value, start=std / PRIOR_STDS) for q in effect.parameters
+    )
+    return narrow_effect

@@ -21,6 +21,7 @@ from trackres_ros.model.track import with_methods
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any, with_surroundings
+from trackres_ros.vehicle.gears import gears_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,7 @@ def gate_settings(vehicle: Vehicle | RoadVehicle) -> GateSettings:
             torque_share=vehicle.torque_share,
             is_vehicle=road.rolls,
             track_width=vehicle.values.get("track_width"),
+            gears=gears_of(vehicle),
         )
     loads = vehicle.nominal_loads().tolist()
     return GateSettings(
@@ -101,7 +103,7 @@ def gate_settings(vehicle: Vehicle | RoadVehicle) -> GateSettings:
         vehicle.chassis.max_speed,
         vehicle.chassis.ambient,
         False,
-        motor_ratio=vehicle.chassis.motor_ratio,
+        gears=gears_of(vehicle),
         has_belt=True,
         axles={
             axle.name: {vehicle.assemblies[i].name: loads[i] for i in vehicle.assemblies_of(axle.name)} for axle in vehicle.axles
@@ -112,9 +114,9 @@ def gate_settings(vehicle: Vehicle | RoadVehicle) -> GateSettings:
 def _check_as_in_its_file(vehicle: Vehicle) -> None:
     """Refuse a vehicle changed in memory, because results are written into a copy of its file."""
     in_file = load(vehicle.source)
-    changed = [path for path, q in vehicle.parameters.items() if q.value != in_file.parameters[path].value]
+    changed_paths = [path for path, q in vehicle.parameters.items() if q.value != in_file.parameters[path].value]
     effects = [{a.effect.name: dict(a.values) for a in v.effects} for v in (vehicle, in_file)]
-    changed += ["effects"] if effects[0] != effects[1] else []
-    if changed:
-        statement = f"other values than {vehicle.source} has: {changed[0]}"
+    changed_paths += ["effects"] if effects[0] != effects[1] else []
+    if changed_paths:
+        statement = f"other values than {vehicle.source} has: {changed_paths[0]}"
         raise InputError("vehicle", statement, "a vehicle as its file has it", "write them into a file of their own")

@@ -25,7 +25,7 @@ from trackres_ros.effects.stepping import (
     UNUSABLE,
     EffectScratch,
     EffectTable,
-    cooled,
+    cool_memory,
     new_effect_scratch,
     new_memory,
     rest_effects,
@@ -115,53 +115,65 @@ class OwnBase(Base):
     def _own_effects(self, _: Values) -> Sequence[Active]:
         return self.model.effects
 
-    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        scratch, memory = new_effect_scratch(self.facts), new_memory(len(acting.stepped))
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting_effects: Acting) -> list[Array]:
+        scratch, memory = new_effect_scratch(self.facts), new_memory(len(acting_effects.step_effects))
         results = []
-        for i, (session, unseen) in enumerate(with_unseen(sessions)):
+        for i, (session, is_unrecorded) in enumerate(with_unseen(sessions)):
             distance = float(memory[DISTANCE])
             if i > 0 and np.isfinite(session.gap):
-                rest_own(*acting.table, memory, scratch, float(session.ambient[0]), session.gap)
+                rest_own(*acting_effects.table, memory, scratch, float(session.ambient[0]), session.gap)
             else:
-                memory = cooled(memory)
+                memory = cool_memory(memory)
                 if session.first_drive:
                     memory[DISTANCE] = distance = 0.0
-            true = replace(session, speed=acting.speed(session), accel=acting.accel(session))
-            own = self._own(true, values) + acting.torque_by_place(session, i) * np.sign(true.speed)
+            true_session = replace(session, speed=acting_effects.speed(session), accel=acting_effects.accel(session))
+            own_torque = self._own_torque(true_session, values) + acting_effects.torque_by_place(session, i) * np.sign(
+                true_session.speed
+            )
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
-            series = (session.time, true.speed, true.accel, session.weight, session.ambient, session.yaw_rate, session.heading)
-            step_own(acting.table, scratch, memory, own, *series, torque, outcome)
-            acting.check(outcome == UNUSABLE, session, self.facts)
-            if unseen:
+            series = (
+                session.time,
+                true_session.speed,
+                true_session.accel,
+                session.weight,
+                session.ambient,
+                session.yaw_rate,
+                session.heading,
+            )
+            step_own(acting_effects.table, scratch, memory, own_torque, *series, torque, outcome)
+            acting_effects.check(outcome == UNUSABLE, session, self.facts)
+            if is_unrecorded:
                 memory[DISTANCE] = distance
             else:
                 results.append(np.stack([torque, *np.full((2, len(session)), np.nan)]))
         return results
 
-    def _own(self, session: DriveSession, values: Values) -> Array:
+    def _own_torque(self, session: DriveSession, values: Values) -> Array:
         """Result of the user's function; an `InputError` if it fails, or is not a finite number for each step."""
         try:
-            own = np.array(self.model.torque(_handed_out(session), dict(values)))
-            if np.iscomplexobj(own):
+            torque = np.array(self.model.torque(_handed_out(session), dict(values)))
+            if np.iscomplexobj(torque):
                 raise TypeError("complex numbers")
-            own = own.astype(float)
+            torque = torque.astype(float)
         except Exception as error:
             raise InputError(f"{self.name}: torque", f"{type(error).__name__}: {error}", "a function of inputs and p") from error
-        if own.shape != session.speed.shape or not np.isfinite(own).all():
-            statement = f"shape {own.shape}" if own.shape != session.speed.shape else f"no finite number with {dict(values)}"
+        if torque.shape != session.speed.shape or not np.isfinite(torque).all():
+            statement = (
+                f"shape {torque.shape}" if torque.shape != session.speed.shape else f"no finite number with {dict(values)}"
+            )
             raise InputError(f"{self.name}: torque", statement, f"a finite number for each step, shape {session.speed.shape}")
-        return own
+        return torque
 
     def share_limits(self, sessions: Sequence[DriveSession]) -> tuple[float, float] | None:
         """See `base.Base`: one parameter after the other at the ends of its range; their products."""
-        steady = [replace(s, accel=np.zeros(len(s))) for s in sessions]
+        steady_sessions = [replace(s, accel=np.zeros(len(s))) for s in sessions]
 
         def torques(values: Values) -> tuple[Array, Array]:
-            total, resisting = (
+            total, resistance = (
                 np.concatenate([p.torque[s.used] for p, s in zip(self.predict(group, values, ()), sessions, strict=True)])
-                for group in (sessions, steady)
+                for group in (sessions, steady_sessions)
             )
-            return total, total - resisting
+            return total, total - resistance
 
         nominal, low, high = torques(self.nominal), 1.0, 1.0
         for q in self.parameters:
@@ -170,20 +182,20 @@ class OwnBase(Base):
             low, high = low * max(min(1.0, *shares), 0.0), high * max(1.0, *shares)
         return low, high
 
-    def with_kept(self, kept: FileChanges) -> OwnModel:
+    def with_kept(self, file_changes: FileChanges) -> OwnModel:
         """The model with the kept values and effects."""
-        values = kept.values or {}
+        values = file_changes.values or {}
         parameters = {name: (values.get(name, parameter[0]), *parameter[1:]) for name, parameter in self.model.parameters.items()}
         parameters = {n: (v, min(low, v), max(high, v), unit) for n, (v, low, high, unit) in parameters.items()}
-        return replace(self.model, parameters=parameters, effects=(*self.model.effects, *kept.of("vehicle")))
+        return replace(self.model, parameters=parameters, effects=(*self.model.effects, *file_changes.effects_of("vehicle")))
 
-    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
+    def write(self, path: Path, file_changes: FileChanges, text: str) -> list[Path]:
         """See `base.Base`: the values of the parameters, and effects."""
         lines = [f"name: {flow(self.name)}", "parameters:"]
-        for name, (value, low, high, unit) in self.with_kept(kept).parameters.items():
-            span = kept.range_of(name) if kept.values is not None else None
+        for name, (value, low, high, unit) in self.with_kept(file_changes).parameters.items():
+            span = file_changes.range_of(name) if file_changes.values is not None else None
             lines.append(f"  {name}: {flow({'value': value, 'unit': unit, 'range': list(span or (low, high))})}")
-        return finish(Document("\n".join(lines) + "\n"), self.name, sources_of(self.model.effects), (), path, kept, text)
+        return finish(Document("\n".join(lines) + "\n"), self.name, sources_of(self.model.effects), (), path, file_changes, text)
 
 
 def _handed_out(session: DriveSession) -> DriveSession:
@@ -197,8 +209,8 @@ def _handed_out(session: DriveSession) -> DriveSession:
 
 def _parameter(name: str, value: float, low: float, high: float, unit: str) -> BaseParameter:
     width = high - low
-    least, most = (0.0 if low >= 0.0 else low - width), (0.0 if high <= 0.0 else high + width)
-    return BaseParameter(name, unit, value, 0.25 * width, least, most, (low, high))
+    lower_bound, upper_bound = (0.0 if low >= 0.0 else low - width), (0.0 if high <= 0.0 else high + width)
+    return BaseParameter(name, unit, value, 0.25 * width, lower_bound, upper_bound, (low, high))
 
 
 @kernel
@@ -206,7 +218,7 @@ def own_along(
     effects: EffectTable,
     scratch: EffectScratch,
     memory: Array,
-    own: Array,
+    own_torque: Array,
     times: Array,
     speeds: Array,
     accelerations: Array,
@@ -220,13 +232,13 @@ def own_along(
     """Fill `torque`, the model's with effects added, and their `outcome` at each time; see `effects.stepping`."""
     last_torque = last_own = 0.0
     for i in range(times.shape[0]):
-        drive = last_torque + own[i] - last_own
-        turning = yaw_rates[i], headings[i], math.nan
-        set_conditions(scratch.conditions, speeds[i], accelerations[i], weights[i], ambients[i], *turning, drive, math.nan)
+        drive = last_torque + own_torque[i] - last_own
+        turn = yaw_rates[i], headings[i], math.nan
+        set_conditions(scratch.conditions, speeds[i], accelerations[i], weights[i], ambients[i], *turn, drive, math.nan)
         dt = times[i] - times[i - 1] if i > 0 else 0.0
         outcome[i] = step_effects(effects.rows, effects.values, memory, scratch, dt)
-        torque[i] = (own[i] + scratch.terms[TERM.torque]) * scratch.terms[TERM.drive_gain]
-        last_torque, last_own = torque[i], own[i]
+        torque[i] = (own_torque[i] + scratch.terms[TERM.torque]) * scratch.terms[TERM.drive_gain]
+        last_torque, last_own = torque[i], own_torque[i]
 
 
 step_own, rest_own = entry(own_along), entry(rest_effects)

@@ -28,9 +28,11 @@ class ResidualPattern(Effect):
     belongs_to = "vehicle"
     needs = ()
 
-    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, ahead: Sequence[Array] | None = None) -> None:
+    def __init__(
+        self, name: str, text: str, shape: Sequence[Array], size: float, forecast: Sequence[Array] | None = None
+    ) -> None:
         self.name, self.text, self.shape = name, text, tuple(shape)
-        self.ahead = self.shape if ahead is None else tuple(ahead)
+        self.ahead = self.shape if forecast is None else tuple(forecast)
         self.parameters = (height("level", "torque where it acts").times(size / REFERENCE_NM),)
 
 
@@ -68,9 +70,9 @@ class ByPlace(ResidualPattern):
     acts_on = "torque"
     belongs_to = "surroundings"
 
-    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical: float) -> None:
+    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical_torque: float) -> None:
         super().__init__(name, text, shape, size)
-        self.route, self.typical = route, typical
+        self.route, self.typical = route, typical_torque
 
     def learned(self, value: float) -> RouteMap:
         """The map, scaled to the fitted parameter."""
@@ -84,7 +86,7 @@ class TorqueByPlace(ByPlace):
 class SlopeByPlace(ByPlace):
     """A slope learned for each place: the series are the rise over run in the vehicle's heading."""
 
-    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical: float) -> None:
-        super().__init__(name, text, shape, size, route, typical)
-        typical_slope = Parameter("slope", "1", -STEEPEST, STEEPEST, typical, "root mean square over the places", off=0.0)
+    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, size_by_place: float) -> None:
+        super().__init__(name, text, shape, size, route, size_by_place)
+        typical_slope = Parameter("slope", "1", -STEEPEST, STEEPEST, size_by_place, "root mean square over the places", off=0.0)
         self.parameters = (typical_slope,)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Values
-from trackres_ros.diagnosis.base.simulated import FileBase, simulated
+from trackres_ros.diagnosis.base.simulated import FileBase, simulate_sessions
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.delay import Delay
@@ -57,22 +57,22 @@ class RoadBase(FileBase):
         self._constants = make_constants(vehicle, Settings())
         self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
         self.rolls = vehicle.rolls
-        known = {name: vehicle.parameters[f"{SECTION}.{name}"] for name in (*FITTED, *OF_SLIDES, TORQUE_OFFSET) if name in v}
-        free = [name for name, q in known.items() if q.standard_deviation > 0.0]
-        if set(ONLY_ONE_OF) <= set(free):
-            free = [name for name in free if name not in ONLY_ONE_OF]
+        quantities = {name: vehicle.parameters[f"{SECTION}.{name}"] for name in (*FITTED, *OF_SLIDES, TORQUE_OFFSET) if name in v}
+        free_names = [name for name, q in quantities.items() if q.standard_deviation > 0.0]
+        if set(ONLY_ONE_OF) <= set(free_names):
+            free_names = [name for name in free_names if name not in ONLY_ONE_OF]
 
         def parameter(name: str) -> BaseParameter:
-            q, limit = known[name], ROAD_LOAD[name]
+            q, limit = quantities[name], ROAD_LOAD[name]
             return BaseParameter(name, limit.unit, v[name], q.standard_deviation, limit.low, limit.high, (q.low, q.high))
 
-        self.parameters = tuple(map(parameter, free))
-        same = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
-        refitted = (effect for parameter, effect in same.items() if parameter in free)
+        self.parameters = tuple(map(parameter, free_names))
+        effect_of_parameter = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
+        effects_refitted = (effect for parameter, effect in effect_of_parameter.items() if parameter in free_names)
         chain = (Delay.name, *(effect.name for effect, *_ in built_in(v)), *([TORQUE_OFFSET] if TORQUE_OFFSET in v else []))
-        self.includes = (*chain, *refitted, *(active.effect.name for active in self._active))
+        self.includes = (*chain, *effects_refitted, *(active.effect.name for active in self._active))
 
-    def _shown(self, values: Values) -> float:
+    def _shown_value(self, values: Values) -> float:
         return values["torque_scale"] / self.torque_scale
 
     def _own_effects(self, values: Values) -> Sequence[Active]:
@@ -82,18 +82,20 @@ class RoadBase(FileBase):
             chain.append(Active(OFFSET, {"offset": values[TORQUE_OFFSET]}))
         return (*chain, *self._active)
 
-    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting_effects: Acting) -> list[Array]:
         number = self._constants.number._replace(
             bearing_friction=values["rolling_coefficient"],
             rolling_rise=values["rolling_rise"],
             drag_area=values["drag_area"],
             rotating_mass_factor=values["rotating_mass_factor"],
         )
-        empty = values["mass"] * GRAVITY
-        loaded = [s if "load" in s.given else replace(s, weight=empty + s.payload) for s in sessions]
-        facts = self.facts._replace(weight=empty, drag_area=values["drag_area"])
-        return simulated(self._constants._replace(number=number), np.ones(1), 0, facts, loaded, acting)
+        empty_weight = values["mass"] * GRAVITY
+        sessions_with_load = [s if "load" in s.given else replace(s, weight=empty_weight + s.payload) for s in sessions]
+        facts = self.facts._replace(weight=empty_weight, drag_area=values["drag_area"])
+        return simulate_sessions(
+            self._constants._replace(number=number), np.ones(1), 0, facts, sessions_with_load, acting_effects
+        )
 
-    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
+    def write(self, path: Path, file_changes: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""
-        return write_road_vehicle(self.vehicle, path, kept, text)
+        return write_road_vehicle(self.vehicle, path, file_changes, text)

@@ -34,8 +34,8 @@ class FileBase(Base):
     @property
     def quantities(self) -> Mapping[str, RangedValue]:
         """See `base.Base`."""
-        known = self.vehicle.parameters.items()
-        return {name: RangedValue(q.unit, q.value, q.low, q.high) for name, q in known if isinstance(q.value, float)}
+        parameters = self.vehicle.parameters.items()
+        return {name: RangedValue(q.unit, q.value, q.low, q.high) for name, q in parameters if isinstance(q.value, float)}
 
     @property
     def alone(self) -> Self:
@@ -54,57 +54,57 @@ class FileBase(Base):
         return base
 
 
-def simulated(
+def simulate_sessions(
     k: Constants,
     count: Array,
     belts: int,
     facts: VehicleConstants,
     sessions: Sequence[DriveSession],
-    acting: Acting,
+    acting_effects: Acting,
 ) -> list[Array]:
     """Torque at the sprockets [Nm], belt and surface temperature [degC] of each session by `kernel.predict`, shape (3, n).
 
-    `k` has the constants of the step without effects, which come from `acting`. There are `count` assemblies of each kind, shape
-    (kinds,), of which `belts` kinds have a belt.
+    `k` has the constants of the step without effects, which come from `acting_effects`. There are `count` assemblies of each
+    kind, shape (kinds,), of which `belts` kinds have a belt.
     """
-    table = acting.table
+    table = acting_effects.table
     k = k._replace(effects=table.rows, effect_values=table.values)
     state = State(
         np.empty((belts, 2, at.BELT_COLUMNS)),
         np.empty(at.Motion.columns),
-        new_memory(len(acting.stepped)),
+        new_memory(len(acting_effects.step_effects)),
         np.zeros(at.Learned.columns),
     )
-    constants, carried = COMPILED.bound(k).given, COMPILED.bound(state).given
+    constants, carried_arrays = COMPILED.bound(k).given, COMPILED.bound(state).given
     scratch = COMPILED.bound(new_scratch(facts, 0, 0)).given
     results: list[Array] = []
-    for i, (session, unseen) in enumerate(with_unseen(sessions)):
+    for i, (session, is_unrecorded) in enumerate(with_unseen(sessions)):
         ambient, distance = float(session.ambient[0]), float(state.effects[DISTANCE])
         if i == 0 or not np.isfinite(session.gap):
-            COMPILED.start_belts(constants, carried, ambient, 0.0)
+            COMPILED.start_belts(constants, carried_arrays, ambient, 0.0)
             if session.first_drive:
                 state.effects[DISTANCE] = distance = 0.0
         else:
-            COMPILED.rest_vehicle(constants, carried, scratch, ambient, 0.0, session.gap)
-        rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
+            COMPILED.rest_vehicle(constants, carried_arrays, scratch, ambient, 0.0, session.gap)
+        rows, no_values = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
         series = DriveSeries(
             session.time,
-            acting.speed(session),
+            acting_effects.speed(session),
             session.weight,
             session.ambient,
-            acting.accel(session),
-            acting.grade(session, i),
+            acting_effects.accel(session),
+            acting_effects.grade(session, i),
             session.yaw_rate,
             session.heading,
-            unknown,
-            unknown,
-            acting.torque_by_place(session, i),
-            unknown,
-            unknown,
+            no_values,
+            no_values,
+            acting_effects.torque_by_place(session, i),
+            no_values,
+            no_values,
         )
-        COMPILED.predict_series(constants, carried, scratch, count, series, rows)
-        acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
-        if unseen:
+        COMPILED.predict_series(constants, carried_arrays, scratch, count, series, rows)
+        acting_effects.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
+        if is_unrecorded:
             state.effects[DISTANCE] = distance
         else:
             results.append(np.ascontiguousarray(rows[:, [PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN]].T))

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Values
-from trackres_ros.diagnosis.base.simulated import FileBase, simulated
+from trackres_ros.diagnosis.base.simulated import FileBase, simulate_sessions
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator import columns as at
@@ -57,7 +57,7 @@ class TrackBase(FileBase):
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
-        self._constants = make_constants(vehicle, Settings(), uncertain=False)
+        self._constants = make_constants(vehicle, Settings(), with_uncertainty=False)
         self._networks = {
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
@@ -67,11 +67,11 @@ class TrackBase(FileBase):
         self._loss_tables: tuple[tuple[tuple[float, slice], Array], ...] = ()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
-        first = vehicle.track_of(vehicle.assemblies[0])
+        first_track = vehicle.track_of(vehicle.assemblies[0])
         self.parts = {
-            "belt": first.belt.loop_length,
-            "sprocket": 2.0 * math.pi * first.sprocket_radius,
-            "road wheels": 2.0 * math.pi * first.road_wheels.radius,
+            "belt": first_track.belt.loop_length,
+            "sprocket": 2.0 * math.pi * first_track.sprocket_radius,
+            "road wheels": 2.0 * math.pi * first_track.road_wheels.radius,
         }
         self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
         limits = {**RUBBER, **CHASSIS, **BELT}
@@ -82,66 +82,69 @@ class TrackBase(FileBase):
             low, high = max(limit.low, min(low, 0.2 * q.low)), min(limit.high, max(high, 3.0 * q.high))
             return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high, (q.low, q.high))
 
-        film, capacity = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"], vehicle.parameters["rubber.heat_capacity"]
+        film = vehicle.parameters[f"tracks.{first_track.name}.belt.film_offset"]
+        capacity = vehicle.parameters["rubber.heat_capacity"]
         assert isinstance(film.value, float)
         assert isinstance(capacity.value, float)
         share = float(shares[0])
-        learned = capacity.flag == FITTED
-        capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
+        is_learned = capacity.flag == FITTED
+        capacity_std = share * capacity.standard_deviation / capacity.value if is_learned else CAPACITY_STD
         # Factors on the belt's heat capacity from the rubber's share: by the limits of a file, and by the range of this one.
-        (least, most), by_file = (
+        (least_capacity, most_capacity), by_file = (
             (1.0 + share * (bounds.low / capacity.value - 1.0), 1.0 + share * (bounds.high / capacity.value - 1.0))
             for bounds in (RUBBER["heat_capacity"], capacity)
         )
-        within = max(PLAUSIBLE_CAPACITY[0], least), min(PLAUSIBLE_CAPACITY[1], most)
+        limits_of_fit = max(PLAUSIBLE_CAPACITY[0], least_capacity), min(PLAUSIBLE_CAPACITY[1], most_capacity)
         film_std = film.standard_deviation / film.value
         film_factors = _belt_factors(vehicle, FILMS, *PLAUSIBLE_FILM, by_file=False)
         films_by_file = _belt_factors(vehicle, FILMS, 0.0, np.inf, by_file=True)
-        fitted = [
+        fitted_parameters = [
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
             BaseParameter(FILM, "1", 1.0, film_std, *film_factors, films_by_file, film.value),
-            BaseParameter(CAPACITY, "1", 1.0, capacity_std, *within, by_file, heat_capacity(first.belt, vehicle.rubber)),
+            BaseParameter(
+                CAPACITY, "1", 1.0, capacity_std, *limits_of_fit, by_file, heat_capacity(first_track.belt, vehicle.rubber)
+            ),
         ]
         if vehicle.thermal == "core_surface":
             # Two nodes approximate a continuous temperature profile, so their positions are uncertain.
-            surface_share = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
-            fitted += [known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, surface_share)]
-        self._by_default = {q.name: q.nominal for q in fitted}
+            surface_share = known(SURFACE_SHARE, f"tracks.{first_track.name}.belt.surface_share")
+            fitted_parameters += [known(CONDUCTIVITY, "rubber.conductivity"), _of_all_belts(vehicle, surface_share)]
+        self._by_default = {q.name: q.nominal for q in fitted_parameters}
         # A value whose range in the file has no width is exact, and so is a factor on such a value.
-        self.parameters = tuple(q for q in fitted if q.by_file[0] < q.by_file[1])
+        self.parameters = tuple(q for q in fitted_parameters if q.by_file[0] < q.by_file[1])
 
     def _own_effects(self, _: Values) -> Sequence[Active]:
         return self.vehicle.active
 
-    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
-        k, belts = self._constants_with(values, acting, self._loads(sessions)), len(self._firsts)
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting_effects: Acting) -> list[Array]:
+        k, belts = self._constants_with(values, acting_effects, self._loads(sessions)), len(self._firsts)
         cooling, by_speed = (values[FILM] * factors for factors in (self.facts.cooling, self.facts.cooling_by_speed))
         facts = self.facts._replace(drag_area=k.number.drag_area, cooling=cooling, cooling_by_speed=by_speed)
-        return simulated(k, self._count, belts, facts, sessions, acting)
+        return simulate_sessions(k, self._count, belts, facts, sessions, acting_effects)
 
     def _loads(self, sessions: Sequence[DriveSession]) -> slice:
         """Columns of the loss table between which the belts are loaded, with one more on either side."""
         rows = self._constants.assembly[self._firsts].T
-        driven = [weight for session in sessions for weight in session.weights]
-        loads = np.array([*(weight * rows[at.Assembly.share_of_all] for weight in driven), rows[at.Assembly.nominal_load]])
+        weights = [weight for session in sessions for weight in session.weights]
+        loads = np.array([*(weight * rows[at.Assembly.share_of_all] for weight in weights), rows[at.Assembly.nominal_load]])
         nodes = (np.log(loads) - rows[at.Assembly.first_log_load]) / rows[at.Assembly.step_log_load]
-        first, last = np.clip([nodes.min(), nodes.max()], 0, self._constants.loss.shape[2] - 2).astype(int).tolist()
-        return slice(max(first - 1, 0), last + 3)
+        first_node, last = np.clip([nodes.min(), nodes.max()], 0, self._constants.loss.shape[2] - 2).astype(int).tolist()
+        return slice(max(first_node - 1, 0), last + 3)
 
-    def _scaled(self, loss: float, loads: slice) -> Array:
+    def _scaled_table(self, loss: float, loads: slice) -> Array:
         """Loss table for a multiple of the file's loss modulus, nan at other loads; cached, because a fit step reuses a few."""
         if loss == 1.0:
             return self._constants.loss
-        scaled = next((table for known, table in self._loss_tables if known == (loss, loads)), None)
-        if scaled is None:
-            scaled = np.full_like(self._constants.loss, np.nan)
-            scaled[:, :, :2] = self._constants.loss[:, :, :2]  # looked up at rest, where no loss heats
+        loss_table = next((table for table_key, table in self._loss_tables if table_key == (loss, loads)), None)
+        if loss_table is None:
+            loss_table = np.full_like(self._constants.loss, np.nan)
+            loss_table[:, :, :2] = self._constants.loss[:, :, :2]  # looked up at rest, where no loss heats
             power = math.log(loss) * self._loss_power[:, :, loads]
-            scaled[:, :, loads] = self._constants.loss[:, :, loads] * np.exp(power)  # faster than a power
-            self._loss_tables = (((loss, loads), scaled), *self._loss_tables[: LOSS_TABLES - 1])
-        return scaled
+            loss_table[:, :, loads] = self._constants.loss[:, :, loads] * np.exp(power)  # faster than a power
+            self._loss_tables = (((loss, loads), loss_table), *self._loss_tables[: LOSS_TABLES - 1])
+        return loss_table
 
     @cached_property
     def _loss_power(self) -> Array:
@@ -151,14 +154,14 @@ class TrackBase(FileBase):
         losses = np.stack([loss_table(soft_vehicle, name).loss for name in soft_vehicle.tracks])
         return np.asarray(np.log(losses / self._constants.loss) / math.log(LESS_LOSS))
 
-    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
+    def write(self, path: Path, file_changes: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""
-        return write_track_vehicle(self.vehicle, path, kept, text)
+        return write_track_vehicle(self.vehicle, path, file_changes, text)
 
-    def _constants_with(self, values: Values, acting: Acting, loads: slice) -> Constants:
+    def _constants_with(self, values: Values, acting_effects: Acting, loads: slice) -> Constants:
         """Constants of the step with other parameter values, for some columns of the loss table."""
         k, vehicle = self._constants, self.vehicle
-        resistance = parting_resistance(acting.stepped, self.facts)
+        resistance = parting_resistance(acting_effects.step_effects, self.facts)
         number = k.number._replace(
             bearing_friction=values[BEARING],
             drag_area=values[DRAG] * vehicle.chassis.frontal_area,
@@ -179,7 +182,7 @@ class TrackBase(FileBase):
         return k._replace(
             number=number,
             assembly=assembly,
-            loss=self._scaled(loss, loads),
+            loss=self._scaled_table(loss, loads),
             drive=loss * k.drive,
         )
 
@@ -192,12 +195,12 @@ def _kinds(k: Constants) -> tuple[list[int], Array]:
     return [rows[0] for rows in groups.values()], np.array([len(rows) for rows in groups.values()], dtype=float)
 
 
-def _of_all_belts(vehicle: Vehicle, first: BaseParameter) -> BaseParameter:
+def _of_all_belts(vehicle: Vehicle, first_parameter: BaseParameter) -> BaseParameter:
     """The share of the first belt at its surface, with bounds for those of all belts, which change in proportion."""
-    share, most = first.nominal, min(first.high, MOST_AT_SURFACE)
-    low, high = _belt_factors(vehicle, (first.name,), first.low / share, most / share, by_file=False)
-    file_range = _belt_factors(vehicle, (first.name,), 0.0, np.inf, by_file=True)
-    return replace(first, low=share * low, high=share * high, by_file=(share * file_range[0], share * file_range[1]))
+    share, largest_share = first_parameter.nominal, min(first_parameter.high, MOST_AT_SURFACE)
+    low, high = _belt_factors(vehicle, (first_parameter.name,), first_parameter.low / share, largest_share / share, by_file=False)
+    file_range = _belt_factors(vehicle, (first_parameter.name,), 0.0, np.inf, by_file=True)
+    return replace(first_parameter, low=share * low, high=share * high, by_file=(share * file_range[0], share * file_range[1]))
 
 
 def _belt_factors(vehicle: Vehicle, keys: Sequence[str], low: float, high: float, by_file: bool) -> tuple[float, float]:

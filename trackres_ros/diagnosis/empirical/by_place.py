@@ -48,9 +48,9 @@ class StreetGraph:
     first: NDArray[np.int64]
     second: NDArray[np.int64]
     sign: Array  # 1 where a rise along one is a rise along the other, else -1
-    away: Array  # distance between them [m]
+    distances: Array  # distance between them [m]
     count: int  # of places
-    closed: sparse.csr_matrix  # (loops, places): times slopes, the rise round each closed loop [m], which is zero
+    closed_loops: sparse.csr_matrix  # (loops, places): times slopes, the rise round each closed loop [m], which is zero
 
     @classmethod
     def of(cls, pairs: Mapping[tuple[int, int], float], table: Array, tracks: Sequence[Matched]) -> StreetGraph:
@@ -58,9 +58,9 @@ class StreetGraph:
         go round closed loops.
         """
         ends = np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
-        away = np.hypot(*(table[ends[:, 0], :2] - table[ends[:, 1], :2]).T)
-        sign, away = np.array(list(pairs.values()), dtype=float), np.maximum(away, NEAREST_M)
-        return cls(ends[:, 0], ends[:, 1], sign, away, len(table), _closed_loops(tracks, len(table)))
+        distances = np.hypot(*(table[ends[:, 0], :2] - table[ends[:, 1], :2]).T)
+        sign, distances = np.array(list(pairs.values()), dtype=float), np.maximum(distances, NEAREST_M)
+        return cls(ends[:, 0], ends[:, 1], sign, distances, len(table), _closed_loops(tracks, len(table)))
 
     def both_ways(self) -> StreetGraph:
         """Graph with two nodes per place, one for each direction of passing."""
@@ -69,18 +69,18 @@ class StreetGraph:
             np.concatenate([2 * self.first, 2 * self.first + 1]),
             np.concatenate([2 * self.second + is_reversed, 2 * self.second + 1 - is_reversed]),
             np.ones(2 * len(self.sign)),
-            np.tile(self.away, 2),
+            np.tile(self.distances, 2),
             2 * self.count,
             sparse.csr_matrix((0, 2 * self.count)),  # a torque has a mean
         )
 
     def precision(self, length_m: float, size: float) -> sparse.csc_matrix:
         """Prior precision of the values, for a correlation length and a standard deviation."""
-        stiff = 1.0 / self.away
+        stiffness = 1.0 / self.distances
         i, j, n = self.first, self.second, self.count
         rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
         laplace = sparse.coo_matrix(
-            (np.concatenate([stiff, stiff, -stiff * self.sign, -stiff * self.sign]), (rows, columns)), (n, n)
+            (np.concatenate([stiffness, stiffness, -stiffness * self.sign, -stiffness * self.sign]), (rows, columns)), (n, n)
         )
         mass = sparse.identity(n) * (SPACING_M / length_m**2)
         return ((mass + laplace) * (0.5 * length_m / size**2) + sparse.identity(n) * (FLOOR / size**2)).tocsc()
@@ -88,11 +88,11 @@ class StreetGraph:
 
 def _closed_loops(tracks: Sequence[Matched], count: int) -> sparse.csr_matrix:
     """Loops that a track goes round without a gap, back to a place in the same direction; each loop once."""
-    rows, known = [], list[set[int]]()
+    rows, known_loops = [], list[set[int]]()
     for track in tracks:
-        nearest = np.arange(len(track.number)), np.argmax(track.share, axis=1)
+        nearest_places = np.arange(len(track.number)), np.argmax(track.share, axis=1)
         first_steps = dict[tuple[int, float], int]()
-        for i, node in enumerate(zip(track.place[nearest].tolist(), track.sign[nearest].tolist(), strict=True)):
+        for i, node in enumerate(zip(track.place[nearest_places].tolist(), track.sign[nearest_places].tolist(), strict=True)):
             if node[0] < 0:
                 first_steps.clear()
                 continue
@@ -102,8 +102,8 @@ def _closed_loops(tracks: Sequence[Matched], count: int) -> sparse.csr_matrix:
             first_steps = {node: i}
             place, rise = track.place[begin:i], STEP_M * (track.share * track.sign)[begin:i]
             loop = set(place.ravel().tolist())
-            if all(len(loop & other) < SAME_LOOP * len(loop | other) for other in known):
-                known.append(loop)
+            if all(len(loop & known_loop) < SAME_LOOP * len(loop | known_loop) for known_loop in known_loops):
+                known_loops.append(loop)
                 rows.append(np.bincount(place.ravel(), rise.ravel(), count))
     return sparse.csr_matrix(np.reshape(rows, (len(rows), count)))
 
@@ -123,22 +123,22 @@ class PlaceColumns:
         return cls(tuple(_column(t, t.place, t.sign, f, streets.count) for t, f in zip(tracks, forces, strict=True)), streets)
 
     @classmethod
-    def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
-        """For a torque against travel, one per direction; `against` is what a sensor shows of it at each sample."""
+    def of_torque(cls, tracks: Sequence[Matched], resistances: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
+        """For a torque against travel, one per direction; `resistances` is what a sensor shows of it at each sample."""
         graph = streets.both_ways()
         place = [np.where(t.place >= 0, 2 * t.place + (t.sign < 0.0), -1) for t in tracks]
-        rows = zip(tracks, place, against, strict=True)
+        rows = zip(tracks, place, resistances, strict=True)
         return cls(tuple(_column(t, p, np.ones_like(t.share), a, graph.count) for t, p, a in rows), graph)
 
-    def expected(self, learned: PlaceValues) -> list[Array]:
+    def expected(self, place_values: PlaceValues) -> list[Array]:
         """Torque of each session from the values of the places."""
-        return [np.asarray(z @ learned.value) for z in self.torques]
+        return [np.asarray(z @ place_values.value) for z in self.torques]
 
 
 def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array, count: int) -> sparse.csr_matrix:
     """Means over the points within each sample; zero if any of them is at no place."""
     points = len(track.number) // len(factor)
-    is_known = np.repeat(track.known.reshape(-1, points).all(axis=1), points)
+    is_known = np.repeat(track.is_known.reshape(-1, points).all(axis=1), points)
     sample = np.repeat(np.arange(len(factor)), points)
     rows = np.flatnonzero(is_known)
     data = (track.share * sign)[rows] * factor[sample[rows], np.newaxis] / points
@@ -192,7 +192,7 @@ def learn(
     residuals: Sequence[Array],
     masks: Sequence[Mask],
     noise: Noise,
-    typical: float,
+    typical_size: float,
     base: BaseColumns | None = None,
 ) -> PlaceValues:
     """Most likely values, with the length and size of the most evidence.
@@ -203,15 +203,15 @@ def learn(
         Torque residual of each session [Nm], and its used samples.
     noise
         Of the residuals without terms by place.
-    typical
+    typical_size
         A value with a torque as large as the residual.
     base
         Parameters to fit along. Their prior is about the values of the file, whatever the last fit found: a mean slope on
         one-way streets is the same column as a resistance, so both would walk away from turn to turn.
     """
-    off, columns_with_base = np.empty(0), list(columns.torques)
+    base_offset, columns_with_base = np.empty(0), list(columns.torques)
     if base is not None:
-        off, columns_with_base = (
+        base_offset, columns_with_base = (
             base.off,
             [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(columns_with_base, base.torques, strict=True)],
         )
@@ -220,19 +220,19 @@ def learn(
 
     def values_at(i: int, j: int) -> PlaceValues:
         if (i, j) not in values:
-            values[i, j] = _place_values(rows, columns.streets, off, LENGTHS_M[i], SIZES[j] * typical)
+            values[i, j] = _place_values(rows, columns.streets, base_offset, LENGTHS_M[i], SIZES[j] * typical_size)
         return values[i, j]
 
     i, j = len(LENGTHS_M) // 2, len(SIZES) // 2
     while True:
         neighbours = [(i + a, j + b) for a, b in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
-        inside = [(a, b) for a, b in neighbours if 0 <= a < len(LENGTHS_M) and 0 <= b < len(SIZES)]
-        best = max(inside, key=lambda pair: values_at(*pair).evidence)
-        if best == (i, j):
+        pairs_inside = [(a, b) for a, b in neighbours if 0 <= a < len(LENGTHS_M) and 0 <= b < len(SIZES)]
+        best_pair = max(pairs_inside, key=lambda pair: values_at(*pair).evidence)
+        if best_pair == (i, j):
             break
-        i, j = best
+        i, j = best_pair
     choices = math.log(len(LENGTHS_M) * len(SIZES))
-    best_values, (gain, cost) = values[i, j], _base_gain(rows, off)
+    best_values, (gain, cost) = values[i, j], _base_gain(rows, base_offset)
     return replace(best_values, evidence=best_values.evidence - (gain - cost) - choices, cost=best_values.cost - cost + choices)
 
 
@@ -261,14 +261,17 @@ class WhitenedRows:
         white, parts, lags = [], [], len(noise.phi)
         stationary = noise.std * _growth(noise.phi)
         for residual, mask, column in zip(residuals, masks, columns, strict=True):
-            used = mask & np.isfinite(residual)
-            rows, begins = np.flatnonzero(whole_past(used, lags)), np.flatnonzero(used & ~np.concatenate(([False], used[:-1])))
+            used_steps = mask & np.isfinite(residual)
+            rows, begin_rows = (
+                np.flatnonzero(whole_past(used_steps, lags)),
+                np.flatnonzero(used_steps & ~np.concatenate(([False], used_steps[:-1]))),
+            )
             remainder, part = residual[rows], column[rows]
             for lag, coefficient in enumerate(noise.phi, start=1):
                 remainder, part = remainder - coefficient * residual[rows - lag], part - coefficient * column[rows - lag]
-            begins = begins if lags else begins[:0]
-            white += [remainder / noise.std, residual[begins] / stationary]
-            parts += [part / noise.std, column[begins] / stationary]
+            begin_rows = begin_rows if lags else begin_rows[:0]
+            white += [remainder / noise.std, residual[begin_rows] / stationary]
+            parts += [part / noise.std, column[begin_rows] / stationary]
         return cls(np.concatenate(white), sparse.vstack(parts).tocsr(), noise)
 
 
@@ -278,40 +281,48 @@ def _growth(phi: Array) -> float:
     return float(np.sqrt(np.sum(response**2)))
 
 
-def _base_gain(rows: WhitenedRows, off: Array) -> tuple[float, float]:
+def _base_gain(rows: WhitenedRows, base_offset: Array) -> tuple[float, float]:
     """Gain in log-likelihood of the base columns without terms by place, and its cost."""
-    columns, noise, weight = rows.columns[:, rows.columns.shape[1] - len(off) :].toarray(), rows.noise, np.ones(len(rows.white))
+    columns, noise, weight = (
+        rows.columns[:, rows.columns.shape[1] - len(base_offset) :].toarray(),
+        rows.noise,
+        np.ones(len(rows.white)),
+    )
     for _ in range(TURNS):
-        normal = (columns.T * weight) @ columns + np.eye(len(off))
-        value = np.linalg.solve(normal, (columns.T * weight) @ rows.white - off)
+        normal = (columns.T * weight) @ columns + np.eye(len(base_offset))
+        value = np.linalg.solve(normal, (columns.T * weight) @ rows.white - base_offset)
         weight = noise.weights(rows.white - columns @ value)
     gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
-    distance = value + off
+    distance = value + base_offset
     return gain, 0.5 * float(distance @ distance) + 0.5 * float(np.linalg.slogdet(normal)[1])
 
 
-def _place_values(rows: WhitenedRows, streets: StreetGraph, off: Array, length_m: float, size: float) -> PlaceValues:
+def _place_values(rows: WhitenedRows, streets: StreetGraph, base_offset: Array, length_m: float, size: float) -> PlaceValues:
     """Values with this prior. Loops close where the base is free: else a wrong base has a mean slope as its only way out."""
-    closed = streets.closed if len(off) else streets.closed[:0]
-    loops, count = closed.shape[0], len(off)
+    closed_loops = streets.closed_loops if len(base_offset) else streets.closed_loops[:0]
+    loops, count = closed_loops.shape[0], len(base_offset)
     prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(count)])
-    closed = sparse.hstack([closed, sparse.csr_matrix((loops, count))])
+    closed_loops = sparse.hstack([closed_loops, sparse.csr_matrix((loops, count))])
     # Multipliers of the loops keep the matrix sparse; its inverse and its quadratic form are those without them.
-    prior = sparse.bmat([[prior, closed.T], [closed, -(CLOSED_M**2) * sparse.identity(loops)]]).tocsc()
+    prior = sparse.bmat([[prior, closed_loops.T], [closed_loops, -(CLOSED_M**2) * sparse.identity(loops)]]).tocsc()
     columns = sparse.hstack([rows.columns, sparse.csr_matrix((len(rows.white), loops))]).tocsr()
-    shift = np.concatenate([np.zeros(streets.count), off, np.zeros(loops)])
+    shift = np.concatenate([np.zeros(streets.count), base_offset, np.zeros(loops)])
     noise, weight = rows.noise, np.ones(len(rows.white))  # without values, steep places would look like outliers
     for _ in range(TURNS):
-        weighted = columns.multiply(weight[:, np.newaxis]).tocsr()
-        solve = _factorise((columns.T @ weighted + prior).tocsc())
-        value = solve.solve(weighted.T @ rows.white - shift)
+        weighted_columns = columns.multiply(weight[:, np.newaxis]).tocsr()
+        solve = _factorise((columns.T @ weighted_columns + prior).tocsc())
+        value = solve.solve(weighted_columns.T @ rows.white - shift)
         weight = noise.weights(rows.white - columns @ value)
     distance = value + shift
     cost = 0.5 * float(distance @ (prior @ distance)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factorise(prior)))
     gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
-    determined = float(np.mean((probes * solve.solve(columns.T @ (weighted @ probes))).sum(axis=0)))  # values set by the data
-    shrinkage = math.sqrt(max(1.0 - determined / max(len(rows.white), 1), LEAST_LEFT))  # without samples no value is set by any
+    determined_count = float(
+        np.mean((probes * solve.solve(columns.T @ (weighted_columns @ probes))).sum(axis=0))
+    )  # values set by the data
+    shrinkage = math.sqrt(
+        max(1.0 - determined_count / max(len(rows.white), 1), LEAST_LEFT)
+    )  # without samples no value is set by any
     return PlaceValues(value[: streets.count], length_m, size, gain - cost, cost, noise, shrinkage, solve)
 
 

@@ -53,7 +53,7 @@ from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.locate import against_travel, closest_channel, torque_residuals
 from trackres_ros.effects.learned import EmpiricalEffect
-from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
+from trackres_ros.estimator.disturbance import BLOCK_S, predict_presence, update_presence
 from trackres_ros.progress import counted
 from trackres_ros.vehicle import Drift, Spells
 from trackres_ros.vehicle.description import DISTURBANCES
@@ -108,8 +108,8 @@ def torque_blocks(
 ) -> Blocks:
     """Blocks of the torque residual against travel, of the given samples or of the fitted ones."""
     problem = current.problem
-    against = against_travel(problem.sessions, residuals)
-    return blocks(against, problem.masks if masks is None else masks, problem.sessions[0].step, seconds)
+    resistances = against_travel(problem.sessions, residuals)
+    return blocks(resistances, problem.masks if masks is None else masks, problem.sessions[0].step, seconds)
 
 
 def residuals_without(current: Fit, name: str) -> list[Array]:
@@ -128,7 +128,7 @@ def _spells(current: Fit, last: Fit) -> Term | None:
         return None
     if chain.level < chain.rest:
         probability = 1.0 - probability
-        chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
+        chain = replace(chain, level=chain.rest, rest=chain.level, come_rate=chain.go_rate, go_rate=chain.come_rate)
     shape, forecast, cost = _shape(current, chain, residuals)
     text = "a torque that is there for a while and gone for a while"
     term = _fit_pattern(current, SPELLS, text, shape, chain.level - chain.rest, cost, forecast)
@@ -160,9 +160,9 @@ def expected_there(b: Blocks, chain: Chain) -> Array:
     levels, probability = (chain.rest, chain.level), chain.share
     forecast = np.empty(len(b.mean))
     for i, (mean, variance) in enumerate(zip(b.mean.tolist(), (chain.noise**2 / b.count).tolist(), strict=True)):
-        probability = chain.share if b.first[i] else later_there(probability, chain.comes, chain.goes)
+        probability = chain.share if b.first[i] else predict_presence(probability, chain.come_rate, chain.go_rate)
         forecast[i] = probability
-        probability = seen_there(probability, mean, levels, variance)
+        probability = update_presence(probability, mean, levels, variance)
     return forecast
 
 
@@ -215,8 +215,8 @@ def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
     """
     turns = [float(np.nansum(s.yaw_rate)) * s.step / (2.0 * math.pi) for s in sessions]
     on_laps = all("yaw_rate" in s.given for s in sessions) and min(map(abs, turns)) >= FEWEST_TURNS
-    driven = [np.cumsum(np.diff(s.distance, prepend=s.distance[0]) * np.sign(np.nan_to_num(s.speed))) for s in sessions]
-    return [-d if on_laps and turn * d[-1] < 0.0 else d for d, turn in zip(driven, turns, strict=True)]
+    distances = [np.cumsum(np.diff(s.distance, prepend=s.distance[0]) * np.sign(np.nan_to_num(s.speed))) for s in sessions]
+    return [-d if on_laps and turn * d[-1] < 0.0 else d for d, turn in zip(distances, turns, strict=True)]
 
 
 def _payload(current: Fit, last: Fit, by_place: Term | None) -> Term | None:
@@ -256,36 +256,36 @@ def _words(name: str) -> str:
 
 def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term | None:
     """A slope or a torque by place, of a kind that the fit lacks, confirmed on passes not used for learning."""
-    missing = [kind for kind in kinds if BY_PLACE[kind] not in current.effect_names]
-    if roads is None or not missing or any(slope in current.effect_names for slope in SLOPES):
+    missing_kinds = [kind for kind in kinds if BY_PLACE[kind] not in current.effect_names]
+    if roads is None or not missing_kinds or any(slope in current.effect_names for slope in SLOPES):
         return None
-    return find_route(current, roads, missing)
+    return find_route(current, roads, missing_kinds)
 
 
-def slow_term(final: Fit) -> Term | None:
+def slow_term(final_fit: Fit) -> Term | None:
     """Lasting residual: a level per recording, or a drifting level; with the channel that comes closest to it."""
-    term = attempt("a drift", lambda: _recordings(final) or _drift(final))
+    term = attempt("a drift", lambda: _recordings(final_fit) or _drift(final_fit))
     if term is None:
         return None
-    described_term = replace(term, sentences=(*term.sentences, closest_to_slow(final, LEAST_DRIFT_S)))
-    return possible_in(described_term, final.problem.base.noun)
+    described_term = replace(term, sentences=(*term.sentences, closest_to_slow(final_fit, LEAST_DRIFT_S)))
+    return possible_in(described_term, final_fit.problem.base.noun)
 
 
-def closest_to_slow(final: Fit, seconds: float) -> str:
+def closest_to_slow(final_fit: Fit, seconds: float) -> str:
     """Sentence on the channel that comes closest to the residual in means over some seconds."""
-    sessions = final.problem.sessions
-    b = torque_blocks(final, torque_residuals(final), [s.used for s in sessions], seconds)
+    sessions = final_fit.problem.sessions
+    b = torque_blocks(final_fit, torque_residuals(final_fit), [s.used for s in sessions], seconds)
     means = [np.full(len(s), math.nan) for s in sessions]
     fill(means, b, b.mean)
-    return closest_channel(final, means)
+    return closest_channel(final_fit, means)
 
 
-def _recordings(final: Fit) -> Term | None:
+def _recordings(final_fit: Fit) -> Term | None:
     """A different level in each recording, if the residual hardly varies within them; of all laps, fitted or not."""
-    sessions = final.problem.sessions
-    levels, size, share = by_recording(torque_blocks(final, torque_residuals(final), [s.used for s in sessions]))
-    large = size > LEAST_DRIFT * rms([s.torque for s in sessions], final)
-    return recordings_term(final, levels) if large and share > BETWEEN else None
+    sessions = final_fit.problem.sessions
+    levels, size, share = by_recording(torque_blocks(final_fit, torque_residuals(final_fit), [s.used for s in sessions]))
+    is_large = size > LEAST_DRIFT * rms([s.torque for s in sessions], final_fit)
+    return recordings_term(final_fit, levels) if is_large and share > BETWEEN else None
 
 
 def by_recording(b: Blocks) -> tuple[Array, float, float]:
@@ -295,24 +295,24 @@ def by_recording(b: Blocks) -> tuple[Array, float, float]:
     count = np.bincount(b.session, weights=b.count)
     levels = np.bincount(b.session, weights=b.count * b.mean) / np.where(count > 0.0, count, np.nan)
     middle = np.average(b.mean, weights=b.count)
-    between = float(np.average((levels[b.session] - middle) ** 2, weights=b.count))
+    variance_between = float(np.average((levels[b.session] - middle) ** 2, weights=b.count))
     # Half of the squared difference of consecutive means is noise.
-    quick = 0.5 * float(np.mean(np.diff(b.mean)[~b.first[1:]] ** 2))
-    slow = float(np.average((b.mean - middle) ** 2, weights=b.count)) - quick
-    return levels, math.sqrt(between), between / max(slow, between, 1e-300)
+    quick_variance = 0.5 * float(np.mean(np.diff(b.mean)[~b.first[1:]] ** 2))
+    slow_variance = float(np.average((b.mean - middle) ** 2, weights=b.count)) - quick_variance
+    return levels, math.sqrt(variance_between), variance_between / max(slow_variance, variance_between, 1e-300)
 
 
-def _drift(final: Fit) -> Term | None:
+def _drift(final_fit: Fit) -> Term | None:
     """Slow drift of the residual, if significant; only for vehicles, as `find_terms`."""
-    if any(s.pace < 1.0 for s in final.problem.sessions):
+    if any(s.pace < 1.0 for s in final_fit.problem.sessions):
         return None
-    b = torque_blocks(final, torque_residuals(final))
-    drifting, likelihood = find_drifting_level(b)
+    b = torque_blocks(final_fit, torque_residuals(final_fit))
+    drift, likelihood = find_drifting_level(b)
     mean, variance = float(np.average(b.mean, weights=b.count)), float(np.mean(b.count * b.mean**2))
     white = -0.5 * float(np.sum((b.mean - mean) ** 2 * b.count / variance + np.log(2.0 * math.pi * variance / b.count)))
-    slow = drifting.seconds >= LEAST_DRIFT_S and likelihood > white + SURE
-    large = drifting.size > LEAST_DRIFT * rms([s.torque for s in final.problem.sessions], final)
-    return drift_term(final, drifting) if slow and large else None
+    is_slow = drift.seconds >= LEAST_DRIFT_S and likelihood > white + SURE
+    is_large = drift.size > LEAST_DRIFT * rms([s.torque for s in final_fit.problem.sessions], final_fit)
+    return drift_term(final_fit, drift) if is_slow and is_large else None
 
 
 MOVING_MPS = 0.3
@@ -321,61 +321,61 @@ MOST_BEGIN = 0.7  # of the spells
 MIDDLE_95 = (0.025, 0.975)  # quantiles
 
 
-def describe(term: Term, final: Fit) -> Term:
+def describe(term: Term, final_fit: Fit) -> Term:
     """A term without a name with its sentences and the values of the final fit."""
-    noun = final.problem.base.noun
-    term = possible_in(_with_sentences(term, final, noun), noun)
+    noun = final_fit.problem.base.noun
+    term = possible_in(_with_sentences(term, final_fit, noun), noun)
     if term.predictable or isinstance(term.pattern, Payload):
         return term
-    torques = against_travel(final.problem.sessions, term.adds)
-    return replace(term, sentences=(*term.sentences, closest_channel(final, torques)))
+    torques = against_travel(final_fit.problem.sessions, term.adds)
+    return replace(term, sentences=(*term.sentences, closest_channel(final_fit, torques)))
 
 
-def _with_sentences(term: Term, final: Fit, noun: str) -> Term:
-    effect, pattern, numbers = term.effect, term.pattern, active_of(final, term.name).numbers
+def _with_sentences(term: Term, final_fit: Fit, noun: str) -> Term:
+    effect, pattern, numbers = term.effect, term.pattern, active_of(final_fit, term.name).numbers
     if isinstance(effect, EmpiricalEffect):
         return describe_form(term, noun)
     level = numbers[0]
     if isinstance(effect, ClockTerm):
         return describe_clock(term, effect, level, noun)
     if isinstance(pattern, Wave):
-        return describe_wave(term, pattern, level, part_of(pattern.length_m, final.problem.base.parts))
+        return describe_wave(term, pattern, level, part_of(pattern.length_m, final_fit.problem.base.parts))
     if isinstance(pattern, Place):
         return describe_place(term, level, pattern, noun)
     if isinstance(pattern, Payload):
         return describe_payload(term, level, pattern, noun)
     if isinstance(pattern, Route):
-        torques = against_travel(final.problem.sessions, term.adds)
-        used = np.concatenate([x[m] for x, m in zip(torques, final.problem.masks, strict=True)])
-        least, most = (float(q) for q in np.quantile(used, MIDDLE_95))
-        return describe_route(term, float(np.sqrt(np.mean(used**2))), least, most, pattern, noun)
+        torques = against_travel(final_fit.problem.sessions, term.adds)
+        used_torques = np.concatenate([x[m] for x, m in zip(torques, final_fit.problem.masks, strict=True)])
+        lower_end, upper_end = (float(q) for q in np.quantile(used_torques, MIDDLE_95))
+        return describe_route(term, float(np.sqrt(np.mean(used_torques**2))), lower_end, upper_end, pattern, noun)
     assert isinstance(pattern, Chain)
-    spells = _spells_of(pattern, term.name, final)
-    lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
-    return describe_spells(term, pattern, level, lengths, _common_start(spells, final), noun)
+    spells = _spells_of(pattern, term.name, final_fit)
+    lengths = np.array([(end - begin) * final_fit.problem.sessions[i].step for i, begin, end in spells])
+    return describe_spells(term, pattern, level, lengths, _common_start(spells, final_fit), noun)
 
 
-def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
+def _spells_of(chain: Chain, name: str, final_fit: Fit) -> list[tuple[int, int, int]]:
     """Spells on all laps: session, first sample and end. A spell continues over a stop, where no torque shows it."""
-    b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
+    b = torque_blocks(final_fit, residuals_without(final_fit, name), [s.used for s in final_fit.problem.sessions])
     probability = spell_probability(b, chain)
-    begins = np.flatnonzero(beginnings(b, probability))
+    begin_blocks = np.flatnonzero(beginnings(b, probability))
     ends = np.flatnonzero(beginnings(b, probability, backwards=True))
-    return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begins, ends, strict=True)]
+    return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begin_blocks, ends, strict=True)]
 
 
-def variable_of(term: Term, final: Fit) -> list[Array]:
+def variable_of(term: Term, final_fit: Fit) -> list[Array]:
     """Variable of a term in each session; empty for the clock alone."""
     if isinstance(term.effect, EmpiricalEffect):
-        return series(term.effect.variable, final)
+        return series(term.effect.variable, final_fit)
     return list(term.pattern.course) if isinstance(term.pattern, Place | Route) else []
 
 
-def _common_start(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
+def _common_start(spells: Sequence[tuple[int, int, int]], final_fit: Fit) -> str:
     """The common event at the beginning of most spells, in words; empty without one."""
     after_stop = []
     for i, begin, _ in spells:
-        session = final.problem.sessions[i]
+        session = final_fit.problem.sessions[i]
         rows = slice(max(0, begin - round(BEGINNINGS_S / session.step)), begin + round(BLOCK_S / session.step))
         after_stop.append(bool((np.abs(session.speed[rows]) < MOVING_MPS).any()))
     return ", mostly after a stop" if after_stop and np.mean(after_stop) > MOST_BEGIN else ""
@@ -384,7 +384,7 @@ def _common_start(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
 Range = tuple[float, float]
 
 
-def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], sensor_scale: float = 1.0) -> LearnedDisturbance:
+def spells_to_watch(term: Term, final_fit: Fit, model_torques: Sequence[Array], sensor_scale: float = 1.0) -> LearnedDisturbance:
     """Spells of the final fit, with both levels relative to the written file's torque [Nm], of each session.
 
     The file may include the mean of the spells: then the rest level is negative. Live, the torque is that of the sessions
@@ -392,11 +392,11 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], sensor_sc
     """
     assert isinstance(term.pattern, Chain)
     chain = term.pattern
-    spell_blocks = torque_blocks(final, residuals_without(final, term.name))
+    spell_blocks = torque_blocks(final_fit, residuals_without(final_fit, term.name))
     probability = spell_probability(spell_blocks, chain)
-    b = _blocks_over(final, expected, sensor_scale)
+    b = _blocks_over(final_fit, model_torques, sensor_scale)
     level, rest, noise = spell_levels(b, probability)
-    spells = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _block_noise(noise, final))
+    spells = Spells(level, rest, BLOCK_S / chain.go_rate, BLOCK_S / chain.come_rate, _block_noise(noise, final_fit))
     count = int(beginnings(b, probability).sum())
     return _disturbance(
         spells,
@@ -410,12 +410,12 @@ def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array], sensor_sc
     )
 
 
-def drift_to_watch(final: Fit, expected: Sequence[Array], sensor_scale: float = 1.0) -> LearnedDisturbance:
+def drift_to_watch(final_fit: Fit, model_torques: Sequence[Array], sensor_scale: float = 1.0) -> LearnedDisturbance:
     """Drift relative to the written file's torque [Nm], for each session; see `spells_to_watch` for `sensor_scale`."""
-    b = _blocks_over(final, expected, sensor_scale)
-    drifting, _ = find_drifting_level(b)
-    drift = Drift(drifting.size, drifting.seconds, _block_noise(drifting.noise, final))
-    stretches = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drifting.seconds))  # number of independent stretches
+    b = _blocks_over(final_fit, model_torques, sensor_scale)
+    drift_found, _ = find_drifting_level(b)
+    drift = Drift(drift_found.size, drift_found.seconds, _block_noise(drift_found.noise, final_fit))
+    stretches = max(1.0, BLOCK_S * len(b.mean) / (2.0 * drift_found.seconds))  # number of independent stretches
     return _disturbance(
         drift,
         {
@@ -426,23 +426,25 @@ def drift_to_watch(final: Fit, expected: Sequence[Array], sensor_scale: float = 
     )
 
 
-def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
+def drift_on_held_out(final_fit: Fit, laps: HeldOutLaps) -> Improvement:
     """Hold-out improvement by following a drift live, with the forecast from earlier blocks."""
-    sessions, expected = final.problem.sessions, [p.torque for p in final.predicted]
-    drifting, _ = find_drifting_level(_blocks_over(final, expected))
-    b = torque_blocks(final, torque_residuals(final), [s.used for s in sessions])
+    sessions, model_torques = final_fit.problem.sessions, [p.torque for p in final_fit.predicted]
+    drift, _ = find_drifting_level(_blocks_over(final_fit, model_torques))
+    b = torque_blocks(final_fit, torque_residuals(final_fit), [s.used for s in sessions])
     shape = [np.zeros(len(s)) for s in sessions]
-    fill(shape, b, expected_level(b, drifting)[0])
-    return laps.improvement(expected, [e + x for e, x in zip(expected, against_travel(sessions, shape), strict=True)])
+    fill(shape, b, expected_level(b, drift)[0])
+    return laps.improvement(model_torques, [e + x for e, x in zip(model_torques, against_travel(sessions, shape), strict=True)])
 
 
-def _blocks_over(final: Fit, expected: Sequence[Array], sensor_scale: float = 1.0) -> Blocks:
-    return torque_blocks(final, [(s.torque - e) / sensor_scale for s, e in zip(final.problem.sessions, expected, strict=True)])
+def _blocks_over(final_fit: Fit, model_torques: Sequence[Array], sensor_scale: float = 1.0) -> Blocks:
+    return torque_blocks(
+        final_fit, [(s.torque - e) / sensor_scale for s, e in zip(final_fit.problem.sessions, model_torques, strict=True)]
+    )
 
 
-def _block_noise(noise: float, final: Fit) -> float:
+def _block_noise(noise: float, final_fit: Fit) -> float:
     """Noise of a block's mean, from that of one sample [Nm]."""
-    return noise / math.sqrt(BLOCK_S / final.problem.sessions[0].step)
+    return noise / math.sqrt(BLOCK_S / final_fit.problem.sessions[0].step)
 
 
 def _normal_range(value: float, std: float) -> Range:
@@ -461,9 +463,9 @@ def _disturbance(disturbance: Spells | Drift, ranges: Mapping[str, Range]) -> Le
     """Disturbance with values and ranges within the limits of a vehicle file."""
     limits = DISTURBANCES[disturbance.form]
 
-    def limited(name: str, value: float) -> float:
+    def limit_value(name: str, value: float) -> float:
         return min(max(value, limits[name].low), limits[name].high)
 
-    values = {item.name: limited(item.name, getattr(disturbance, item.name)) for item in fields(disturbance)}
-    clipped = {name: (limited(name, low), limited(name, high)) for name, (low, high) in ranges.items()}
-    return LearnedDisturbance(type(disturbance)(**values), clipped)
+    values = {item.name: limit_value(item.name, getattr(disturbance, item.name)) for item in fields(disturbance)}
+    clipped_ranges = {name: (limit_value(name, low), limit_value(name, high)) for name, (low, high) in ranges.items()}
+    return LearnedDisturbance(type(disturbance)(**values), clipped_ranges)

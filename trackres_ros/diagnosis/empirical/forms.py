@@ -51,13 +51,13 @@ def scanned_forms(fit: Fit, levels: Levels, series: Mapping[int, list[Array]]) -
             gain, threshold = scan.best(partial(shapes, kind, x, (low, high)), grid)
             if gain > 0.0:
                 forms.append(
-                    (Corner(code, kind, low, threshold, high), scan.along(shapes(kind, x, (low, high), np.array([threshold]))))
+                    (Corner(code, kind, low, threshold, high), scan.project(shapes(kind, x, (low, high), np.array([threshold]))))
                 )
         if code in LATCHED:
-            gain, off, on = scan.best_latch(x, grid)
+            gain, off_value, on_value = scan.best_latch(x, grid)
             if gain > 0.0:
-                states = [latched_states(values, np.array([off]), np.array([on])) for values in x]
-                forms.append((Latch(code, low, off, on, high), scan.along(states)))
+                states = [latched_states(values, np.array([off_value]), np.array([on_value])) for values in x]
+                forms.append((Latch(code, low, off_value, on_value, high), scan.project(states)))
     return forms
 
 
@@ -75,7 +75,7 @@ def clock_forms(fit: Fit, levels: Levels) -> SizedForms:
             thresholds = grid if kind != FADE else np.geomspace(max(grid[0], 0.01 * high), high, GRID)
             gain, threshold = scan.best(partial(shapes, kind, x, (low, high)), thresholds)
             if gain > 0.0:
-                rows = scan.along(shapes(kind, x, (low, high), np.array([threshold])))
+                rows = scan.project(shapes(kind, x, (low, high), np.array([threshold])))
                 size = facts.weight * facts.radius
                 forms.append((ClockTerm(variable, kind, threshold, (low, high), np.split(rows, ends), size), rows))
     return forms
@@ -84,13 +84,13 @@ def clock_forms(fit: Fit, levels: Levels) -> SizedForms:
 def time_since_long_stop(session: DriveSession) -> Array:
     """Time since the end of the last stop of at least `LONG_STOP_S` [s]; the start of a recording ends one."""
     standstill = np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS
-    since, stop_s = np.empty(len(session)), math.inf
+    seconds_since, stop_s = np.empty(len(session)), math.inf
     seconds = 0.0
     for i, is_still in enumerate(standstill.tolist()):
         stop_s = stop_s + session.step if is_still else 0.0
         seconds = 0.0 if stop_s >= LONG_STOP_S else seconds + session.step
-        since[i] = seconds
-    return since
+        seconds_since[i] = seconds
+    return seconds_since
 
 
 CLOCKS: Mapping[str, Callable[[DriveSession], Array]] = {
@@ -129,20 +129,20 @@ class _Scan:
 
     def grid(self, series: Sequence[Array]) -> tuple[Array, float, float]:
         """Thresholds within the driven range with enough samples on either side, and both ends of that."""
-        known = np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
-        if not len(known) or not np.isfinite(known).all():
+        used_values = np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
+        if not len(used_values) or not np.isfinite(used_values).all():
             return np.empty(0), math.nan, math.nan
-        low, high = (float(q) for q in np.quantile(known, RANGE))
-        levels = np.unique(known)
+        low, high = (float(q) for q in np.quantile(used_values, RANGE))
+        levels = np.unique(used_values)
         if len(levels) > GRID:
-            thresholds = np.unique(np.quantile(known, np.linspace(FEWEST_BEYOND, 1.0 - FEWEST_BEYOND, GRID)))
+            thresholds = np.unique(np.quantile(used_values, np.linspace(FEWEST_BEYOND, 1.0 - FEWEST_BEYOND, GRID)))
         else:
             thresholds = 0.5 * (levels[1:] + levels[:-1])
-        share = np.array([np.mean(known > t) for t in thresholds])
-        inside = (share >= FEWEST_BEYOND) & (share <= 1.0 - FEWEST_BEYOND) & (thresholds > low) & (thresholds < high)
-        return thresholds[inside], low, high
+        share = np.array([np.mean(used_values > t) for t in thresholds])
+        is_inside = (share >= FEWEST_BEYOND) & (share <= 1.0 - FEWEST_BEYOND) & (thresholds > low) & (thresholds < high)
+        return thresholds[is_inside], low, high
 
-    def along(self, columns: Sequence[Array]) -> Array:
+    def project(self, columns: Sequence[Array]) -> Array:
         """A single column as a torque against travel, all sessions concatenated, shape (n,)."""
         return np.concatenate([c[:, 0] * d for c, d in zip(columns, self._direction, strict=True)])
 
@@ -150,32 +150,34 @@ class _Scan:
         """Square of the block scatter that each column explains, shape (columns,)."""
         z = self._levels.means(np.concatenate([c * d[:, np.newaxis] for c, d in zip(columns, self._direction, strict=True)]))
         remainder = self._levels.beyond(z)
-        size, remaining = (z**2).sum(axis=0), (remainder**2).sum(axis=0)
-        return np.where(remaining > LEAST_KEPT * size, (remainder.T @ self._rest) ** 2 / np.maximum(remaining, 1e-12), 0.0)
+        size, remainder_size = (z**2).sum(axis=0), (remainder**2).sum(axis=0)
+        return np.where(
+            remainder_size > LEAST_KEPT * size, (remainder.T @ self._rest) ** 2 / np.maximum(remainder_size, 1e-12), 0.0
+        )
 
     def best(self, columns: Columns, grid: Array) -> tuple[float, float]:
         """The largest gain, and its threshold."""
-        best = (0.0, math.nan)
+        best_pair = (0.0, math.nan)
         for _ in range(PASSES):
             gains = self.gains(columns(grid))
             i = int(np.argmax(gains))
-            best = float(gains[i]), float(grid[i])
-            grid = _finer(grid, best[1])
-        return best
+            best_pair = float(gains[i]), float(grid[i])
+            grid = _finer(grid, best_pair[1])
+        return best_pair
 
     def best_latch(self, series: Sequence[Array], grid: Array) -> tuple[float, float, float]:
         """The largest gain, the lower threshold (off) and the upper one (on)."""
-        best, offs, ons = (0.0, math.nan, math.nan), grid, grid
+        best_latch_values, off_values, on_values = (0.0, math.nan, math.nan), grid, grid
         for _ in range(PASSES):
-            off, on = np.meshgrid(offs, ons)
-            pairs = off[off < on], on[off < on]
+            off_grid, on_grid = np.meshgrid(off_values, on_values)
+            pairs = off_grid[off_grid < on_grid], on_grid[off_grid < on_grid]
             if not len(pairs[0]):
                 break
             gains = self.gains([latched_states(x, *pairs) for x in series])
             i = int(np.argmax(gains))
-            best = float(gains[i]), float(pairs[0][i]), float(pairs[1][i])
-            offs, ons = _finer(offs, best[1]), _finer(ons, best[2])
-        return best
+            best_latch_values = float(gains[i]), float(pairs[0][i]), float(pairs[1][i])
+            off_values, on_values = _finer(off_values, best_latch_values[1]), _finer(on_values, best_latch_values[2])
+        return best_latch_values
 
 
 def _finer(grid: Array, threshold: float) -> Array:
@@ -185,9 +187,9 @@ def _finer(grid: Array, threshold: float) -> Array:
     return np.unique(np.append(np.linspace(begin, end, FINER + 2)[1:-1], threshold))
 
 
-def latched_states(x: Array, off: Array, on: Array) -> Array:
-    """State of latches along a series, initially off, shape (n, latches); see `effects.learned.latched`."""
-    set_, reset = x[:, np.newaxis] > on, ~(x[:, np.newaxis] >= off)
+def latched_states(x: Array, off_values: Array, on_values: Array) -> Array:
+    """State of latches along a series, initially off, shape (n, latches); see `effects.learned.latch_state`."""
+    set_, reset = x[:, np.newaxis] > on_values, ~(x[:, np.newaxis] >= off_values)
     row = np.arange(1, len(x) + 1)[:, np.newaxis]
     last_set, last_reset = (np.maximum.accumulate(np.where(event, row, 0), axis=0) for event in (set_, reset))
     return (last_set > last_reset).astype(float)
@@ -216,27 +218,27 @@ def series(code: int, fit: Fit) -> list[Array]:
     """A variable of learned effects in each session of a fit, as in the live step."""
     facts, values = fit.problem.base.facts, []
     for s, p in zip(fit.problem.sessions, fit.predicted, strict=True):
-        turning = np.abs(s.yaw_rate)
-        curvature = turning / np.hypot(s.speed, facts.contact_length * turning + STANDSTILL_MPS)
-        recorded: Any = s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance
-        simulated: Any = p.at_sprockets, np.tanh(s.speed / facts.standstill), curvature, p.belt
-        conditions = Conditions(facts, *recorded, *simulated)
+        turn_rate = np.abs(s.yaw_rate)
+        curvature = turn_rate / np.hypot(s.speed, facts.contact_length * turn_rate + STANDSTILL_MPS)
+        recorded_series: Any = s.speed, s.accel, s.weight, s.ambient, s.yaw_rate, s.heading, s.distance
+        simulated_series: Any = p.at_sprockets, np.tanh(s.speed / facts.standstill), curvature, p.belt
+        conditions = Conditions(facts, *recorded_series, *simulated_series)
         values.append(np.asarray(np.broadcast_to(learned.variable(conditions, code), len(s)), dtype=float))
     return values
 
 
-def driven(code: int, fit: Fit) -> Array:
+def driving_series(code: int, fit: Fit) -> Array:
     """Values of the variable at compared samples; empty if it is not always known, or too imprecise."""
     values = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
-    known = np.isfinite(values).all() and (code not in (learned.ACCELERATION, learned.DRIVING_TORQUE) or _resolved(fit))
-    return values if known else np.empty(0)
+    is_known = np.isfinite(values).all() and (code not in (learned.ACCELERATION, learned.DRIVING_TORQUE) or _resolved(fit))
+    return values if is_known else np.empty(0)
 
 
 def _resolved(fit: Fit) -> bool:
     """Whether the acceleration is precise where its curve may step: smoothing errors look like such a curve."""
     noise = max(s.accel_noise for s in fit.problem.sessions)
-    largest = max(float(np.quantile(np.abs(s.accel), DRIVEN[1])) for s in fit.problem.sessions)
-    return RESOLVED * noise <= NEAR_ZERO * largest
+    largest_accel = max(float(np.quantile(np.abs(s.accel), DRIVEN[1])) for s in fit.problem.sessions)
+    return RESOLVED * noise <= NEAR_ZERO * largest_accel
 
 
 def varies(x: Array) -> bool:
@@ -251,19 +253,19 @@ def knots(code: int, x: Array, count: int) -> list[float]:
     """Knots of a curve: equally filled between, or close on either side of zero for a signed variable."""
     low, high = (float(q) for q in np.quantile(x, DRIVEN))
     if code in SIGNED and min(np.mean(x < 0.0), np.mean(x > 0.0)) > BOTH_SIDES:
-        inner = NEAR_ZERO * min(-low, high)
-        extra = max(0, (count - 4) // 2)
-        below = np.linspace(low, -inner, extra + 2)
-        above = np.linspace(inner, high, extra + 2)
-        return [*below.tolist(), *above.tolist()]
-    even = np.quantile(x, np.linspace(*DRIVEN, count))
+        inner_edge = NEAR_ZERO * min(-low, high)
+        extra_count = max(0, (count - 4) // 2)
+        lower_knots = np.linspace(low, -inner_edge, extra_count + 2)
+        above = np.linspace(inner_edge, high, extra_count + 2)
+        return [*lower_knots.tolist(), *above.tolist()]
+    even_knots = np.quantile(x, np.linspace(*DRIVEN, count))
     if code == learned.SPEED:  # for rarely driven speeds: half by frequency, half by distance
-        even = 0.5 * (even + np.linspace(low, high, count))
-    kept = [float(even[0])]
-    for knot in even[1:].tolist():
-        if knot - kept[-1] > LEAST_RANGE * (high - low):
-            kept.append(knot)
-    return kept
+        even_knots = 0.5 * (even_knots + np.linspace(low, high, count))
+    kept_knots = [float(even_knots[0])]
+    for knot in even_knots[1:].tolist():
+        if knot - kept_knots[-1] > LEAST_RANGE * (high - low):
+            kept_knots.append(knot)
+    return kept_knots
 
 
 def variable_codes(fit: Fit) -> list[int]:
@@ -276,14 +278,14 @@ def variable_codes(fit: Fit) -> list[int]:
     torque, which includes that inertia, needs a small error.
     """
     measured = all("accel" in s.given for s in fit.problem.sessions)
-    return [code for code in KNOTS if varies(driven(code, fit)) and (code != learned.ACCELERATION or measured)]
+    return [code for code in KNOTS if varies(driving_series(code, fit)) and (code != learned.ACCELERATION or measured)]
 
 
 def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
     """All forms with knots of their own here, by their names."""
     facts = fit.problem.base.facts
     forms: list[EmpiricalEffect] = []
-    x = {code: driven(code, fit) for code in learned.VARIABLES}
+    x = {code: driving_series(code, fit) for code in learned.VARIABLES}
     codes = variable_codes(fit)
     forms += [Curve(code, knots(code, x[code], KNOTS[code])) for code in codes]
     if learned.DRIVING_TORQUE in codes:
@@ -291,6 +293,6 @@ def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
         reverse = np.concatenate([s.speed[m] < 0.0 for s, m in zip(fit.problem.sessions, fit.problem.masks, strict=True)])
         if reverse.sum() >= FEWEST_REVERSE:  # forwards, a negative torque brakes
             limits[learned.NEGATIVE] = most_on_side(np.where(reverse, 1.0, -1.0) * x[learned.DRIVING_TORQUE], 1)
-        forms += [SidedGain(side, largest) for side, largest in limits.items() if min(limits.values()) > 0.0]
+        forms += [SidedGain(side, largest_torque) for side, largest_torque in limits.items() if min(limits.values()) > 0.0]
     size = facts.weight * facts.radius
-    return {effect.name: learned.sized(effect, size) for effect in forms}
+    return {effect.name: learned.sized_effect(effect, size) for effect in forms}

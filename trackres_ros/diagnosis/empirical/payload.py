@@ -80,25 +80,25 @@ class JointValues:
     @classmethod
     def values_of(cls, current: Fit) -> JointValues:
         """The values of a fit but its payload, with their priors and the information of other measurements than the torque."""
-        own = [i for i, f in enumerate(current.free) if f.key[0] != PAYLOAD]
-        free, problem = [current.free[i] for i in own], current.problem
-        columns = base_columns(current)[:, own] * [f.scale for f in free]
+        own_indices = [i for i, f in enumerate(current.free) if f.key[0] != PAYLOAD]
+        free_parameters, problem = [current.free[i] for i in own_indices], current.problem
+        columns = base_columns(current)[:, own_indices] * [f.scale for f in free_parameters]
         parts, torques = problem.split(columns), len(problem.sessions)
-        others = problem.white(parts, current.noises)[torques:]
-        prior = np.array([(f.scale / f.std) ** 2 for f in free])
-        information = np.diag(LEAST_KNOWN + prior) + sum(w.T @ w for w in map(np.nan_to_num, others))
+        other_columns = problem.white(parts, current.noises)[torques:]
+        prior = np.array([(f.scale / f.std) ** 2 for f in free_parameters])
+        information = np.diag(LEAST_KNOWN + prior) + sum(w.T @ w for w in map(np.nan_to_num, other_columns))
         torque = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x in parts[:torques])
-        pull = prior * [(f.nominal - current.estimates[f.key]) / f.scale for f in free]
+        pull = prior * [(f.nominal - current.estimates[f.key]) / f.scale for f in free_parameters]
         return cls(tuple(np.zeros(x.shape[0]) for x in torque), torque, sparse.csc_matrix(information), pull)
 
-    def together_with(self, other: JointValues | None) -> JointValues:
+    def together_with(self, other_values: JointValues | None) -> JointValues:
         """Both sets of values."""
-        if other is None:
+        if other_values is None:
             return self
-        columns = tuple(sparse.hstack(pair).tocsr() for pair in zip(self.columns, other.columns, strict=True))
-        adds = tuple(x + y for x, y in zip(self.adds, other.adds, strict=True))
-        precision = sparse.block_diag((self.precision, other.precision)).tocsc()
-        return JointValues(adds, columns, precision, np.concatenate([self.pull, other.pull]))
+        columns = tuple(sparse.hstack(pair).tocsr() for pair in zip(self.columns, other_values.columns, strict=True))
+        adds = tuple(x + y for x, y in zip(self.adds, other_values.adds, strict=True))
+        precision = sparse.block_diag((self.precision, other_values.precision)).tocsc()
+        return JointValues(adds, columns, precision, np.concatenate([self.pull, other_values.pull]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,26 +106,35 @@ class _Normal:
     """Normal equations of the masses of all stretches, with the other values eliminated; and the session of each."""
 
     matrix: Array  # (stretches, stretches)
-    right: Array  # (stretches,)
+    right_side: Array  # (stretches,)
     session: Indices  # (stretches,)
 
-    def solved(self, std: float, correlation: float, mean: float) -> _Solution:
+    def solve(self, std: float, correlation: float, mean: float) -> _Solution:
         """Most likely masses, given the standard deviations of payload and mean [kg], and the correlation."""
-        count = np.arange(len(self.right))
+        count = np.arange(len(self.right_side))
         is_same = np.equal.outer(self.session, self.session)
         prior = mean**2 + std**2 * is_same * correlation ** np.abs(np.subtract.outer(count, count))
         growth = np.eye(len(count)) + prior @ self.matrix
         covariance = np.linalg.solve(growth, prior)
-        masses = covariance @ self.right
-        pulls = self.right - self.matrix @ masses  # of the samples, against those of the prior
+        masses = covariance @ self.right_side
+        pulls = self.right_side - self.matrix @ masses  # of the samples, against those of the prior
         cost = 0.5 * float(np.linalg.slogdet(growth)[1])
-        evidence = 0.5 * float(self.right @ masses) - cost
+        evidence = 0.5 * float(self.right_side @ masses) - cost
         stds = np.sqrt(np.diag(covariance))
-        determined = float((self.matrix * covariance).sum())
+        determined_count = float((self.matrix * covariance).sum())
         mean_payload, total_cost = mean**2 * float(pulls.sum()), cost + 0.5 * float(masses @ pulls)
-        return _Solution(std, correlation, evidence, total_cost, mean_payload, determined, self._split(masses), self._split(stds))
+        return _Solution(
+            std,
+            correlation,
+            evidence,
+            total_cost,
+            mean_payload,
+            determined_count,
+            self._split_rows(masses),
+            self._split_rows(stds),
+        )
 
-    def _split(self, series: Array) -> list[Array]:
+    def _split_rows(self, series: Array) -> list[Array]:
         return np.split(series, np.flatnonzero(np.diff(self.session)) + 1)
 
 
@@ -141,7 +150,7 @@ class _Solution:
     evidence: float
     cost: float
     mean: float
-    settled: float
+    settled_sum: float
     masses: list[Array]
     stds: list[Array]
 
@@ -165,25 +174,32 @@ def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | 
     numbers = [stretch_numbers(s) for s in sessions]
     mass = mass_of(current)
     per_kg = torque_per_kilogram(current, mass)
-    typical = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
-    against, joint_values = [typical * np.sign(s.speed) for s in sessions], JointValues.values_of(current).together_with(joint)
+    typical_torque = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
+    directions, joint_values = (
+        [typical_torque * np.sign(s.speed) for s in sessions],
+        JointValues.values_of(current).together_with(joint),
+    )
     samples = _Samples(per_kg, numbers, residuals, joint_values, mass)
-    best, noise, remainder = samples.most_likely(masks, current.noise)
-    level_solution = _Samples(against, numbers, residuals, joint_values, mass).most_likely(masks, current.noise)[0]
-    if best.evidence < level_solution.evidence + SURE:
+    best_solution, noise, remainder = samples.most_likely(masks, current.noise)
+    level_solution = _Samples(directions, numbers, residuals, joint_values, mass).most_likely(masks, current.noise)[0]
+    if best_solution.evidence < level_solution.evidence + SURE:
         return None  # the difference does not have the signature of a mass
     half_numbers = [halves(number, mask) for number, mask in zip(numbers, masks, strict=True)]
     half_masses = [
-        samples.masses([m & (x == half) for m, x in zip(masks, half_numbers, strict=True)], best, noise, remainder)
-        for half in (0, 1)
+        samples.masses(
+            [m & (x == number_of_half) for m, x in zip(masks, half_numbers, strict=True)], best_solution, noise, remainder
+        )
+        for number_of_half in (0, 1)
     ]
     torques, forecasts, stretches = [], [], list[Stretch]()
     for i, (session, number, per_mass, residual, masses, stds) in enumerate(
-        zip(sessions, numbers, per_kg, residuals, best.masses, best.stds, strict=True)
+        zip(sessions, numbers, per_kg, residuals, best_solution.masses, best_solution.stds, strict=True)
     ):
-        smoothed = per_mass * masses[number]
-        forecast = np.where(session.used, per_mass * _forecast(per_mass, residual, number, session.used, noise, best), 0.0)
-        torques.append(np.where(masks[i], smoothed, forecast))
+        smooth_series = per_mass * masses[number]
+        forecast = np.where(
+            session.used, per_mass * _forecast(per_mass, residual, number, session.used, noise, best_solution), 0.0
+        )
+        torques.append(np.where(masks[i], smooth_series, forecast))
         other_half = np.where(half_numbers[i] == 0, half_masses[1][i][number], half_masses[0][i][number])
         forecasts.append(np.where(masks[i], per_mass * other_half, forecast))
         for k in np.unique(number[masks[i]]).tolist():
@@ -191,13 +207,13 @@ def find_payload(current: Fit, residuals: Sequence[Array], joint: JointValues | 
             begin, end = float(session.time[rows[0]]), float(session.time[rows[-1]] + session.step)
             std = math.hypot(stds[k], FORM_ERROR * masses[k], MODEL_ERROR * mass)
             stretches.append(Stretch(session.name, begin, end, float(masses[k]), std))
-    acting = np.concatenate([t[m] for t, m in zip(torques, masks, strict=True)])
-    level = float(np.sqrt(np.mean(acting**2)))
+    acting_torque = np.concatenate([t[m] for t, m in zip(torques, masks, strict=True)])
+    level = float(np.sqrt(np.mean(acting_torque**2)))
     if not level > 0.0:
         return None
-    cost = best.cost + math.log(len(SIZES) * len(ALIKE))
-    shape, ahead = (tuple(t / level for t in series) for series in (torques, forecasts))
-    return Payload(tuple(stretches), level, shape, ahead, cost)
+    cost = best_solution.cost + math.log(len(SIZES) * len(ALIKE))
+    shape, forecast_shape = (tuple(t / level for t in series) for series in (torques, forecasts))
+    return Payload(tuple(stretches), level, shape, forecast_shape, cost)
 
 
 class _Samples:
@@ -207,17 +223,24 @@ class _Samples:
     """
 
     def __init__(
-        self, by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], joint: JointValues, mass: float
+        self,
+        torques_per_mass: Sequence[Array],
+        numbers: Sequence[Indices],
+        residuals: Sequence[Array],
+        joint: JointValues,
+        mass: float,
     ) -> None:
         self.residuals, self._joint, self._mass = residuals, joint, mass
         self._session = np.repeat(np.arange(len(numbers)), [int(n.max()) + 1 for n in numbers])
-        self._columns = [sparse.hstack([x, z]).tocsr() for x, z in zip(by_stretch(by, numbers), joint.columns, strict=True)]
-        self._whole = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
+        self._columns = [
+            sparse.hstack([x, z]).tocsr() for x, z in zip(by_stretch(torques_per_mass, numbers), joint.columns, strict=True)
+        ]
+        self._full_residuals = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
 
     def _equations(
         self, masks: Sequence[Mask], remainder: Sequence[Array], noise: Noise
     ) -> tuple[_Normal, _OtherValues, float, int]:
-        rows = WhitenedRows.of(self._columns, self._whole, masks, noise)
+        rows = WhitenedRows.of(self._columns, self._full_residuals, masks, noise)
         weights = noise.weights(WhitenedRows.of(self._columns, remainder, masks, noise).white)
         return *_normal(rows, weights, self._session, self._joint), len(rows.white)
 
@@ -225,55 +248,55 @@ class _Samples:
         """Most likely sizes by stretch from some samples, the remaining noise, and the residual of all samples [Nm]."""
         remainder = list(self.residuals)
         for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
-            normal, others, settled, count = self._equations(masks, remainder, noise)
+            normal, other_sum, settled_sum, count = self._equations(masks, remainder, noise)
             solutions = (
-                normal.solved(size * self._mass, correlation, MEAN * self._mass) for size in SIZES for correlation in ALIKE
+                normal.solve(size * self._mass, correlation, MEAN * self._mass) for size in SIZES for correlation in ALIKE
             )
-            best = max(solutions, key=lambda solution: solution.evidence)
-            values = np.concatenate(best.masses)
-            values = np.concatenate([values, others(values)])
-            remainder = [r - x @ values for r, x in zip(self._whole, self._columns, strict=True)]
+            best_solution = max(solutions, key=lambda solution: solution.evidence)
+            values = np.concatenate(best_solution.masses)
+            values = np.concatenate([values, other_sum(values)])
+            remainder = [r - x @ values for r, x in zip(self._full_residuals, self._columns, strict=True)]
             noise = estimate_noise(remainder, masks)
             # Fitting so many values makes the residual smaller than the noise.
-            shrinks = math.sqrt(max(1.0 - (best.settled + settled) / count, LEAST_LEFT))
+            shrinks = math.sqrt(max(1.0 - (best_solution.settled_sum + settled_sum) / count, LEAST_LEFT))
             noise = replace(noise, scale=noise.scale / shrinks)
-        return best, noise, remainder
+        return best_solution, noise, remainder
 
     def masses(self, masks: Sequence[Mask], solution: _Solution, noise: Noise, remainder: Sequence[Array]) -> list[Array]:
         """Masses of the stretches of each session from fewer samples, their scatter and the noise known [kg]."""
-        return self._equations(masks, remainder, noise)[0].solved(solution.std, solution.alike, MEAN * self._mass).masses
+        return self._equations(masks, remainder, noise)[0].solve(solution.std, solution.alike, MEAN * self._mass).masses
 
 
 def halves(number: Indices, mask: Mask) -> Indices:
     """Half of its stretch in which each sample lies, by the fitted samples: 0 or 1."""
-    half = np.zeros(len(number), dtype=np.int64)
+    half_number = np.zeros(len(number), dtype=np.int64)
     for k in np.unique(number[mask]).tolist():
         rows = np.flatnonzero((number == k) & mask)
-        half[rows[len(rows) // 2 :]] = 1
-    return half
+        half_number[rows[len(rows) // 2 :]] = 1
+    return half_number
 
 
 def _normal(rows: WhitenedRows, weights: Array, session: Indices, joint: JointValues) -> tuple[_Normal, _OtherValues, float]:
     """Normal equations of the masses, a function for the other values, and the number of those that the samples determine."""
     count = len(session)
-    weighted = rows.columns.multiply(weights[:, np.newaxis]).tocsr()
-    matrix, right = (rows.columns.T @ weighted).tocsc(), np.asarray(weighted.T @ rows.white)
+    weighted_columns = rows.columns.multiply(weights[:, np.newaxis]).tocsr()
+    matrix, right_side = (rows.columns.T @ weighted_columns).tocsc(), np.asarray(weighted_columns.T @ rows.white)
     mass_block, coupling = matrix[:count, :count].toarray(), matrix[count:, :count].toarray()
     solve = splu((matrix[count:, count:] + joint.precision).tocsc()).solve
-    elimination, other_values = solve(coupling), solve(right[count:] + joint.pull)
-    normal = _Normal(mass_block - coupling.T @ elimination, right[:count] - coupling.T @ other_values, session)
+    elimination, other_values = solve(coupling), solve(right_side[count:] + joint.pull)
+    normal = _Normal(mass_block - coupling.T @ elimination, right_side[:count] - coupling.T @ other_values, session)
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(coupling), PROBES))
-    determined = float(np.mean((probes * solve(matrix[count:, count:] @ probes)).sum(axis=0)))
-    return normal, lambda masses: other_values - elimination @ masses, determined
+    determined_count = float(np.mean((probes * solve(matrix[count:, count:] @ probes)).sum(axis=0)))
+    return normal, lambda masses: other_values - elimination @ masses, determined_count
 
 
-def by_stretch(by: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.csr_matrix]:
+def by_stretch(torques_per_mass: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.csr_matrix]:
     """Columns of a series of each session, one for each stretch of all sessions: shape (samples, stretches)."""
     counts = [int(n.max()) + 1 for n in numbers]
-    first = np.cumsum([0, *counts[:-1]])
+    first_columns = np.cumsum([0, *counts[:-1]])
     return [
         sparse.csr_matrix((x, (np.arange(len(x)), begin + n)), (len(x), sum(counts)))
-        for x, n, begin in zip(by, numbers, first, strict=True)
+        for x, n, begin in zip(torques_per_mass, numbers, first_columns, strict=True)
     ]
 
 
@@ -301,31 +324,33 @@ def stretch_numbers(session: DriveSession) -> Indices:
 def torque_per_kilogram(current: Fit, mass: float) -> list[Array]:
     """Torque of an additional kilogram, of each session [Nm]; unlike the model's mass it has no rotating part."""
     problem, facts = current.problem, current.problem.base.facts
-    expected = []
+    model_torques = []
     for step in (0.0, MORE):
         weight = (1.0 + step) * mass * GRAVITY
-        loaded = [replace(s, weight=np.full(len(s), weight), given=s.given | {"load"}) for s in problem.sessions]
-        expected.append([p.torque for p in problem.base.predict(loaded, *current.model_at(current.point))])
-    rotating = current.base_values.get("rotating_mass_factor", problem.base.rotating_mass_factor) - 1.0
+        sessions_with_load = [replace(s, weight=np.full(len(s), weight), given=s.given | {"load"}) for s in problem.sessions]
+        model_torques.append([p.torque for p in problem.base.predict(sessions_with_load, *current.model_at(current.point))])
+    rotating_share = current.base_values.get("rotating_mass_factor", problem.base.rotating_mass_factor) - 1.0
     return [
         np.where(
-            np.abs(s.speed) > STANDSTILL_MPS, (torque_loaded - torque) / (MORE * mass) - rotating * s.accel * facts.radius, 0.0
+            np.abs(s.speed) > STANDSTILL_MPS,
+            (torque_loaded - torque) / (MORE * mass) - rotating_share * s.accel * facts.radius,
+            0.0,
         )
-        for s, torque, torque_loaded in zip(problem.sessions, *expected, strict=True)
+        for s, torque, torque_loaded in zip(problem.sessions, *model_torques, strict=True)
     ]
 
 
-def _forecast(per_mass: Array, residual: Array, number: Indices, used: Mask, noise: Noise, solution: _Solution) -> Array:
+def _forecast(per_mass: Array, residual: Array, number: Indices, used_steps: Mask, noise: Noise, solution: _Solution) -> Array:
     """Live estimate of the mass at each sample of a session from earlier ones: a Kalman filter [kg].
 
     `number` is the stretch of each sample, and `noise` that of the residual without the payload.
     """
-    white = whitened(np.column_stack([per_mass, residual]), used, noise.phi) / noise.std
-    begins = np.diff(number, prepend=-1) > 0
+    white = whitened(np.column_stack([per_mass, residual]), used_steps, noise.phi) / noise.std
+    is_begin = np.diff(number, prepend=-1) > 0
     masses = np.empty(len(number))
     mean, variance = solution.mean, solution.std**2
-    for t, ((slope, residual_white), first) in enumerate(zip(white.tolist(), begins.tolist(), strict=True)):
-        if first and t:
+    for t, ((slope, residual_white), is_first) in enumerate(zip(white.tolist(), is_begin.tolist(), strict=True)):
+        if is_first and t:
             mean = solution.mean + solution.alike * (mean - solution.mean)
             variance = solution.alike**2 * variance + (1.0 - solution.alike**2) * solution.std**2
         masses[t] = mean

@@ -57,7 +57,7 @@ class _Piece:
     rows: slice
     edges: Array
     white: Array
-    valid: NDArray[np.bool_]
+    is_valid: NDArray[np.bool_]
 
 
 def find_wave(fit: Fit) -> Wave | None:
@@ -65,13 +65,13 @@ def find_wave(fit: Fit) -> Wave | None:
     pieces = _pieces(fit)
     if not pieces:
         return None
-    longest = max(float(p.edges[-1] - p.edges[0]) for p in pieces)
-    waves = np.arange(1.0 / LONGEST_M, 1.0 / SHORTEST_M, 1.0 / (WAVE_STEPS * longest))  # per metre
+    longest_m = max(float(p.edges[-1] - p.edges[0]) for p in pieces)
+    waves = np.arange(1.0 / LONGEST_M, 1.0 / SHORTEST_M, 1.0 / (WAVE_STEPS * longest_m))  # per metre
     gains = np.sum([_gains(fit, p, waves) for p in pieces], axis=0)
     scale = max(1.0, float(np.median(gains)) / float(gammainccinv(len(pieces), 0.5)))
     per_metre, gain = max(
         (
-            (float(waves[i]), sum(_fitted(fit, p, float(waves[i]))[1] for p in pieces))
+            (float(waves[i]), sum(_fit_wave(fit, p, float(waves[i]))[1] for p in pieces))
             for i in np.argsort(gains)[-NEARLY_LARGEST:]
         ),
         key=lambda pair: pair[1],
@@ -98,9 +98,9 @@ def _pieces(fit: Fit) -> list[_Piece]:
         for n in np.unique(number):
             indices = np.flatnonzero(number == n)
             rows = slice(int(indices[0]), int(indices[-1]) + 1)
-            valid = np.isfinite(white[rows])
-            if valid.sum() >= FEWEST_SAMPLES:
-                pieces.append(_Piece(i, rows, edges[rows.start : rows.stop + 1], white[rows], valid))
+            is_valid = np.isfinite(white[rows])
+            if is_valid.sum() >= FEWEST_SAMPLES:
+                pieces.append(_Piece(i, rows, edges[rows.start : rows.stop + 1], white[rows], is_valid))
     return pieces
 
 
@@ -111,37 +111,39 @@ def _mean_wave(edges: Array, per_metre: float) -> NDArray[np.complex128]:
     return np.asarray(middles * np.sinc(angles / (2.0 * math.pi)))
 
 
-def _fitted(fit: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
+def _fit_wave(fit: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
     """Complex size of the wave in a piece [Nm], and the gain in log-likelihood."""
-    noise, wave, e = fit.noise, _mean_wave(piece.edges, per_metre), piece.white[piece.valid]
+    noise, wave, e = fit.noise, _mean_wave(piece.edges, per_metre), piece.white[piece.is_valid]
     mask = np.ones(len(wave), dtype=bool)
     parts = [np.nan_to_num(whitened(part, mask, noise.phi) / noise.std) for part in (wave.real, -wave.imag)]
-    design, weight = np.stack(parts, axis=1)[piece.valid], noise.weights(e)
+    design, weight = np.stack(parts, axis=1)[piece.is_valid], noise.weights(e)
     normal = (design * weight[:, np.newaxis]).T @ design + 1e-9 * np.eye(2)
-    right = design.T @ (weight * e)
-    size = np.linalg.solve(normal, right)
-    return complex(size[0], size[1]), 0.5 * float(right @ size)
+    right_side = design.T @ (weight * e)
+    size = np.linalg.solve(normal, right_side)
+    return complex(size[0], size[1]), 0.5 * float(right_side @ size)
 
 
 def _gains(fit: Fit, piece: _Piece, waves: Array) -> Array:
     """Gains of many waves, for a steady speed over the lags of the whitening; `_fitted` is exact."""
     noise = fit.noise
-    weighted = np.where(piece.valid, noise.weights(np.nan_to_num(piece.white)) * np.nan_to_num(piece.white), 0.0) / noise.std
-    adjoint = weighted.copy()  # of the whitening
+    weighted_residual = (
+        np.where(piece.is_valid, noise.weights(np.nan_to_num(piece.white)) * np.nan_to_num(piece.white), 0.0) / noise.std
+    )
+    adjoint = weighted_residual.copy()  # of the whitening
     for lag, coefficient in enumerate(noise.phi, start=1):
-        adjoint[:-lag] -= coefficient * weighted[lag:]
+        adjoint[:-lag] -= coefficient * weighted_residual[lag:]
     middle, lengths = 0.5 * (piece.edges[1:] + piece.edges[:-1]), np.diff(piece.edges)
     rows = np.flatnonzero((lengths > 0.0) | (adjoint != 0.0))
-    middle, lengths, adjoint, valid = middle[rows], lengths[rows], adjoint[rows], piece.valid[rows]
+    middle, lengths, adjoint, is_valid = middle[rows], lengths[rows], adjoint[rows], piece.is_valid[rows]
     offsets = (waves[1] - waves[0]) * np.arange(WAVES_AT_ONCE)[:, np.newaxis]  # the same from the first wave of each block
     rotations, half_rotations = np.exp(2j * math.pi * offsets * middle), np.exp(1j * math.pi * offsets * lengths)
     gains = []
-    for first in waves[::WAVES_AT_ONCE]:
-        half = half_rotations * np.exp(1j * math.pi * first * lengths)
-        angle = math.pi * (first + offsets) * lengths
-        size = np.divide(half.imag, angle, out=np.ones_like(angle), where=angle > 0.0)
-        projections = (rotations * size) @ (np.exp(2j * math.pi * first * middle) * adjoint)
-        norm = 0.5 * (_power_share(noise.phi, half.real) * size**2) @ valid / noise.std**2
+    for first_wave in waves[::WAVES_AT_ONCE]:
+        half_rotation = half_rotations * np.exp(1j * math.pi * first_wave * lengths)
+        angle = math.pi * (first_wave + offsets) * lengths
+        size = np.divide(half_rotation.imag, angle, out=np.ones_like(angle), where=angle > 0.0)
+        projections = (rotations * size) @ (np.exp(2j * math.pi * first_wave * middle) * adjoint)
+        norm = 0.5 * (_power_share(noise.phi, half_rotation.real) * size**2) @ is_valid / noise.std**2
         gains.append(0.5 * np.abs(projections) ** 2 / np.maximum(norm, 1e-9))
     return np.concatenate(gains)[: len(waves)]
 
@@ -154,13 +156,13 @@ def _power_share(phi: Array, cosine: Array) -> Array:
 
 
 def _wave(fit: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
-    sizes = [_fitted(fit, piece, per_metre)[0] for piece in pieces]
+    sizes = [_fit_wave(fit, piece, per_metre)[0] for piece in pieces]
     shape = [np.zeros(len(s)) for s in fit.problem.sessions]
     for piece, size in zip(pieces, sizes, strict=True):
         wave = _mean_wave(piece.edges, per_metre)
         course = np.exp(1j * np.angle(size)) * wave
         shape[piece.session][piece.rows] = course.real
-    weights = [piece.valid.sum() for piece in pieces]
+    weights = [piece.is_valid.sum() for piece in pieces]
     return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), len(pieces), tuple(shape))
 
 
@@ -171,14 +173,14 @@ def wave_forecast(wave: Wave, residuals: Sequence[Array], sessions: Sequence[Dri
         metres = np.abs(np.nan_to_num(session.speed)) * session.step
         waves = _mean_wave(np.concatenate(([0.0], np.cumsum(metres))), 1.0 / wave.length_m)
         ratios = np.where(session.used & np.isfinite(residual), residual, 0.0) / wave.size
-        keeps = np.exp(-metres / REMEMBERED_M)
+        decay = np.exp(-metres / REMEMBERED_M)
         correlation, weight, forecast = 0.0j, FEWEST_SAMPLES / 4.0, np.zeros(len(session))
-        for t, (x, w, keep, used) in enumerate(
-            zip(ratios.tolist(), waves.tolist(), keeps.tolist(), session.used.tolist(), strict=True)
+        for t, (x, w, keep, is_used) in enumerate(
+            zip(ratios.tolist(), waves.tolist(), decay.tolist(), session.used.tolist(), strict=True)
         ):
-            forecast[t] = (correlation.conjugate() * w).real / weight if used else 0.0
+            forecast[t] = (correlation.conjugate() * w).real / weight if is_used else 0.0
             correlation = keep * correlation + 2.0 * x * w
-            weight = keep * (weight - FEWEST_SAMPLES / 4.0) + abs(w) ** 2 * used + FEWEST_SAMPLES / 4.0
+            weight = keep * (weight - FEWEST_SAMPLES / 4.0) + abs(w) ** 2 * is_used + FEWEST_SAMPLES / 4.0
         forecasts.append(forecast)
     return forecasts
 
@@ -213,7 +215,7 @@ class Place:
     begin_m: float  # of its range, from the start of a lap
     end_m: float  # beyond the end of the lap if it crosses that
     passes: int  # on the fitted laps
-    folded: bool  # whether a recording has consecutive laps
+    is_folded: bool  # whether a recording has consecutive laps
     cost: float  # of length and places, in log-likelihood
     course: tuple[Array, ...]  # place in the lap at each sample of each session [m]
     shape: tuple[Array, ...]  # torque there, with mean 1 in its range
@@ -256,17 +258,19 @@ class _Rows:
 
     def columns(self, shapes: Sequence[Array]) -> Array:
         """Shapes of each session, scaled with the load, whitened; shape (n, shapes)."""
-        loaded = (x * load[:, np.newaxis] for x, load in zip(shapes, self.loads, strict=True))
-        return np.concatenate([whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(loaded, self.masks, strict=True)])
+        load_columns = (x * load[:, np.newaxis] for x, load in zip(shapes, self.loads, strict=True))
+        return np.concatenate(
+            [whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(load_columns, self.masks, strict=True)]
+        )
 
     def gains(self, shapes: Sequence[Array]) -> tuple[Array, Array]:
         """Gain in log-likelihood of each shape in addition to a mean, and its torque [Nm]."""
-        valid = np.isfinite(self.white)
-        weight = self.weight[valid]
-        y, x = self.white[valid] - np.average(self.white[valid], weights=weight), self.columns(shapes)[valid]
+        is_valid = np.isfinite(self.white)
+        weight = self.weight[is_valid]
+        y, x = self.white[is_valid] - np.average(self.white[is_valid], weights=weight), self.columns(shapes)[is_valid]
         x = x - np.average(x, axis=0, weights=weight)
-        across, own = x.T @ (weight * y), np.maximum((x**2).T @ weight, (self.noise.dc_gain / self.noise.std) ** 2)
-        return 0.5 * across**2 / own, across / own
+        projection, own_weight = x.T @ (weight * y), np.maximum((x**2).T @ weight, (self.noise.dc_gain / self.noise.std) ** 2)
+        return 0.5 * projection**2 / own_weight, projection / own_weight
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,29 +308,29 @@ def find_place(
     bounded away from one, any drift looks like places. So there are two searches: the noise for the second excludes the
     place of the first.
     """
-    means, known = _means(distances, residuals, masks)
-    if sum(int(whole_past(k, MOST_LAGS).sum()) for k in known) < FEWEST_BINS:  # a jump over bins leaves none in a row
+    means, masks_known = _means(distances, residuals, masks)
+    if sum(int(whole_past(k, MOST_LAGS).sum()) for k in masks_known) < FEWEST_BINS:  # a jump over bins leaves none in a row
         return None
-    longest, directions = max(float(np.abs(d).max()) for d in distances), [_direction(d) for d in distances]
-    laps = _laps(longest, len(distances))
-    first_bins = _whitened(means, known, directions, estimate_noise(means, known, SHORT_ROOT))
-    first = _best(first_bins, laps, first_bins)
-    remainder = [m - x for m, x in zip(means, _expected(means, known, directions, first), strict=True)]
-    noise = estimate_noise(remainder, known)
-    bins = _whitened(means, known, directions, noise)
-    best = _best(bins, laps, _whitened(remainder, known, directions, noise))
+    longest_m, directions = max(float(np.abs(d).max()) for d in distances), [_direction(d) for d in distances]
+    laps = _laps(longest_m, len(distances))
+    first_bins = _whitened(means, masks_known, directions, estimate_noise(means, masks_known, SHORT_ROOT))
+    first_folding = _best_folding(first_bins, laps, first_bins)
+    remainder = [m - x for m, x in zip(means, _expected_torques(means, masks_known, directions, first_folding), strict=True)]
+    noise = estimate_noise(remainder, masks_known)
+    bins = _whitened(means, masks_known, directions, noise)
+    best_folding = _best_folding(bins, laps, _whitened(remainder, masks_known, directions, noise))
     search_cost = math.log(len(laps) * len(WIDTHS) * len(PRIORS))
-    if best.evidence < search_cost + SURE or not _shows_on_others(bins, best):
+    if best_folding.evidence < search_cost + SURE or not _shows_on_others(bins, best_folding):
         return None
-    expected = _expected(means, known, directions, best)
-    remainder = [r - x[_bins_of(d)] for r, d, x in zip(residuals, distances, expected, strict=True)]
-    folded, rows = best.lap_m < longest, _Rows.of(distances, residuals, remainder, masks, loads)
-    place = _place(best.lap_m, folded, search_cost, rows)
-    if not folded:
+    place_torques = _expected_torques(means, masks_known, directions, best_folding)
+    remainder = [r - x[_bins_of(d)] for r, d, x in zip(residuals, distances, place_torques, strict=True)]
+    is_folded, rows = best_folding.lap_m < longest_m, _Rows.of(distances, residuals, remainder, masks, loads)
+    place = _place(best_folding.lap_m, is_folded, search_cost, rows)
+    if not is_folded:
         return place
     lengths = (place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))).tolist()
     lap_m = max(lengths, key=lambda lap: _best_edges(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3])
-    return _place(lap_m, folded, search_cost, rows)
+    return _place(lap_m, is_folded, search_cost, rows)
 
 
 def _bins_of(distance: Array) -> Indices:
@@ -343,35 +347,40 @@ def _middles(means: Array) -> Array:
     return np.asarray((np.arange(len(means)) + 0.5) * BIN_M, dtype=np.float64)
 
 
-def _best(bins: _Bins, laps: Array, remainder: _Bins) -> _Folding:
+def _best_folding(bins: _Bins, laps: Array, remainder: _Bins) -> _Folding:
     """The most likely folding; the `remainder` shows the gain by chance for a noise that is not quite white."""
     foldings = []
     for width in WIDTHS:
         chance_gains = [
             square.sum(axis=1) / (passes > 0.0).sum(axis=1) for square, passes in _squares(remainder, laps[::SOME], width)
         ]
-        scale, first = max(1.0, float(np.median(np.concatenate(chance_gains)))), 0
+        scale, first_index = max(1.0, float(np.median(np.concatenate(chance_gains)))), 0
         for square, passes in _squares(bins, laps, width):
             places = (passes > 0.0).sum(axis=1, keepdims=True)
             # Places use up degrees of freedom.
             square /= scale / np.maximum(1.0 - places / len(bins.positions), 1.0 / FEWEST_PASSES)
-            typical = passes.sum(axis=1, keepdims=True) / places
+            typical_passes = passes.sum(axis=1, keepdims=True) / places
             for prior in PRIORS:
-                growth = prior * passes / typical
+                growth = prior * passes / typical_passes
                 evidence = 0.5 * (square * growth / (1.0 + growth) - np.log1p(growth)).sum(axis=1)
                 i = int(np.argmax(evidence))
-                foldings.append(_Folding(float(evidence[i]), float(laps[first + i]), width, prior / float(typical[i, 0])))
-            first += len(square)
+                foldings.append(
+                    _Folding(float(evidence[i]), float(laps[first_index + i]), width, prior / float(typical_passes[i, 0]))
+                )
+            first_index += len(square)
     return max(foldings, key=lambda folding: folding.evidence)
 
 
-def _expected(means: Sequence[Array], known: Sequence[Mask], directions: Sequence[float], folding: _Folding) -> list[Array]:
+def _expected_torques(
+    means: Sequence[Array], masks_known: Sequence[Mask], directions: Sequence[float], folding: _Folding
+) -> list[Array]:
     """Mean of each place over its passes, at each bin."""
     places = [folding.places(way * _middles(m)) for m, way in zip(means, directions, strict=True)]
     count = places[0][1]
     total, passes = (
         np.sum(
-            [np.bincount(p[k], weights=x[k], minlength=count) for (p, _), x, k in zip(places, series, known, strict=True)], axis=0
+            [np.bincount(p[k], weights=x[k], minlength=count) for (p, _), x, k in zip(places, series, masks_known, strict=True)],
+            axis=0,
         )
         for series in (means, [np.ones(len(m)) for m in means])
     )
@@ -379,49 +388,54 @@ def _expected(means: Sequence[Array], known: Sequence[Mask], directions: Sequenc
     return [np.asarray(profile[p]) for p, _ in places]
 
 
-def _laps(longest: float, sessions: int) -> Array:
+def _laps(longest_m: float, sessions: int) -> Array:
     """Lap lengths so close that places shift by half a bin at most. Beyond the longest recording each is one pass."""
-    least = math.log(SHORTEST_LAP_M)
-    most = math.log(max(longest / FEWEST_PASSES, SHORTEST_LAP_M))
-    folded = np.exp(np.arange(least, most, 0.5 * BIN_M / longest))
-    return np.append(folded, longest + BIN_M) if sessions >= FEWEST_PASSES or not len(folded) else folded
+    log_shortest = math.log(SHORTEST_LAP_M)
+    log_longest = math.log(max(longest_m / FEWEST_PASSES, SHORTEST_LAP_M))
+    lap_lengths = np.exp(np.arange(log_shortest, log_longest, 0.5 * BIN_M / longest_m))
+    return np.append(lap_lengths, longest_m + BIN_M) if sessions >= FEWEST_PASSES or not len(lap_lengths) else lap_lengths
 
 
 def _means(distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask]) -> tuple[list[Array], list[Mask]]:
     """Mean residual of each stretch of each session, less the overall mean, and whether it is known."""
-    means, known = [], []
+    means, masks_known = [], []
     for distance, residual, mask in zip(distances, residuals, masks, strict=True):
-        place, used = _bins_of(distance), mask & np.isfinite(residual)
-        count = np.bincount(place[used], minlength=place.max() + 1)
-        means.append(np.bincount(place[used], weights=residual[used], minlength=place.max() + 1) / np.maximum(count, 1))
-        known.append(count > 0)
-    mean = float(np.concatenate(means)[np.concatenate(known)].mean())
-    return [np.where(k, m - mean, 0.0) for m, k in zip(means, known, strict=True)], known
+        place, used_steps = _bins_of(distance), mask & np.isfinite(residual)
+        count = np.bincount(place[used_steps], minlength=place.max() + 1)
+        means.append(
+            np.bincount(place[used_steps], weights=residual[used_steps], minlength=place.max() + 1) / np.maximum(count, 1)
+        )
+        masks_known.append(count > 0)
+    mean = float(np.concatenate(means)[np.concatenate(masks_known)].mean())
+    return [np.where(k, m - mean, 0.0) for m, k in zip(means, masks_known, strict=True)], masks_known
 
 
-def _whitened(means: Sequence[Array], known: Sequence[Mask], directions: Sequence[float], noise: Noise) -> _Bins:
-    white = np.concatenate([whitened(m, k, noise.phi) / noise.std for m, k in zip(means, known, strict=True)])
+def _whitened(means: Sequence[Array], masks_known: Sequence[Mask], directions: Sequence[float], noise: Noise) -> _Bins:
+    white = np.concatenate([whitened(m, k, noise.phi) / noise.std for m, k in zip(means, masks_known, strict=True)])
     positions = np.concatenate([way * _middles(m) for m, way in zip(means, directions, strict=True)])
     session = np.repeat(np.arange(len(means)), [len(m) for m in means])
-    valid = np.isfinite(white)
-    return _Bins(positions[valid], session[valid], np.clip(white[valid], -FURTHEST, FURTHEST))
+    is_valid = np.isfinite(white)
+    return _Bins(positions[is_valid], session[is_valid], np.clip(white[is_valid], -FURTHEST, FURTHEST))
 
 
 def _squares(bins: _Bins, laps: Array, width: int) -> Iterator[tuple[Array, Array]]:
     """Squared sum over passes at each place, divided by their number, and that number; shape (lengths, places), of a part of the
     lap lengths at once.
     """
-    most = round(float(laps.max()) / (BIN_M * width)) + 1
-    for lengths in np.array_split(laps, math.ceil(len(laps) * max(len(bins.positions), most) / AT_ONCE)):
+    place_count = round(float(laps.max()) / (BIN_M * width)) + 1
+    for lengths in np.array_split(laps, math.ceil(len(laps) * max(len(bins.positions), place_count) / AT_ONCE)):
         lap = lengths[:, np.newaxis]
         count = np.maximum(1.0, np.round(lap / (BIN_M * width)))
         turns = bins.positions / lap
         turns -= np.floor(turns)  # ten times faster than a remainder
         place = np.minimum(turns * count, count - 0.5).astype(np.int64)
-        place = (place + most * np.arange(len(lengths))[:, np.newaxis]).ravel()
-        total = np.bincount(place, weights=np.tile(bins.white, len(lengths)), minlength=most * len(lengths))
-        passes = np.bincount(place, minlength=most * len(lengths))
-        yield (total**2 / np.maximum(passes, 1)).reshape(len(lengths), most), passes.reshape(len(lengths), most).astype(float)
+        place = (place + place_count * np.arange(len(lengths))[:, np.newaxis]).ravel()
+        total = np.bincount(place, weights=np.tile(bins.white, len(lengths)), minlength=place_count * len(lengths))
+        passes = np.bincount(place, minlength=place_count * len(lengths))
+        yield (
+            (total**2 / np.maximum(passes, 1)).reshape(len(lengths), place_count),
+            passes.reshape(len(lengths), place_count).astype(float),
+        )
 
 
 def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:
@@ -436,13 +450,13 @@ def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:
         places, values = place[pass_of_bin == k], bins.white[pass_of_bin == k]
         if len(np.unique(places)) < WHOLE * count:
             continue
-        others = total - np.bincount(places, weights=values, minlength=count), passes - np.bincount(places, minlength=count)
-        expected = (prior * others[0] / (1.0 + prior * others[1]))[places]
-        is_better.append(float((expected * (2.0 * values - expected)).sum()) > 0.0)
+        other_sums = total - np.bincount(places, weights=values, minlength=count), passes - np.bincount(places, minlength=count)
+        prediction = (prior * other_sums[0] / (1.0 + prior * other_sums[1]))[places]
+        is_better.append(float((prediction * (2.0 * values - prediction)).sum()) > 0.0)
     return len(is_better) >= FEWEST_PASSES and bool(np.mean(is_better) >= 1.0 - MOST_WORSE)
 
 
-def _place(lap_m: float, folded: bool, search_cost: float, rows: _Rows) -> Place:
+def _place(lap_m: float, is_folded: bool, search_cost: float, rows: _Rows) -> Place:
     """The torque by the place in a lap of a given length."""
     distances, masks = rows.distances, rows.masks
     course = tuple(d % lap_m for d in distances)
@@ -453,74 +467,74 @@ def _place(lap_m: float, folded: bool, search_cost: float, rows: _Rows) -> Place
         profiles.append((*_most_likely_profile(rows.columns(design), rows), design))
     evidence, cost, profile, design = max(profiles, key=lambda entry: entry[0])
     profile, count = profile - np.median(profile), len(profile)
-    first, last = _peak_range(profile)
-    begin, end = first / count * lap_m, (last + 1) / count * lap_m
+    first_bin, last = _peak_range(profile)
+    begin, end = first_bin / count * lap_m, (last + 1) / count * lap_m
     for edge_m in EDGES_M:
         begin, end, size, gain = _best_edges(begin, end, edge_m, lap_m, rows)
     middle = 0.5 * (begin + end)
-    inside = [np.abs((d - middle + 0.5 * lap_m) % lap_m - 0.5 * lap_m) < 0.5 * (end - begin) for d in distances]
+    masks_inside = [np.abs((d - middle + 0.5 * lap_m) % lap_m - 0.5 * lap_m) < 0.5 * (end - begin) for d in distances]
     passes = sum(
-        len(np.unique((d[m & t] - middle + 0.5 * lap_m) // lap_m)) for d, m, t in zip(distances, masks, inside, strict=True)
+        len(np.unique((d[m & t] - middle + 0.5 * lap_m) // lap_m)) for d, m, t in zip(distances, masks, masks_inside, strict=True)
     )
     edges = 2.0 * len(EDGES_M) * math.log(2.0 * MOST_MOVED + 1.0)
     if gain - edges > evidence:  # constant within, and zero elsewhere
         cost, shape = edges, tuple(load * ((c - begin) % lap_m < end - begin) for c, load in zip(course, rows.loads, strict=True))
     else:
-        scale = profile @ np.concatenate([x[m & t] for x, m, t in zip(design, masks, inside, strict=True)]).mean(axis=0)
+        scale = profile @ np.concatenate([x[m & t] for x, m, t in zip(design, masks, masks_inside, strict=True)]).mean(axis=0)
         shape = tuple(load * (x @ profile) / scale for x, load in zip(design, rows.loads, strict=True))
-    return Place(lap_m, size, begin, end, passes, folded, cost + search_cost, course, shape)
+    return Place(lap_m, size, begin, end, passes, is_folded, cost + search_cost, course, shape)
 
 
 def _best_edges(begin: float, end: float, edge_m: float, lap_m: float, rows: _Rows) -> tuple[float, float, float, float]:
     """Nearby edges with the largest gain for a constant torque between them; that torque [Nm], and its gain."""
-    best = (-math.inf, begin, end, 0.0)
-    moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * edge_m
-    for moved_begin in begin + moves:
-        ends = end + moves
+    best_edges = (-math.inf, begin, end, 0.0)
+    edge_moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * edge_m
+    for moved_begin in begin + edge_moves:
+        ends = end + edge_moves
         ends = ends[(ends - moved_begin >= BIN_M) & (ends - moved_begin < lap_m - BIN_M)]
         if not len(ends):
             continue
         gains, sizes = rows.gains([((d - moved_begin) % lap_m)[:, np.newaxis] < ends - moved_begin for d in rows.distances])
         i = int(np.argmax(gains))
-        if gains[i] > best[0]:
-            best = (float(gains[i]), float(moved_begin), float(ends[i]), float(sizes[i]))
-    gain, begin, end, size = best
+        if gains[i] > best_edges[0]:
+            best_edges = (float(gains[i]), float(moved_begin), float(ends[i]), float(sizes[i]))
+    gain, begin, end, size = best_edges
     turns = math.floor(begin / lap_m)
     return begin - turns * lap_m, end - turns * lap_m, size, gain
 
 
 def _most_likely_profile(columns: Array, rows: _Rows) -> tuple[float, float, Array]:
     """Log-evidence, its cost for the places, and the torque at each, for the most likely size of places."""
-    valid, spread = np.isfinite(rows.white), rows.spread
-    mean = np.full(valid.sum(), rows.noise.dc_gain / rows.noise.std)  # the base's
-    x, y, weight = np.column_stack([columns[valid], mean]), rows.white[valid], rows.weight[valid]
-    normal, right = (x.T * weight) @ x, (x.T * weight) @ y
+    is_valid, spread = np.isfinite(rows.white), rows.spread
+    mean = np.full(is_valid.sum(), rows.noise.dc_gain / rows.noise.std)  # the base's
+    x, y, weight = np.column_stack([columns[is_valid], mean]), rows.white[is_valid], rows.weight[is_valid]
+    normal, right_side = (x.T * weight) @ x, (x.T * weight) @ y
     solutions = []
     for size in SIZES:
         std = np.append(np.full(x.shape[1] - 1, size * spread), spread)
-        torques: Array = np.linalg.solve(normal + np.diag(std**-2.0), right)
+        torques: Array = np.linalg.solve(normal + np.diag(std**-2.0), right_side)
         occam = 0.5 * float(np.linalg.slogdet(np.eye(len(std)) + normal * np.outer(std, std))[1])
-        solutions.append((0.5 * float(right @ torques) - occam, occam, torques[:-1]))
+        solutions.append((0.5 * float(right_side @ torques) - occam, occam, torques[:-1]))
     return max(solutions, key=lambda solution: solution[0])
 
 
 def _place_weights(positions: Array, count: int) -> Array:
     """Weights of places with their middles at 0.5, 1.5, ..., cyclic after `count`; shape (n, count)."""
-    low = np.floor(positions - 0.5)
-    share = positions - 0.5 - low
+    lower_places = np.floor(positions - 0.5)
+    share = positions - 0.5 - lower_places
     design, rows = np.zeros((len(positions), count)), np.arange(len(positions))
-    np.add.at(design, (rows, low.astype(int) % count), 1.0 - share)
-    np.add.at(design, (rows, (low.astype(int) + 1) % count), share)
+    np.add.at(design, (rows, lower_places.astype(int) % count), 1.0 - share)
+    np.add.at(design, (rows, (lower_places.astype(int) + 1) % count), share)
     return design
 
 
 def _peak_range(profile: Array) -> tuple[int, int]:
     """First and last place around the largest torque with at least half of it; the last may lie beyond the end."""
     count, top = len(profile), int(np.argmax(np.abs(profile)))
-    large = profile / profile[top] >= HALF
+    is_large = profile / profile[top] >= HALF
     begin = end = top
-    while end - begin < count - 1 and large[(end + 1) % count]:
+    while end - begin < count - 1 and is_large[(end + 1) % count]:
         end += 1
-    while end - begin < count - 1 and large[(begin - 1) % count]:
+    while end - begin < count - 1 and is_large[(begin - 1) % count]:
         begin -= 1
     return begin % count, end + begin % count - begin

@@ -33,7 +33,10 @@ ANY_MACHINE = ("a part that rubs, binds or slips under these conditions",)
 MECHANISMS: Mapping[int, tuple[str, ...]] = {
     learned.SPEED: (VehicleMechanism("a resonance of belt, wheels or drive train"), "a fan or pump driven by the motion"),
     learned.ACCELERATION: ("play in the drive train", "an inertia that the model lacks"),
-    learned.LOAD: (VehicleMechanism("a part that touches when the springs are compressed"), VehicleMechanism("soft ground")),
+    learned.LOAD: (
+        VehicleMechanism("a part that touches when the springs are compressed"),
+        VehicleMechanism("soft ground"),
+    ),
     learned.AMBIENT: ("grease or oil that thickens in the cold",),
     learned.TURN: (VehicleMechanism("a part that touches on one side in turns"), VehicleMechanism("a steering brake")),
     learned.TURNING: (VehicleMechanism("a part that touches in turns"), VehicleMechanism("sheared ground")),
@@ -53,8 +56,14 @@ LATCH_MECHANISMS: Mapping[int, tuple[str, ...]] = {
     learned.BELT: ("a fan, pump or valve with a thermostat",),
 }
 GAIN_MECHANISMS: Mapping[int, tuple[str, ...]] = {
-    learned.DRIVES: ("a torque sensor with another gain for one sign", VehicleMechanism("gears with a larger loss when driving")),
-    learned.BRAKES: ("a torque sensor with another gain for one sign", "a friction brake that acts while the motor brakes"),
+    learned.DRIVES: (
+        "a torque sensor with another gain for one sign",
+        VehicleMechanism("gears with a larger loss when driving"),
+    ),
+    learned.BRAKES: (
+        "a torque sensor with another gain for one sign",
+        "a friction brake that acts while the motor brakes",
+    ),
     learned.NEGATIVE: ("a torque sensor or inverter with another gain for negative torques",),
 }
 SPELL_MECHANISMS = (
@@ -84,21 +93,24 @@ def describe_form(term: Term, noun: str) -> Term:
         return _describe_threshold(term, effect, noun)
     assert isinstance(effect, Curve)
     x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(axis)] for axis in ("x", "y"))
-    follows = learned.VARIABLES[effect.variable]
-    unit = "" if follows.unit == "1" else follows.unit
-    begin, *others = turning_points(y)
+    variable = learned.VARIABLES[effect.variable]
+    unit = "" if variable.unit == "1" else variable.unit
+    begin, *other_points = turning_points(y)
     knots = [f"{on_scale(knot, max(x) - min(x))} {unit}".rstrip() for knot in x]
-    ways = ["rises" if y[i] > y[before] else "falls" for before, i in zip((begin, *others), others, strict=False)]
-    ends = [f"to {_signed(y[i])} at {knots[i]}" for i in others]
-    first = f"The extra torque {ways[0]} from {_signed(y[begin])} at {knots[begin]} of {follows.text} {ends[0]}"
-    further = " and ".join(f"{way} {end}" for way, end in zip(ways[1:], ends[1:], strict=True))
+    ways = [
+        "rises" if y[i] > y[previous_point] else "falls"
+        for previous_point, i in zip((begin, *other_points), other_points, strict=False)
+    ]
+    ends = [f"to {_signed_text(y[i])} at {knots[i]}" for i in other_points]
+    first_sentence = f"The extra torque {ways[0]} from {_signed_text(y[begin])} at {knots[begin]} of {variable.text} {ends[0]}"
+    rest_text = " and ".join(f"{way} {end}" for way, end in zip(ways[1:], ends[1:], strict=True))
     return replace(
         term,
         form="curve",
-        sentences=(first, f"It then {further}") if further else (first,),
+        sentences=(first_sentence, f"It then {rest_text}") if rest_text else (first_sentence,),
         mechanisms=MECHANISMS[effect.variable],
         size_nm=max(map(abs, y)),
-        variable=follows.text,
+        variable=variable.text,
         unit=unit,
         predictable=True,
     )
@@ -106,42 +118,42 @@ def describe_form(term: Term, noun: str) -> Term:
 
 def turning_points(heights: Sequence[float]) -> list[int]:
     """Knots at which a curve turns, and its ends, rising; without swings smaller than the error of a form."""
-    least, points = FORM_ERROR * (max(heights) - min(heights)), list(range(len(heights)))
+    least_swing, points = FORM_ERROR * (max(heights) - min(heights)), list(range(len(heights)))
 
     def swing(place: int) -> float:
-        before, after = (heights[points[place]] - heights[points[place + way]] for way in (-1, 1))
-        return min(abs(before), abs(after)) if before * after > 0.0 else 0.0
+        height_before, height_after = (heights[points[place]] - heights[points[place + way]] for way in (-1, 1))
+        return min(abs(height_before), abs(height_after)) if height_before * height_after > 0.0 else 0.0
 
     while len(points) > 2:
-        smallest = min(range(1, len(points) - 1), key=swing)
-        if swing(smallest) > least:
+        smallest_index = min(range(1, len(points) - 1), key=swing)
+        if swing(smallest_index) > least_swing:
             break
-        del points[smallest]
+        del points[smallest_index]
     return points
 
 
 def _describe_threshold(term: Term, effect: Corner | Latch, noun: str) -> Term:
-    values, follows = term.values, learned.VARIABLES[effect.variable]
+    values, variable = term.values, learned.VARIABLES[effect.variable]
     level, scale, mechanisms = values["y1"], values["x2"] - values["x1"], MECHANISMS.get(effect.variable, ())
     form: Form
 
     def text_at(name: str) -> str:
-        return f"{on_scale(values[name], scale)} {follows.unit}"
+        return f"{on_scale(values[name], scale)} {variable.unit}"
 
     if isinstance(effect, Latch):
         form, mechanisms = "latch", LATCH_MECHANISMS[effect.variable]
         text = (
-            f"The {noun} needs {_more(level)} from when the {follows.text} rises above {text_at('on')} until it falls below "
-            f"{text_at('off')}"
+            f"The {noun} needs {_more_text(level)} from when the {variable.text} rises above {text_at('on')} until it falls "
+            f"below {text_at('off')}"
         )
     elif effect.kind == learned.STEP:
         form = "step"
-        text = f"The {noun} needs {_more(level)} with the {follows.text} above {text_at('threshold')} than below"
+        text = f"The {noun} needs {_more_text(level)} with the {variable.text} above {text_at('threshold')} than below"
     else:
         form, (side, end) = "hinge", ("below", "x1") if effect.kind == learned.BELOW else ("above", "x2")
         text = (
-            f"With the {follows.text} {side} {text_at('threshold')} the {noun} needs increasingly {_more_or_less(level)}, "
-            f"{_more(level)} at {text_at(end)}"
+            f"With the {variable.text} {side} {text_at('threshold')} the {noun} needs increasingly "
+            f"{_more_or_less(level)}, {_more_text(level)} at {text_at(end)}"
         )
     return replace(
         term,
@@ -149,14 +161,14 @@ def _describe_threshold(term: Term, effect: Corner | Latch, noun: str) -> Term:
         sentences=(text,),
         mechanisms=mechanisms,
         size_nm=abs(level),
-        variable=follows.text,
-        unit=follows.unit,
+        variable=variable.text,
+        unit=variable.unit,
         predictable=True,
     )
 
 
 def _describe_gain(term: Term, effect: SidedGain) -> Term:
-    gain, side, follows = term.values["gain"], learned.SIDES[effect.side], learned.VARIABLES[effect.variable]
+    gain, side, variable = term.values["gain"], learned.SIDES[effect.side], learned.VARIABLES[effect.variable]
     text = f"The torque {side.text} is {100.0 * abs(gain):.1f} % {'larger' if gain > 0.0 else 'smaller'} than in the model"
     return replace(
         term,
@@ -164,19 +176,19 @@ def _describe_gain(term: Term, effect: SidedGain) -> Term:
         sentences=(text,),
         mechanisms=GAIN_MECHANISMS[effect.side],
         size_nm=abs(gain) * term.values["x1"],
-        variable=follows.text,
-        unit=follows.unit,
+        variable=variable.text,
+        unit=variable.unit,
         gate=side.text,
         predictable=True,
     )
 
 
-def describe_spells(term: Term, chain: Chain, level: float, lengths_s: Array, begins: str, noun: str) -> Term:
+def describe_spells(term: Term, chain: Chain, level: float, lengths_s: Array, begin_text: str, noun: str) -> Term:
     """Describe spells of this size [Nm]: their number, the duration of each [s], and the common event at their start."""
     low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [chain.mean_s], (0.1, 0.9)))
-    first = f"For {low} to {high} s at a time, the {noun} needs {_more(level)} than the model"
-    second = f"That happens {len(lengths_s)} times in these recordings{begins}"
-    sentences = (first, second)
+    first_sentence = f"For {low} to {high} s at a time, the {noun} needs {_more_text(level)} than the model"
+    second = f"That happens {len(lengths_s)} times in these recordings{begin_text}"
+    sentences = (first_sentence, second)
     return replace(term, form="spells", sentences=sentences, mechanisms=SPELL_MECHANISMS, size_nm=abs(level), memory=chain.mean_s)
 
 
@@ -203,18 +215,18 @@ def describe_clock(term: Term, effect: ClockTerm, level: float, noun: str) -> Te
     def text_at(value: float) -> str:
         return f"{on_scale(value, high - low)} {unit}"
 
-    since = effect.text_of_variable
+    clock_text = effect.text_of_variable
     sentences: tuple[str, ...]
     if effect.kind == FADE:
-        fading = f"That fades {since} with a constant of {text_at(effect.threshold)}"
-        sentences = (f"At first the {noun} needs {_more(level)}", fading)
+        fade_text = f"That fades {clock_text} with a constant of {text_at(effect.threshold)}"
+        sentences = (f"At first the {noun} needs {_more_text(level)}", fade_text)
     elif effect.kind == learned.STEP:
-        sentences = (f"From {text_at(effect.threshold)} {since} on, the {noun} needs {_more(level)} than before",)
+        sentences = (f"From {text_at(effect.threshold)} {clock_text} on, the {noun} needs {_more_text(level)} than before",)
     else:
         order, end = ("before", low) if effect.kind == learned.BELOW else ("after", high)
         text = (
-            f"{order.capitalize()} {text_at(effect.threshold)} {since} the {noun} needs increasingly {_more_or_less(level)}, "
-            f"{_more(level)} at {text_at(end)}"
+            f"{order.capitalize()} {text_at(effect.threshold)} {clock_text} the {noun} needs increasingly "
+            f"{_more_or_less(level)}, {_more_text(level)} at {text_at(end)}"
         )
         sentences = (text,)
     size = abs(level)
@@ -225,18 +237,18 @@ def describe_clock(term: Term, effect: ClockTerm, level: float, noun: str) -> Te
 
 def describe_place(term: Term, level: float, place: Place, noun: str) -> Term:
     """Describe a torque of this size [Nm] at the same place on each pass."""
-    route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
+    route = f"each lap of {figures(place.lap_m, 4)} m" if place.is_folded else "the route of each recording"
     range_text = f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}"
-    first = f"{range_text}, the {noun} needs {_more(level)} than the model"
+    first_sentence = f"{range_text}, the {noun} needs {_more_text(level)} than the model"
     return replace(
         term,
         form="place",
-        sentences=(first, f"The recordings show it on {place.passes} passes"),
+        sentences=(first_sentence, f"The recordings show it on {place.passes} passes"),
         mechanisms=PLACE_MECHANISMS,
         size_nm=abs(level),
         variable="place on the route",
         unit="m",
-        period_m=place.lap_m if place.folded else None,
+        period_m=place.lap_m if place.is_folded else None,
     )
 
 
@@ -247,12 +259,14 @@ def describe_payload(term: Term, level: float, payload: Payload, noun: str) -> T
     masses, seconds = np.array([s.mass for s in stretches]), np.array([s.end_s - s.begin_s for s in stretches])
     low, high = np.quantile(np.repeat(masses, np.maximum(1, np.round(seconds)).astype(int)), (0.05, 0.95))
     typical_std = float(np.median([s.std for s in stretches]))
-    first = f"The {noun} weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model"
+    first_sentence = (
+        f"The {noun} weighs between {_more_text(float(low), 'kg')} and {_more_text(float(high), 'kg')} than in the model"
+    )
     detail = f"{len(stretches)} stretches, each with a standard deviation of about {figures(typical_std)} kg"
     return replace(
         term,
         form="payload",
-        sentences=(first, f"The mass changes at stops ({detail})"),
+        sentences=(first_sentence, f"The mass changes at stops ({detail})"),
         mechanisms=PAYLOAD_MECHANISMS,
         size_nm=abs(level),
         variable="mass",
@@ -261,20 +275,20 @@ def describe_payload(term: Term, level: float, payload: Payload, noun: str) -> T
     )
 
 
-def describe_route(term: Term, size: float, least: float, most: float, route: Route, noun: str) -> Term:
+def describe_route(term: Term, size: float, lower_end: float, upper_end: float, route: Route, noun: str) -> Term:
     """Describe a torque by place with its minimum, maximum and size [Nm], if it is not a slope."""
-    tied = abs(route.slope_gain) <= SURE_OF_KIND
+    is_tied = abs(route.slope_gain) <= SURE_OF_KIND
     streets = f"On {figures(0.001 * route.metres)} km of streets"
     sentences = (
-        f"{streets}, the {noun} needs between {_more(least)} and {_more(most)} than the model, by the place",
+        f"{streets}, the {noun} needs between {_more_text(lower_end)} and {_more_text(upper_end)} than the model, by the place",
         f"The repeated streets have {route.passes} passes (median)",
-        *(("To identify a slope, drive them in the other direction too, or with another load",) if tied else ()),
+        *(("To identify a slope, drive them in the other direction too, or with another load",) if is_tied else ()),
     )
     return replace(
         term,
         form="place",
         sentences=sentences,
-        mechanisms=PLACE_MECHANISMS if tied else PLACE_MECHANISMS[1:],
+        mechanisms=PLACE_MECHANISMS if is_tied else PLACE_MECHANISMS[1:],
         size_nm=size,
         variable="place on the route",
         unit="m",
@@ -282,28 +296,30 @@ def describe_route(term: Term, size: float, least: float, most: float, route: Ro
     )
 
 
-def recordings_term(final: Fit, levels: Array) -> Term:
+def recordings_term(final_fit: Fit, levels: Array) -> Term:
     """A different level [Nm] in each recording, as a live estimate follows it; nan if a recording is not compared."""
-    low, high, noun = float(np.nanmin(levels)), float(np.nanmax(levels)), final.problem.base.noun
-    first = f"From recording to recording the {noun} needs between {_more(low)} and {_more(high)} than the model"
+    low, high, noun = float(np.nanmin(levels)), float(np.nanmax(levels)), final_fit.problem.base.noun
+    first_sentence = (
+        f"From recording to recording the {noun} needs between {_more_text(low)} and {_more_text(high)} than the model"
+    )
     return replace(
-        _live_term("recordings", final),
-        sentences=(first, "Within each recording it hardly changes"),
+        _live_term("recordings", final_fit),
+        sentences=(first_sentence, "Within each recording it hardly changes"),
         mechanisms=RECORDING_MECHANISMS,
         size_nm=max(-low, high),
         variable="recording",
     )
 
 
-def drift_term(final: Fit, drifting: DriftingLevel) -> Term:
+def drift_term(final_fit: Fit, drift: DriftingLevel) -> Term:
     """A drifting torque, as a live estimate follows it."""
-    text = f"The residual drifts by {figures(drifting.size)} Nm over about {figures(drifting.seconds, 2)} s"
-    term, size = _live_term("drift", final), drifting.size
-    return replace(term, sentences=(text,), mechanisms=DRIFT_MECHANISMS, size_nm=size, memory=drifting.seconds)
+    text = f"The residual drifts by {figures(drift.size)} Nm over about {figures(drift.seconds, 2)} s"
+    term, size = _live_term("drift", final_fit), drift.size
+    return replace(term, sentences=(text,), mechanisms=DRIFT_MECHANISMS, size_nm=size, memory=drift.seconds)
 
 
-def _live_term(form: Form, final: Fit) -> Term:
-    return Term(ResidualPattern(form, "a torque that a live estimate follows", (), 1.0), final, form=form)
+def _live_term(form: Form, final_fit: Fit) -> Term:
+    return Term(ResidualPattern(form, "a torque that a live estimate follows", (), 1.0), final_fit, form=form)
 
 
 def possible_in(term: Term, noun: str) -> Term:
@@ -312,7 +328,7 @@ def possible_in(term: Term, noun: str) -> Term:
     return replace(term, mechanisms=parts or ANY_MACHINE)
 
 
-def _more(difference: float, unit: str = "Nm") -> str:
+def _more_text(difference: float, unit: str = "Nm") -> str:
     return f"{figures(abs(difference))} {unit} {_more_or_less(difference)}"
 
 
@@ -320,5 +336,5 @@ def _more_or_less(difference: float) -> str:
     return "more" if difference > 0.0 else "less"
 
 
-def _signed(torque: float) -> str:
+def _signed_text(torque: float) -> str:
     return f"{'+' if torque > 0.0 else ''}{figures(torque)} Nm"

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.estimator.disturbance import BLOCK_S, later_level, seen_level
+from trackres_ros.estimator.disturbance import BLOCK_S, predict_level, update_level
 from trackres_ros.kernels.marks import entry
 
 FEWEST_SAMPLES = 2  # of a block
@@ -50,42 +50,42 @@ class Chain:
 
     level: float
     rest: float  # level without a spell: the fit's mean includes both
-    comes: float
-    goes: float
+    come_rate: float
+    go_rate: float
     noise: float
 
     def for_blocks(self, seconds: float) -> Chain:
         """The same for blocks of another length, shorter than its spells."""
-        return replace(self, comes=self.comes * seconds / BLOCK_S, goes=self.goes * seconds / BLOCK_S)
+        return replace(self, come_rate=self.come_rate * seconds / BLOCK_S, go_rate=self.go_rate * seconds / BLOCK_S)
 
     @property
     def mean_s(self) -> float:
         """Mean duration of a spell [s]."""
-        return BLOCK_S / self.goes
+        return BLOCK_S / self.go_rate
 
     @property
     def share(self) -> float:
         """Share of time in a spell."""
-        return self.comes / (self.comes + self.goes)
+        return self.come_rate / (self.come_rate + self.go_rate)
 
 
 def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float, seconds: float = BLOCK_S) -> Blocks:
     """Cut residuals into blocks of `seconds`; outliers among the means are limited."""
     length = max(1, round(seconds / step))
-    fewest = min(FEWEST_SAMPLES, length)
+    least_count = min(FEWEST_SAMPLES, length)
     rows: list[tuple[float, float, bool, int, int, int]] = []
     for i, (residual, mask) in enumerate(zip(residuals, masks, strict=True)):
-        first = True
+        is_first = True
         for begin in range(0, len(residual), length):
             end = min(begin + length, len(residual))
-            used = mask[begin:end] & np.isfinite(residual[begin:end])
-            if used.sum() < fewest:
+            used_steps = mask[begin:end] & np.isfinite(residual[begin:end])
+            if used_steps.sum() < least_count:
                 continue
-            rows.append((float(residual[begin:end][used].mean()), float(used.sum()), first, i, begin, end))
-            first = False
-    mean, count, first_, session, begin_, end_ = (np.array(x) for x in zip(*rows, strict=True))
+            rows.append((float(residual[begin:end][used_steps].mean()), float(used_steps.sum()), is_first, i, begin, end))
+            is_first = False
+    mean, count, first_flags, session, begin_, end_ = (np.array(x) for x in zip(*rows, strict=True))
     low, high = (float(q) for q in np.quantile(mean, INNER))
-    return Blocks(np.clip(mean, low - (high - low), high + (high - low)), count, first_, session, begin_, end_)
+    return Blocks(np.clip(mean, low - (high - low), high + (high - low)), count, first_flags, session, begin_, end_)
 
 
 def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
@@ -97,15 +97,15 @@ def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
 
 def _expectation_maximisation(b: Blocks, chain: Chain) -> tuple[Chain, Array, float]:
     """Estimate a chain by expectation-maximisation from an initial one; see `find_chain` for the result."""
-    previous = -math.inf
+    previous_likelihood = -math.inf
     for _ in range(TURNS):
         probability, pairs, likelihood = _forward_backward(b, chain)
-        if likelihood - previous < ENOUGH:
+        if likelihood - previous_likelihood < ENOUGH:
             break
-        previous = likelihood
+        previous_likelihood = likelihood
         level, rest, noise = spell_levels(b, probability)
-        comes, goes = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
-        chain = Chain(level, rest, float(comes), float(goes), noise)
+        come_rate, go_rate = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
+        chain = Chain(level, rest, float(come_rate), float(go_rate), noise)
     return chain, probability, likelihood
 
 
@@ -126,11 +126,13 @@ def gain_over_drift(b: Blocks, chain: Chain, probability: Array) -> float:
 def path_cost(b: Blocks, chain: Chain, probability: Array) -> float:
     """Cost of the spells' transitions: their negative log-probability under the Markov chain."""
     is_spell = probability > 0.5
-    step = ((1.0 - chain.comes, chain.comes), (chain.goes, 1.0 - chain.goes))
+    step = ((1.0 - chain.come_rate, chain.come_rate), (chain.go_rate, 1.0 - chain.go_rate))
     start = (1.0 - chain.share, chain.share)
     steps = [
-        start[state] if first else step[state_before][state]
-        for state_before, state, first in zip([False, *is_spell[:-1].tolist()], is_spell.tolist(), b.first.tolist(), strict=True)
+        start[state] if is_first else step[state_before][state]
+        for state_before, state, is_first in zip(
+            [False, *is_spell[:-1].tolist()], is_spell.tolist(), b.first.tolist(), strict=True
+        )
     ]
     return -float(np.log(steps).sum())
 
@@ -148,37 +150,41 @@ def _forward_backward(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
     likelihoods = [np.exp(x - top) for x in logs]
     n = len(b.mean)
     forward, backward, scales = np.empty((n, 2)), np.ones((n, 2)), np.empty(n)
-    _pass(likelihoods[0], likelihoods[1], b.first, chain.comes, chain.goes, chain.share, forward, backward, scales)
+    _pass(likelihoods[0], likelihoods[1], b.first, chain.come_rate, chain.go_rate, chain.share, forward, backward, scales)
     probability = forward * backward
     probability /= probability.sum(axis=1, keepdims=True)
-    inner = np.flatnonzero(~b.first)
-    step = np.array([[1.0 - chain.comes, chain.comes], [chain.goes, 1.0 - chain.goes]])
-    onward = np.stack([likelihoods[0][inner], likelihoods[1][inner]], axis=1) * backward[inner] / scales[inner, np.newaxis]
-    pairs = step * (forward[inner - 1].T @ onward)
+    inner_blocks = np.flatnonzero(~b.first)
+    step = np.array([[1.0 - chain.come_rate, chain.come_rate], [chain.go_rate, 1.0 - chain.go_rate]])
+    next_weights = (
+        np.stack([likelihoods[0][inner_blocks], likelihoods[1][inner_blocks]], axis=1)
+        * backward[inner_blocks]
+        / scales[inner_blocks, np.newaxis]
+    )
+    pairs = step * (forward[inner_blocks - 1].T @ next_weights)
     return probability[:, 1], pairs, float(np.log(scales).sum() + top.sum())
 
 
 @entry
 def _pass(
-    absent: Array,
-    present: Array,
+    absent_weights: Array,
+    present_weights: Array,
     starts: Mask,
-    come: float,
-    go: float,
+    come_rate: float,
+    go_rate: float,
     share: float,
     forward: Annotated[Array, (None, 2)],
     backward: Annotated[Array, (None, 2)],
     scales: Array,
 ) -> None:
     """Forward pass, with the scale of each block, and backward pass, over the likelihoods without and with a spell."""
-    stay0, stay1, n = 1.0 - come, 1.0 - go, len(absent)
+    stay0, stay1, n = 1.0 - come_rate, 1.0 - go_rate, len(absent_weights)
     f0 = f1 = 0.0
     for i in range(n):
         if starts[i]:
             p0, p1 = 1.0 - share, share
         else:
-            p0, p1 = f0 * stay0 + f1 * go, f0 * come + f1 * stay1
-        p0, p1 = p0 * absent[i], p1 * present[i]
+            p0, p1 = f0 * stay0 + f1 * go_rate, f0 * come_rate + f1 * stay1
+        p0, p1 = p0 * absent_weights[i], p1 * present_weights[i]
         total = p0 + p1
         f0, f1 = p0 / total, p1 / total
         forward[i, 0], forward[i, 1], scales[i] = f0, f1, total
@@ -187,8 +193,8 @@ def _pass(
         if starts[i + 1]:
             b0 = b1 = 1.0
         else:
-            a, p, scale = absent[i + 1] * b0, present[i + 1] * b1, scales[i + 1]
-            b0, b1 = (stay0 * a + come * p) / scale, (go * a + stay1 * p) / scale
+            a, p, scale = absent_weights[i + 1] * b0, present_weights[i + 1] * b1, scales[i + 1]
+            b0, b1 = (stay0 * a + come_rate * p) / scale, (go_rate * a + stay1 * p) / scale
         backward[i, 0], backward[i, 1] = b0, b1
 
 
@@ -211,7 +217,7 @@ class DriftingLevel:
 def find_drifting_level(b: Blocks) -> tuple[DriftingLevel, float]:
     """The most likely drifting level, and its log-likelihood."""
     scale = float(np.std(b.mean))
-    typical = float(np.sqrt(np.median(b.count)))
+    typical_count = float(np.sqrt(np.median(b.count)))
 
     def drifting_level(logs: Array) -> DriftingLevel:
         size, seconds, noise = np.exp(np.clip(logs, -12.0, 15.0))
@@ -222,26 +228,26 @@ def find_drifting_level(b: Blocks) -> tuple[DriftingLevel, float]:
         return 0.5 * float(np.sum((b.mean - level) ** 2 / spread + np.log(2.0 * math.pi * spread)))
 
     options = {"maxiter": 150, "xatol": 0.02, "fatol": 0.05}
-    starts = [np.log([0.7 * scale, seconds, 0.7 * scale * typical]) for seconds in (10.0, 120.0)]
+    starts = [np.log([0.7 * scale, seconds, 0.7 * scale * typical_count]) for seconds in (10.0, 120.0)]
     results = [minimize(cost, start, method="Nelder-Mead", options=options) for start in starts]
-    best = min(results, key=lambda result: float(result.fun))
-    return drifting_level(best.x), -float(best.fun)
+    best_result = min(results, key=lambda result: float(result.fun))
+    return drifting_level(best_result.x), -float(best_result.fun)
 
 
 def expected_level(b: Blocks, w: DriftingLevel) -> tuple[Array, Array]:
     """Forecast of each block's mean from the blocks before it [Nm], and its variance."""
-    expected, spread = np.empty(len(b.mean)), np.empty(len(b.mean))
-    _follow(b.mean, w.noise**2 / b.count, b.first, math.exp(-BLOCK_S / w.seconds), w.size, expected, spread)
-    return expected, spread
+    level, spread = np.empty(len(b.mean)), np.empty(len(b.mean))
+    _follow_level(b.mean, w.noise**2 / b.count, b.first, math.exp(-BLOCK_S / w.seconds), w.size, level, spread)
+    return level, spread
 
 
 @entry
-def _follow(mean: Array, noise: Array, first: Mask, keep: float, size: float, expected: Array, spread: Array) -> None:
+def _follow_level(mean: Array, noise: Array, is_first: Mask, keep: float, size: float, levels: Array, spread: Array) -> None:
     level, variance = 0.0, size * size
     for i in range(len(mean)):
-        if first[i]:
+        if is_first[i]:
             level, variance = 0.0, size * size
         else:
-            level, variance = later_level(level, variance, keep, size)
-        expected[i], spread[i] = level, variance + noise[i]
-        level, variance = seen_level(level, variance, mean[i], noise[i])
+            level, variance = predict_level(level, variance, keep, size)
+        levels[i], spread[i] = level, variance + noise[i]
+        level, variance = update_level(level, variance, mean[i], noise[i])

@@ -172,9 +172,9 @@ class Term:
         samples = sum(int(mask.sum()) for mask in self.fit.problem.masks)
         return 2.0 * self.gain - math.log(samples) * sum(q.fitted for q in self.effect.parameters)
 
-    def graded_as(self, other: Term) -> Term:
+    def graded_as(self, graded_term: Term) -> Term:
         """The same with the grade of another one."""
-        grade = {name: getattr(other, name) for name in ("improvement", "faults", "on_bounds", "displaces")}
+        grade = {name: getattr(graded_term, name) for name in ("improvement", "faults", "on_bounds", "displaces")}
         return replace(self, **grade)
 
     @property
@@ -230,10 +230,10 @@ class Term:
         """Source of an unpredictable term on hold-out laps; empty if the recorded channels give it."""
         return "" if self.predictable or self.form is None else FROM.get(self.form, "")
 
-    def learned(self, final: Fit) -> RouteMap:
+    def learned(self, final_fit: Fit) -> RouteMap:
         """Learned map of one by place, scaled by the values of a final fit."""
         assert isinstance(self.effect, ByPlace)
-        return self.effect.learned(active_of(final, self.name).numbers[0])
+        return self.effect.learned(active_of(final_fit, self.name).numbers[0])
 
     def joint_values(self, current: Fit) -> JointValues:
         """Torque of one by place in a fit, and its prior."""
@@ -255,9 +255,9 @@ class Round:
     candidates: tuple[Term, ...]  # the fitted ones, the best level score first
     cost: float = 0.0  # logarithm of the number of terms that they were chosen from
 
-    def best_name(self, least: float) -> str:
+    def best_name(self, least_gain: float) -> str:
         """The name of the catalogue that gains most, and more than this level score; empty without one."""
-        names = [c for c in self.candidates if c.is_name and c.matters and c.level > least]
+        names = [c for c in self.candidates if c.is_name and c.matters and c.level > least_gain]
         return max(names, key=lambda c: c.level).name if names else ""
 
     @property
@@ -289,10 +289,12 @@ def with_interval(value: float, interval: Interval | None) -> str:
 # Gain and grade
 
 
-def term_of_fit(current: Fit, fit: Fit, effect: Effect, cost: float = 0.0, kept: float = 1.0, d_prime: float = math.nan) -> Term:
+def term_of_fit(
+    current: Fit, fit: Fit, effect: Effect, cost: float = 0.0, visible_share: float = 1.0, d_prime: float = math.nan
+) -> Term:
     """A term, with the gain of a fit with it over the one without."""
     evidence, torque_share = fit.log_evidence - current.log_evidence - cost, share(fit, effect.name)
-    return Term(effect, fit, fit.log_likelihood - current.log_likelihood, evidence, torque_share, kept, d_prime)
+    return Term(effect, fit, fit.log_likelihood - current.log_likelihood, evidence, torque_share, visible_share, d_prime)
 
 
 def share(fit: Fit, name: str) -> float:
@@ -312,8 +314,8 @@ def spurious_gain(current: Fit) -> float:
 
 def rms(series: Sequence[Array], fit: Fit) -> float:
     """Root mean square over the used samples."""
-    used = np.concatenate([x[m] for x, m in zip(series, fit.problem.masks, strict=True)])
-    return float(np.sqrt(np.mean(used[np.isfinite(used)] ** 2)))
+    used_values = np.concatenate([x[m] for x, m in zip(series, fit.problem.masks, strict=True)])
+    return float(np.sqrt(np.mean(used_values[np.isfinite(used_values)] ** 2)))
 
 
 def on_bounds(active: Active) -> tuple[str, ...]:
@@ -326,8 +328,8 @@ def on_bounds(active: Active) -> tuple[str, ...]:
     )
 
 
-def displaced_parameters(improvement: Improvement, final: Fit, without: Fit) -> tuple[str, ...]:
+def displaced_parameters(improvement: Improvement, final_fit: Fit, fit_without: Fit) -> tuple[str, ...]:
     """Base parameters that a weak effect replaces, see `Term.displaces`."""
     if improvement.before - improvement.after >= LITTLE * improvement.before:
         return ()
-    return tuple(sorted(set(at_implausible_bounds(final)) - set(at_implausible_bounds(without))))
+    return tuple(sorted(set(at_implausible_bounds(final_fit)) - set(at_implausible_bounds(fit_without))))

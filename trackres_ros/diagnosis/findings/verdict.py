@@ -18,25 +18,25 @@ from trackres_ros.diagnosis.findings.wording import (
     LEFT_OUT,
     NO_NAME,
     Possible,
+    capitalise,
     confirmed_terms,
-    differs,
+    describe_difference,
     doubts,
     file_is_off,
     is_small,
-    joined,
+    join_sentences,
+    list_possible,
     look_for,
     may_be,
     mean_error,
-    moved,
+    moved_text,
     only_later,
-    possible,
     range_of,
-    rejected,
-    short,
+    rejected_sentences,
+    short_text,
     slow,
     taken_from,
     unexplained,
-    upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import SensorFinding
@@ -70,26 +70,27 @@ class Changed:
     def text(self) -> str:
         """A wrong value of the vehicle file, with its change and interval."""
         unit = "" if self.unit == "1" else f" {self.unit}"
-        off = self.value - self.nominal
-        share = f"{100.0 * abs(off / self.nominal):.0f} %" if self.nominal else f"{figures(abs(off))}{unit}"
+        difference = self.value - self.nominal
+        share = f"{100.0 * abs(difference / self.nominal):.0f} %" if self.nominal else f"{figures(abs(difference))}{unit}"
         value, low, high, nominal = alike((self.value, self.low, self.high, self.nominal), self.high - self.low)
         if self.at_bound:
-            way = "high" if off > 0.0 else "low"
+            way = "high" if difference > 0.0 else "low"
             return f"{self.name} is at the {way} end of its range, {value}{unit} instead of {nominal}"
-        return f"{self.name} is {share} {'higher' if off > 0.0 else 'lower'}, {value} [{low}, {high}]{unit} instead of {nominal}"
+        side = "higher" if difference > 0.0 else "lower"
+        return f"{self.name} is {share} {side}, {value} [{low}, {high}]{unit} instead of {nominal}"
 
 
-def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) -> tuple[Changed, ...]:
+def changed_values(base_fit: Fit, bounds: Mapping[tuple[str, str], Interval]) -> tuple[Changed, ...]:
     """Values whose 95 % interval excludes the file's, the largest torque change first."""
     changes = []
-    for q in refitted.problem.base.parameters:
-        value, interval = refitted.base_values[q.name], bounds.get(("", q.name))
+    for q in base_fit.problem.base.parameters:
+        value, interval = base_fit.base_values[q.name], bounds.get(("", q.name))
         if interval is None or interval.low <= q.nominal <= interval.high:
             continue
-        as_in_file = refitted.problem.predict({**refitted.base_values, q.name: q.nominal}, refitted.acting)
+        as_in_file = base_fit.problem.predict({**base_fit.base_values, q.name: q.nominal}, base_fit.acting)
         change = [
-            (p.torque - other.torque)[mask]
-            for p, other, mask in zip(refitted.predicted, as_in_file, refitted.problem.masks, strict=True)
+            (p.torque - file_prediction.torque)[mask]
+            for p, file_prediction, mask in zip(base_fit.predicted, as_in_file, base_fit.problem.masks, strict=True)
         ]
         size = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
         changes.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size, interval.bound_only))
@@ -162,13 +163,15 @@ class Findings:
     @cached_property
     def listed(self) -> Possible:
         """Unconfirmed possibilities, without those that the hold-out laps reject."""
-        rejects = {t.name for t in self.unconfirmed if t.grade == REFUTED}
-        return possible(self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejects})
+        rejected_names = {t.name for t in self.unconfirmed if t.grade == REFUTED}
+        return list_possible(
+            self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejected_names}
+        )
 
     @property
     def after(self) -> list[str]:
         """Sentences that end each verdict."""
-        return [self.sensor, *doubts(self.unsure), *rejected(self.unconfirmed)]
+        return [self.sensor, *doubts(self.unsure), *rejected_sentences(self.unconfirmed)]
 
     @property
     def rest(self) -> list[str]:
@@ -194,7 +197,7 @@ def judge(f: Findings) -> Verdict:
     the location and size of the difference; suspected terms are only listed. What the warnings say of sensors is in each verdict:
     first where no physics is missing, else last.
     """
-    verdict, warnings = _by_terms(f), joined([s.says for s in f.sensors])
+    verdict, warnings = _by_terms(f), join_sentences([s.statement for s in f.sensors])
     parts = (warnings, verdict.sentence) if verdict.status == "none" else (verdict.sentence, warnings)
     return replace(verdict, sentence=" ".join(filter(None, parts)))
 
@@ -215,83 +218,100 @@ def _by_terms(f: Findings) -> Verdict:
             mean_error(improvement.before, improvement.after),
             taken_from(drift),
         ]
-        return Verdict("described", CONFIRMED, joined([*lines, may_be(f.listed, also=True), *f.after]), f.listed)
+        return Verdict("described", CONFIRMED, join_sentences([*lines, may_be(f.listed, is_addition=True), *f.after]), f.listed)
     return _unexplained(f) or _nothing_missing(f)
 
 
 def _confirmed(f: Findings) -> Verdict:
     """The verdict with confirmed terms, unless the remaining residual is large compared with them."""
-    tail = [may_be(f.listed, also=True), *f.after]
-    added = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
-    explained = float(np.percentile(np.abs(added), 95.0))  # where they act, which may be minutes of an hour
-    if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained:
-        names, seen = " and ".join(map(short, f.sure)), unexplained(f.left, f.base.noun)
-        partly = f"{names} would explain a part of it, but the remaining error is too large to confirm that"
-        return Verdict("unexplained", SUSPECTED, joined([seen, partly, *tail]), f.listed, seen)
-    named = [t for t in f.sure if t.is_named]
-    status = "described" if not named else "named" if all(len(t.members) <= 1 for t in named) else "one_of"
+    tail = [may_be(f.listed, is_addition=True), *f.after]
+    term_sum = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
+    explained_torque = float(np.percentile(np.abs(term_sum), 95.0))  # where they act, which may be minutes of an hour
+    if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained_torque:
+        names, sight = " and ".join(map(short_text, f.sure)), unexplained(f.left, f.base.noun)
+        partial_text = f"{names} would explain a part of it, but the remaining error is too large to confirm that"
+        return Verdict("unexplained", SUSPECTED, join_sentences([sight, partial_text, *tail]), f.listed, sight)
+    named_terms = [t for t in f.sure if t.is_named]
+    status = "described" if not named_terms else "named" if all(len(t.members) <= 1 for t in named_terms) else "one_of"
     lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.sensors), *tail, *f.rest]
-    return Verdict(status, CONFIRMED, joined(lines), f.listed)
+    return Verdict(status, CONFIRMED, join_sentences(lines), f.listed)
 
 
 def _far_from_file(f: Findings) -> Verdict:
     """The verdict for a re-fit implausibly far from the vehicle file, or that no command would accept."""
-    outside = [(q, value) for q, value in moved_parameters(f.refitted) if q.outside(value)]
-    seen, *more = file_is_off(far_from_file(f.refitted) or outside, f.base, f.by_load)
+    parameters_outside = [(q, value) for q, value in moved_parameters(f.refitted) if q.outside(value)]
+    lead_sentence, *rest_sentences = file_is_off(far_from_file(f.refitted) or parameters_outside, f.base, f.by_load)
     refit = f.held_out.of_refit
-    worth = f"{mean_error(refit.before, refit.after)} with that re-fit"
+    error_text = f"{mean_error(refit.before, refit.after)} with that re-fit"
     if f.unusable:
-        worth = f"No command would accept a file with them: {f.unusable}"
-    lines = [seen, *more, worth, may_be(f.listed), *f.after]
-    return Verdict("unexplained", SUSPECTED, joined(lines), f.listed, seen)
+        error_text = f"No command would accept a file with them: {f.unusable}"
+    lines = [lead_sentence, *rest_sentences, error_text, may_be(f.listed), *f.after]
+    return Verdict("unexplained", SUSPECTED, join_sentences(lines), f.listed, lead_sentence)
 
 
 def _unexplained(f: Findings) -> Verdict | None:
     """The verdict for an unexplained difference of the measured torque; None without a difference."""
-    large = [t for t in f.unsure if not is_small(t)]
+    large_terms = [t for t in f.unsure if not is_small(t)]
     if f.left:
-        seen, *more = [unexplained(f.left, f.base.noun), *(slow(f.left_over) if f.has_slow_residual else [])]
+        lead_sentence, *rest_sentences = [unexplained(f.left, f.base.noun), *(slow(f.left_over) if f.has_slow_residual else [])]
     elif f.later:
-        seen, *more = only_later(*f.later)
+        lead_sentence, *rest_sentences = only_later(*f.later)
     elif f.has_slow_residual:
-        seen, *more = slow(f.left_over)
-    elif large:
-        seen, *more = [differs(large[0])]
+        lead_sentence, *rest_sentences = slow(f.left_over)
+    elif large_terms:
+        lead_sentence, *rest_sentences = [describe_difference(large_terms[0])]
     else:
         return None
-    hint = f"{upper(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
-    nothing = NO_NAME if f.left and not f.listed and not hint else hint
+    hint = f"{capitalise(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
+    hint_text = NO_NAME if f.left and not f.listed and not hint else hint
     grades = {t.grade for t in (*f.unconfirmed, *f.unsure)}
     grade = REFUTED if grades == {REFUTED} else SUSPECTED
-    lines = [seen, *more, nothing, may_be(f.listed), *f.after, f.worth_of_refit]
-    return Verdict("unexplained", grade, joined(lines), f.listed, seen, slow=not f.left and not f.later and f.has_slow_residual)
+    lines = [lead_sentence, *rest_sentences, hint_text, may_be(f.listed), *f.after, f.worth_of_refit]
+    return Verdict(
+        "unexplained",
+        grade,
+        join_sentences(lines),
+        f.listed,
+        lead_sentence,
+        slow=not f.left and not f.later and f.has_slow_residual,
+    )
 
 
 def _nothing_missing(f: Findings) -> Verdict:
     """The verdict without missing physics: values of the file were wrong, or none."""
-    held_out, changed, listed = f.held_out, f.changed, f.listed
-    no = "Apart from that, no" if f.sensors else "No"
+    held_out, value_changes, possible_effects = f.held_out, f.changed, f.listed
+    negation = "Apart from that, no" if f.sensors else "No"
     hint = f"{f.hint} would fit, but the model's own error can look the same" if f.hint else ""
-    tail = [may_be(listed, also=True), *f.after, hint]
+    tail = [may_be(possible_effects, is_addition=True), *f.after, hint]
     out_of_range = moved_parameters(f.refitted)
     refit = held_out.of_refit
-    worth = mean_error(refit.before, refit.after)
+    error_text = mean_error(refit.before, refit.after)
     if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
-        missing = f"{upper(LEFT_OUT)} confirm no missing physics" if listed else f"{no} physics is missing"
-        off = [f"{missing}, but values of the {f.base.file} were off", *(c.text for c in changed[:MOST_CHANGED])]
-        if not changed:
-            off = [missing, f"No value of the {f.base.file} is surely off, but a re-fit of all of them predicts better"]
-        text = joined([*off, worth, *tail])
-        return Verdict("none", CONFIRMED, text, listed, changed=tuple(changed))
+        lead_sentence = (
+            f"{capitalise(LEFT_OUT)} confirm no missing physics" if possible_effects else f"{negation} physics is missing"
+        )
+        change_sentences = [
+            f"{lead_sentence}, but values of the {f.base.file} were off",
+            *(c.text for c in value_changes[:MOST_CHANGED]),
+        ]
+        if not value_changes:
+            change_sentences = [
+                lead_sentence,
+                f"No value of the {f.base.file} is surely off, but a re-fit of all of them predicts better",
+            ]
+        text = join_sentences([*change_sentences, error_text, *tail])
+        return Verdict("none", CONFIRMED, text, possible_effects, changed=tuple(value_changes))
     if out_of_range:
-        values = ", ".join(moved(q, value) for q, value in out_of_range)
-        judged = "reject" if refit.grade == REFUTED else "do not confirm"
-        lines = [f"{no} physics is missing", f"A re-fit would move parameters of the {f.base.file}: {values}"]
+        values = ", ".join(moved_text(q, value) for q, value in out_of_range)
+        judgement = "reject" if refit.grade == REFUTED else "do not confirm"
+        lines = [f"{negation} physics is missing", f"A re-fit would move parameters of the {f.base.file}: {values}"]
         grade = REFUTED if refit.grade == REFUTED else SUSPECTED
-        return Verdict("none", grade, joined([*lines, f"The hold-out laps {judged} that", worth, *tail]), listed)
+        return Verdict(
+            "none", grade, join_sentences([*lines, f"The hold-out laps {judgement} that", error_text, *tail]), possible_effects
+        )
     nominal, re_fitted = figures(refit.before), figures(refit.after)
     lines = [
-        f"{no} mismatch beyond noise" + (" and an error of the torque sensor" if f.sensor else ""),
+        f"{negation} mismatch beyond noise" + (" and an error of the torque sensor" if f.sensor else ""),
         f"The mean error on hold-out laps is {nominal} Nm with the {f.base.file} and {re_fitted} Nm re-fitted",
     ]
-    return Verdict("none", CONFIRMED, joined([*lines, *tail]), listed)
+    return Verdict("none", CONFIRMED, join_sentences([*lines, *tail]), possible_effects)

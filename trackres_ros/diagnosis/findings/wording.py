@@ -39,12 +39,12 @@ FORMS = {
 Possible = tuple[tuple[str, float | None], ...]
 
 
-def joined(sentences: Sequence[str]) -> str:
+def join_sentences(sentences: Sequence[str]) -> str:
     """Sentences one after the other, with a capital unless a name comes first; empty ones are dropped."""
-    return " ".join(f"{(upper(s) if s.startswith(('a ', 'an ')) else s).rstrip('.')}." for s in sentences if s)
+    return " ".join(f"{(capitalise(s) if s.startswith(('a ', 'an ')) else s).rstrip('.')}." for s in sentences if s)
 
 
-def upper(text: str) -> str:
+def capitalise(text: str) -> str:
     """A text with a capital first letter."""
     return f"{text[:1].upper()}{text[1:]}"
 
@@ -55,63 +55,69 @@ def is_small(t: Term) -> bool:
     return i.before - i.after < SMALL_SHARE * i.before
 
 
-def confirmed_terms(terms: Sequence[Term], held_out: HeldOut, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
+def confirmed_terms(
+    terms: Sequence[Term], held_out: HeldOut, possible_effects: Possible, sensors: Sequence[SensorFinding]
+) -> list[str]:
     """Sentences of the confirmed terms: the large ones, their common improvement, then the small ones.
 
-    A rival among the `listed` possibilities has its probability there.
+    A rival among the `possible_effects` has its probability there.
     """
-    large = [t for t in terms if not is_small(t)]
-    small = [t for t in terms if is_small(t)]
-    worth = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
+    large_terms = [t for t in terms if not is_small(t)]
+    small_terms = [t for t in terms if is_small(t)]
+    error_text = mean_error(held_out.mae["refitted"], held_out.mae["with_effects"])
     sources = [taken_from(t) for t in terms]
-    if not large:
-        lines = (line for t in small for line in _term_sentences(t, listed, sensors))
-        return ["The missing physics is small", worth, *sources, *lines]
-    gains = [(t, t.improvement.before - t.improvement.after) for t in small]
+    if not large_terms:
+        lines = (line for t in small_terms for line in _term_sentences(t, possible_effects, sensors))
+        return ["The missing physics is small", error_text, *sources, *lines]
+    gains = [(t, t.improvement.before - t.improvement.after) for t in small_terms]
     return [
-        *(line for t in large for line in _term_sentences(t, listed, sensors)),
-        worth,
+        *(line for t in large_terms for line in _term_sentences(t, possible_effects, sensors)),
+        error_text,
         *sources,
-        *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
+        *(f"{short_text(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
     ]
 
 
 def taken_from(t: Term) -> str:
     """Source of an unpredictable term in the error on hold-out laps; empty for a predictable one."""
     source = t.held_out_from
-    return f"The feed-forward leaves out {short(t)}; this error includes it, taken from {source}" if source else ""
+    return f"The feed-forward leaves out {short_text(t)}; this error includes it, taken from {source}" if source else ""
 
 
-def _term_sentences(t: Term, listed: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
+def _term_sentences(t: Term, possible_effects: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if not t.is_named:
-        named = f"{upper(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
-        return [t.sentence, inseparable(t.variable, t.alike), named, look_for(t.mechanisms)]
+        name_text = f"{capitalise(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
+        return [t.sentence, inseparable(t.variable, t.alike), name_text, look_for(t.mechanisms)]
     members = t.members
     if len(members) > 1:
-        likeliest = sorted(members, key=lambda name: -t.weights[name])
-        options = either([f"{name} ({_percent(t.weights[name])})" for name in likeliest])
+        names_by_weight = sorted(members, key=lambda name: -t.weights[name])
+        options = alternatives_text([f"{name} ({_percent(t.weights[name])})" for name in names_by_weight])
         sensor = "The torque cannot tell them apart, but a second sensor is for"
-        implied = [f"{sensor} {s.effect}" for s in sensors if s.effect in members]
-        return [seen(t), f"The cause is {options}", *(implied or ["These recordings cannot tell them apart"])]
+        sensor_effects = [f"{sensor} {s.effect}" for s in sensors if s.effect in members]
+        return [seen(t), f"The cause is {options}", *(sensor_effects or ["These recordings cannot tell them apart"])]
     values = f"Its values with 95 % intervals: {t.values_text}" if t.values else ""
     location = t.location
     has_variable = location is not None and location.variable in f"{t.place} {t.seen}"
-    similar = inseparable(location.variable, location.alike) if location is not None and has_variable else ""
-    return [seen(t), similar, f"The cause is {t.name}", upper(t.effect.text), values, _rival(t, listed)]
+    similar_text = inseparable(location.variable, location.alike) if location is not None and has_variable else ""
+    return [seen(t), similar_text, f"The cause is {t.name}", capitalise(t.effect.text), values, _rival(t, possible_effects)]
 
 
-def inseparable(variable: str, alike: Sequence[str]) -> str:
+def inseparable(variable: str, similar_variables: Sequence[str]) -> str:
     """Sentence on variables that a term may follow as well as its own; empty without any."""
-    return f"These recordings cannot separate {', '.join((variable, *alike[:-1]))} and {alike[-1]}" if variable and alike else ""
+    return (
+        f"These recordings cannot separate {', '.join((variable, *similar_variables[:-1]))} and {similar_variables[-1]}"
+        if variable and similar_variables
+        else ""
+    )
 
 
 def seen(t: Term) -> str:
     """Location and size of the difference in the measured torque."""
-    return upper(f"{t.place}, {t.seen}" if t.place else t.seen)
+    return capitalise(f"{t.place}, {t.seen}" if t.place else t.seen)
 
 
-def differs(t: Term) -> str:
+def describe_difference(t: Term) -> str:
     """The difference that a term explains, without naming it."""
     if t.is_named:
         return seen(t)
@@ -128,17 +134,17 @@ def look_for(mechanisms: Sequence[str]) -> str:
     return text
 
 
-def either(options: Sequence[str]) -> str:
+def alternatives_text(options: Sequence[str]) -> str:
     """Options in a sentence: ``a``, ``a or b``, ``a, b or c``."""
     return f"{', '.join(options[:-1])} or {options[-1]}" if len(options) > 1 else options[0]
 
 
-def short(t: Term) -> str:
+def short_text(t: Term) -> str:
     """A term in a few words."""
     if t.is_named:
-        return either(list(t.members)) if len(t.members) > 1 else t.name
-    along = " ".join(filter(None, (f"of the {t.variable}" if t.variable and t.form not in FORMS else "", t.gate)))
-    return f"{form_words(t)} {along}".strip()
+        return alternatives_text(list(t.members)) if len(t.members) > 1 else t.name
+    qualifiers = " ".join(filter(None, (f"of the {t.variable}" if t.variable and t.form not in FORMS else "", t.gate)))
+    return f"{form_words(t)} {qualifiers}".strip()
 
 
 def form_words(t: Term) -> str:
@@ -147,10 +153,14 @@ def form_words(t: Term) -> str:
     return FORMS.get(form, f"a {form.replace('_', ' ')}")
 
 
-def mean_error(before: float, after: float) -> str:
+def mean_error(error_before: float, error_after: float) -> str:
     """The change of the mean error on hold-out laps."""
-    was, now = figures(before), figures(after)
-    way = f"stays at {now}" if was == now else f"{'falls' if after < before else 'rises'} from {was} to {now}"
+    text_before, text_after = figures(error_before), figures(error_after)
+    way = (
+        f"stays at {text_after}"
+        if text_before == text_after
+        else f"{'falls' if error_after < error_before else 'rises'} from {text_before} to {text_after}"
+    )
     return f"The mean error on hold-out laps {way} Nm"
 
 
@@ -158,64 +168,68 @@ def assumed_sensor(instrument: Sequence[Active], held_out: HeldOut, fit: str) ->
     """The errors that the last `fit` assumes of the torque sensor, those beyond the usual or all, and its error without them."""
     if held_out.without_sensor is None:
         return ""
-    assumed = [(a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters]
-    unusual = [entry for entry in assumed if abs(entry[2]) > PRIOR_STDS * entry[1].start] or assumed
+    sensor_values = [
+        (a.effect.name.removeprefix("torque_"), q, a.values[q.name]) for a in instrument for q in a.effect.parameters
+    ]
+    unusual_values = [entry for entry in sensor_values if abs(entry[2]) > PRIOR_STDS * entry[1].start] or sensor_values
     sizes = []
-    for name, q, x in unusual:
+    for name, q, x in unusual_values:
         size = f"{figures(100.0 * x)} %" if q.unit == "1" else f"{figures(x)} {q.unit}"
         sizes.append(f"{name} {size}{', the most it assumes' if abs(x) >= q.high else ''}")
-    before, after = figures(held_out.without_sensor), figures(held_out.mae["with_effects"])
-    return f"An assumed torque sensor error ({', '.join(sizes)}) lowers the mean error {fit} from {before} to {after} Nm"
+    text_before, text_after = figures(held_out.without_sensor), figures(held_out.mae["with_effects"])
+    return (
+        f"An assumed torque sensor error ({', '.join(sizes)}) lowers the mean error {fit} from {text_before} to {text_after} Nm"
+    )
 
 
-def possible(unsure: Sequence[Term], confirmed: Sequence[Term], shares: Mapping[str, float]) -> Possible:
+def list_possible(unsure_terms: Sequence[Term], confirmed_terms: Sequence[Term], shares: Mapping[str, float]) -> Possible:
     """Possible unconfirmed causes, with probabilities, the most likely first and `NONE_OF_THESE` last.
 
     Without probabilities over whole explanations, those within each suspected class are given, and none for a single name.
     """
     if shares:
-        names_confirmed = {m for t in confirmed for m in (t.members if t.is_named else (t.name,))}
+        names_confirmed = {m for t in confirmed_terms for m in (t.members if t.is_named else (t.name,))}
         names = sorted((n for n in shares if n not in names_confirmed and n != NONE_OF_THESE), key=lambda n: -shares[n])
-        named = [n for n in names if shares[n] >= LEAST_SHARE][:MOST_LISTED]
-        if not named:
+        names_listed = [n for n in names if shares[n] >= LEAST_SHARE][:MOST_LISTED]
+        if not names_listed:
             return ()
-        return tuple((n, shares[n]) for n in (*named, *([NONE_OF_THESE] if NONE_OF_THESE in shares else [])))
+        return tuple((n, shares[n]) for n in (*names_listed, *([NONE_OF_THESE] if NONE_OF_THESE in shares else [])))
     causes: dict[str, float | None] = {}
-    for t in unsure:
+    for t in unsure_terms:
         if t.is_named and len(t.members) > 1:
             causes.update((name, t.weights[name]) for name in t.members)
         else:
-            causes[short(t)] = None
+            causes[short_text(t)] = None
     return tuple(causes.items())[:MOST_LISTED]
 
 
-def may_be(listed: Possible, also: bool = False) -> str:
+def may_be(possible_effects: Possible, is_addition: bool = False) -> str:
     """The list of possible causes, in a sentence."""
-    options = [name if share is None else f"{name} ({_percent(share)})" for name, share in listed]
-    return f"It may {'also ' if also else ''}be: {', '.join(options)}" if options else ""
+    options = [name if share is None else f"{name} ({_percent(share)})" for name, share in possible_effects]
+    return f"It may {'also ' if is_addition else ''}be: {', '.join(options)}" if options else ""
 
 
-def doubts(unsure: Sequence[Term]) -> list[str]:
+def doubts(unsure_terms: Sequence[Term]) -> list[str]:
     """Reasons why terms are only suspected; those that hardly change the error are told together."""
-    small = [t for t in unsure if not (t.fault or t.improvement.less_likely) and _hardly_gains(t)]
-    if len(small) < 2:
-        small = []
+    small_terms = [t for t in unsure_terms if not (t.fault or t.improvement.less_likely) and _hardly_gains(t)]
+    if len(small_terms) < 2:
+        small_terms = []
     sentences = []
-    if small:
-        most = figures(max(abs(t.improvement.before - t.improvement.after) for t in small), 1)
-        names = either([t.name for t in small[:MOST_LISTED]])
-        sentences.append(f"{upper(LEFT_OUT)} do not confirm {names}: their mean error changes by {most} Nm at most")
-    for t in (t for t in unsure if t not in small):
+    if small_terms:
+        most_text = figures(max(abs(t.improvement.before - t.improvement.after) for t in small_terms), 1)
+        names = alternatives_text([t.name for t in small_terms[:MOST_LISTED]])
+        sentences.append(f"{capitalise(LEFT_OUT)} do not confirm {names}: their mean error changes by {most_text} Nm at most")
+    for t in (t for t in unsure_terms if t not in small_terms):
         i = t.improvement
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
         error = f"from {figures(i.before)} to {figures(i.after)} Nm"
-        denied = f"{upper(LEFT_OUT)} do not confirm {t.name}: their mean error"
+        denial = f"{capitalise(LEFT_OUT)} do not confirm {t.name}: their mean error"
         if t.fault:
             sentences.append(f"{t.name} {t.fault}")
         elif i.less_likely:
-            sentences.append(f"{denied} falls {error}, but their likelihood falls too")
+            sentences.append(f"{denial} falls {error}, but their likelihood falls too")
         else:
-            sentences.append(f"{denied} goes {error} ({gain})")
+            sentences.append(f"{denial} goes {error} ({gain})")
     return list(dict.fromkeys(sentences))
 
 
@@ -224,40 +238,40 @@ def _hardly_gains(t: Term) -> bool:
     return abs(i.before - i.after) < SMALL_SHARE * i.before
 
 
-def rejected(unconfirmed: Sequence[Term]) -> list[str]:
+def rejected_sentences(terms: Sequence[Term]) -> list[str]:
     """Terms rejected or not confirmed on laps left out in turn, and terms that displace a value of the file."""
     return [
         *(
-            f"{upper(LEFT_OUT)} reject {t.name}: it raises their mean error from {figures(t.improvement.before)} to "
+            f"{capitalise(LEFT_OUT)} reject {t.name}: it raises their mean error from {figures(t.improvement.before)} to "
             f"{figures(t.improvement.after)} Nm"
-            for t in unconfirmed
+            for t in terms
             if t.grade == REFUTED and not t.displaces
         ),
-        *(f"The diagnosis drops {t.name}: it {t.fault}" for t in unconfirmed if t.displaces),
-        *doubts([t for t in unconfirmed if t.grade != REFUTED]),
+        *(f"The diagnosis drops {t.name}: it {t.fault}" for t in terms if t.displaces),
+        *doubts([t for t in terms if t.grade != REFUTED]),
     ]
 
 
-def moved(q: BaseParameter, value: float) -> str:
+def moved_text(q: BaseParameter, value: float) -> str:
     """A parameter of the base with its old and new value."""
     unit = "" if q.unit == "1" else f" {q.unit}"
     return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
 
 
-def file_is_off(far: Sequence[tuple[BaseParameter, float]], base: Base, by_load: str) -> list[str]:
+def file_is_off(far_values: Sequence[tuple[BaseParameter, float]], base: Base, by_load: str) -> list[str]:
     """Sentences for a vehicle file of another vehicle: the values that a re-fit moves far out of their ranges.
 
     They begin with the load where a suspected term `by_load` follows it, and it is what separates the recordings.
     """
     load = [f"The recordings differ in their load, and a torque that follows it would explain them ({by_load})"]
-    also = "As other things may differ between them too, record different loads under the same conditions"
+    load_sentence = "As other things may differ between them too, record different loads under the same conditions"
     return [
-        *([*load, also] if by_load else []),
+        *([*load, load_sentence] if by_load else []),
         f"The {base.file} does not fit this {base.noun}",
         "Only values far outside its ranges reproduce the recordings",
         *(
             f"The {q.name} would be {figures(value)}, but the file allows {q.by_file[0]:g} to {q.by_file[1]:g}"
-            for q, value in far[:MOST_LISTED]
+            for q, value in far_values[:MOST_LISTED]
         ),
         "Check the values that are not re-fitted: the rubber file, the dimensions of belt and wheels, and the unit of the load"
         if base.rolls
@@ -265,20 +279,20 @@ def file_is_off(far: Sequence[tuple[BaseParameter, float]], base: Base, by_load:
     ]
 
 
-def _rival(t: Term, listed: Possible) -> str:
-    """The next best candidate, and its relative probability; empty if it is `listed` with another one."""
-    others = [c for c in t.rivals.candidates if c.name not in t.members] if t.rivals is not None else []
-    if not others:
+def _rival(t: Term, possible_effects: Possible) -> str:
+    """The next best candidate, and its relative probability; empty if it is `possible_effects` with another one."""
+    other_candidates = [c for c in t.rivals.candidates if c.name not in t.members] if t.rivals is not None else []
+    if not other_candidates:
         return ""
-    next_best = max(others, key=lambda c: c.level)
-    if next_best.name in dict(listed):
+    next_best = max(other_candidates, key=lambda c: c.level)
+    if next_best.name in dict(possible_effects):
         return ""
     if t.level - next_best.level < LEAST_AHEAD:
         if not next_best.is_name:
-            return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
-        worse = f"predicts {LEFT_OUT} significantly worse" if next_best.name in t.worse else ""
-        return f"{upper(next_best.name)} fits as well, but {worse or why_not(next_best)}"
-    return f"The next best explanation, {next_best.name}, is {likelier(t, next_best)} times less likely"
+            return f"{capitalise(next_best.name)} fits as well, but is a form: it bends to the data"
+        rank_text = f"predicts {LEFT_OUT} significantly worse" if next_best.name in t.worse else ""
+        return f"{capitalise(next_best.name)} fits as well, but {rank_text or why_not(next_best)}"
+    return f"The next best explanation, {next_best.name}, is {likelier_text(t, next_best)} times less likely"
 
 
 def why_not(candidate: Term) -> str:
@@ -286,7 +300,7 @@ def why_not(candidate: Term) -> str:
     return f"it {candidate.fault}" if candidate.fault else NOT_CONFIRMED
 
 
-def likelier(term: Term, rival: Term) -> str:
+def likelier_text(term: Term, rival: Term) -> str:
     """Likelihood ratio of two terms on the laps left out, as text."""
     times = math.exp(min(term.level - rival.level, MOST_CERTAIN))
     return f"{times:.0f}" if times < 1000.0 else "over a thousand"
@@ -304,9 +318,9 @@ def largest_of(bins: Sequence[Bin]) -> Bin:
 
 def unexplained(bins: Sequence[Bin], noun: str) -> str:
     """Location and size of the largest difference between measured torque and model."""
-    first = largest_of(bins)
-    way = "more" if first.mean_residual > 0 else "less"
-    return f"At {range_of(first)} the {noun} needs {in_nm(abs(first.mean_residual))} Nm {way} than the model"
+    largest_bin = largest_of(bins)
+    way = "more" if largest_bin.mean_residual > 0 else "less"
+    return f"At {range_of(largest_bin)} the {noun} needs {in_nm(abs(largest_bin.mean_residual))} Nm {way} than the model"
 
 
 def slow(s: SlowResidual) -> list[str]:
@@ -319,10 +333,11 @@ def slow(s: SlowResidual) -> list[str]:
     ]
 
 
-def only_later(fitted: float, unused: float) -> list[str]:
+def only_later(fitted_error: float, unused_error: float) -> list[str]:
     """Sentence for hold-out laps that differ more from the model than the fitted laps."""
     return [
-        f"The hold-out laps differ from the re-fitted model by {figures(unused)} Nm, the fitted laps by {figures(fitted)} Nm",
+        f"The hold-out laps differ from the re-fitted model by {figures(unused_error)} Nm, "
+        f"the fitted laps by {figures(fitted_error)} Nm",
         "Something changed between them, or the hold-out laps cover other driving conditions",
     ]
 

@@ -44,7 +44,7 @@ def failures() -> Iterator[dict[str, None]]:
         _notes.reset(token)
 
 
-def attempt(what: str, part: Callable[[], Result]) -> Result | None:
+def attempt(task: str, part: Callable[[], Result]) -> Result | None:
     """The result of a part of a diagnosis; None with a note if it fails.
 
     Outside `failures` nobody would read the note, so the error is raised.
@@ -55,6 +55,6 @@ def attempt(what: str, part: Callable[[], Result]) -> Result | None:
     try:
         return part()
     except Exception as error:  # of any kind: a finder adds to a diagnosis, and never ends it
-        text = f"{what} was not looked for: its search failed with {type(error).__name__}: {error}; please report this"
+        text = f"{task} was not looked for: its search failed with {type(error).__name__}: {error}; please report this"
         notes[WarningNote(text)] = None
         return None

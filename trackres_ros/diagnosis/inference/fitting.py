@@ -28,20 +28,22 @@ from trackres_ros.effects.effect import Active, Effect
 TURNS = 4  # of the values that stay at a bound
 
 
-def bounded(matrix: Array, right: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
+def solve_bounded(matrix: Array, right_side: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Solution of a positive definite system within bounds, and which values are free: one that hits a bound stays there.
 
     Clipping the free solution instead would leave the others where they fit values outside the bounds.
     """
-    free, values = np.ones(len(right), dtype=bool), np.zeros(len(right))
+    is_free, values = np.ones(len(right_side), dtype=bool), np.zeros(len(right_side))
     for _ in range(TURNS):
-        values[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free] - matrix[np.ix_(free, ~free)] @ values[~free])
-        outside = (values < low) | (values > high)
+        values[is_free] = np.linalg.solve(
+            matrix[np.ix_(is_free, is_free)], right_side[is_free] - matrix[np.ix_(is_free, ~is_free)] @ values[~is_free]
+        )
+        is_outside = (values < low) | (values > high)
         values = np.clip(values, low, high)
-        if not outside[free].any():
+        if not is_outside[is_free].any():
             break
-        free &= ~outside
-    return values, free
+        is_free &= ~is_outside
+    return values, is_free
 
 
 ROUNDS, MOST_ROUNDS = 3, 10  # of fit and noise
@@ -106,19 +108,19 @@ class Problem:
         belts = []
         for i, (s, mask) in enumerate(zip(self.sessions, self.masks, strict=True)):
             if self.base.has_belt and "belt" in s.given:
-                used, rows = np.isfinite(s.belt) & np.isin(s.block, s.block[mask]), slice(None, None, BELT_EVERY)
-                belts.append(Segment("belt", i, s.belt[rows], used[rows], s.block[rows]))
+                used_steps, rows = np.isfinite(s.belt) & np.isin(s.block, s.block[mask]), slice(None, None, BELT_EVERY)
+                belts.append(Segment("belt", i, s.belt[rows], used_steps[rows], s.block[rows]))
         return (*torques, *(belts if sum(int(g.valid.sum()) for g in belts) >= FEWEST_FITTED else ()))
 
-    def expected(self, predicted: Sequence[Predicted]) -> list[Array]:
+    def expected(self, predictions: Sequence[Predicted]) -> list[Array]:
         """Simulated values of each segment."""
         return [
-            predicted[g.session].torque if g.kind == "torque" else self._belt(g.session, predicted[g.session])
+            predictions[g.session].torque if g.kind == "torque" else self._belt(g.session, predictions[g.session])
             for g in self.segments
         ]
 
-    def _belt(self, session: int, predicted: Predicted) -> Array:
-        return (predicted.skin if self.sessions[session].belt_shows_surface else predicted.belt)[::BELT_EVERY]
+    def _belt(self, session: int, prediction: Predicted) -> Array:
+        return (prediction.skin if self.sessions[session].belt_shows_surface else prediction.belt)[::BELT_EVERY]
 
     def of_torque(self, torques: Sequence[Array]) -> list[Array]:
         """A torque of each session, at each segment; zero for belts."""
@@ -128,9 +130,9 @@ class Problem:
         """Split concatenated rows into segments."""
         return list(np.split(rows, np.cumsum([len(g.measured) for g in self.segments])[:-1]))
 
-    def residuals(self, predicted: Sequence[Predicted]) -> list[Array]:
+    def residuals(self, predictions: Sequence[Predicted]) -> list[Array]:
         """Measured less simulated, of each segment."""
-        return [g.measured - e for g, e in zip(self.segments, self.expected(predicted), strict=True)]
+        return [g.measured - e for g, e in zip(self.segments, self.expected(predictions), strict=True)]
 
     def white(self, rows: Sequence[Array], noises: Mapping[str, Noise]) -> list[Array]:
         """Whitened rows of each segment over their standard deviation, nan where unused."""
@@ -204,15 +206,15 @@ class Fit:
         """Values of the base and all additions, with the free parameters at another point."""
         estimates = {f.key: float(x) for f, x in zip(self.free, point, strict=True)}
         base = {name: estimates.get(("", name), value) for name, value in self.base_values.items()}
-        acting = (
+        acting_effects = (
             replace(a, values={q: estimates.get((a.effect.name, q), value) for q, value in a.values.items()}) for a in self.acting
         )
-        return base, tuple(acting)
+        return base, tuple(acting_effects)
 
     def contribution(self, name: str) -> list[Array]:
         """Contribution of one effect to the expected torque of each session [Nm]."""
-        without = self.problem.predict(self.base_values, [a for a in self.acting if a.effect.name != name])
-        return [p.torque - w.torque for p, w in zip(self.predicted, without, strict=True)]
+        prediction_without = self.problem.predict(self.base_values, [a for a in self.acting if a.effect.name != name])
+        return [p.torque - w.torque for p, w in zip(self.predicted, prediction_without, strict=True)]
 
     @property
     def white(self) -> list[Array]:
@@ -262,16 +264,16 @@ def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
 class _Parameters:
     """The free parameters of a fit as one point, and the model there; `fixed` parameters have a given value."""
 
-    def __init__(self, problem: Problem, acting: Sequence[Effect], fixed: Mapping[tuple[str, str], float]) -> None:
-        self.problem, self.acting, self.fixed = problem, acting, fixed
-        self.free = tuple(f for f in free_parameters(problem.base, acting) if f.key not in fixed)
+    def __init__(self, problem: Problem, acting_effects: Sequence[Effect], fixed_values: Mapping[tuple[str, str], float]) -> None:
+        self.problem, self.acting, self.fixed = problem, acting_effects, fixed_values
+        self.free = tuple(f for f in free_parameters(problem.base, acting_effects) if f.key not in fixed_values)
         columns = ("low", "high", "nominal", "std", "scale")
         self.low, self.high, self.nominal, self.std, self.scale = (np.array([getattr(f, c) for f in self.free]) for c in columns)
 
     def start(self, values: Mapping[tuple[str, str], float]) -> Array:
         """Initial point: given, typical or nominal values within bounds."""
-        typical = {(e.name, q.name): q.start for e in self.acting for q in e.parameters}
-        initial = {**typical, **values}
+        typical_values = {(e.name, q.name): q.start for e in self.acting for q in e.parameters}
+        initial = {**typical_values, **values}
         return np.clip(
             [initial.get(f.key, f.nominal) for f in self.free], self.low + 1e-9 * self.scale, self.high - 1e-9 * self.scale
         )
@@ -350,7 +352,7 @@ def fit(
     start: Mapping[tuple[str, str], float] | None = None,
     noises: Mapping[str, Noise] | None = None,
     rounds: int | None = None,
-    fixed: Mapping[tuple[str, str], float] | None = None,
+    fixed_values: Mapping[tuple[str, str], float] | None = None,
     largest_root: float = LARGEST_ROOT,
 ) -> Fit:
     """Fit the base's parameters and those of effects together.
@@ -363,20 +365,20 @@ def fit(
         Initial noises; by default from the first residuals.
     rounds
         Number of alternations of fit and noise; by default until the likelihood settles.
-    fixed
+    fixed_values
         Parameters that are fixed at a value.
     largest_root
         Bound on the roots of the noise's autoregression.
     """
-    named = [e.name for e in effects]
-    sensors = tuple(e for e in instrument(problem.base) if e.name not in named)
-    p = _Parameters(problem, (*sensors, *effects), dict(fixed or {}))
+    names = [e.name for e in effects]
+    sensors = tuple(e for e in instrument(problem.base) if e.name not in names)
+    p = _Parameters(problem, (*sensors, *effects), dict(fixed_values or {}))
     point = p.start(start or {})
     objective = _Objective(p, noises, largest_root)
     if not noises:
         objective.settle(point)
     rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
-    likelihood, previous = -np.inf, -np.inf
+    likelihood, previous_likelihood = -np.inf, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):
         point = least_squares(
             objective.value,
@@ -390,12 +392,12 @@ def fit(
         ).x
         residuals = objective.settle(point)
         likelihood = log_likelihood(problem, residuals, objective.noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
-        if rounds is None and turn + 1 >= ROUNDS and likelihood - previous < SETTLED:
+        if rounds is None and turn + 1 >= ROUNDS and likelihood - previous_likelihood < SETTLED:
             break
-        previous = likelihood
+        previous_likelihood = likelihood
     # In units of each parameter's scale: they differ by many orders of magnitude.
-    scaled = objective.root_of_information() * p.scale
-    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
+    scaled_root = objective.root_of_information() * p.scale
+    covariance = np.linalg.pinv(scaled_root.T @ scaled_root, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
     values, active = p.model(point)
     return Fit(
         problem, values, active[len(sensors) :], active[: len(sensors)], p.free, point, covariance, objective.noises, likelihood,
@@ -406,7 +408,7 @@ def fit(
 def first_look(
     current: Fit,
     effects: Sequence[Effect],
-    known: Mapping[tuple[str, str], Array],
+    known_columns: Mapping[tuple[str, str], Array],
     start: Mapping[tuple[str, str], float],
     largest_root: float,
 ) -> tuple[Fit, Array]:
@@ -414,18 +416,18 @@ def first_look(
 
     Parameters
     ----------
-    known
+    known_columns
         Derivatives of the predictions by parameter, each of shape (n,). An effect's parameter without them stays as it starts.
     start
         Values, by (effect or "", parameter), where they differ from those of the current fit.
     """
     problem, names = current.problem, [e.name for e in effects]
     sensors = tuple(e for e in instrument(problem.base) if e.name not in names)
-    present = {(a.effect.name, q): value for a in current.acting for q, value in a.values.items()}
-    begin = {**current.estimates, **present, **start}
+    present_values = {(a.effect.name, q): value for a in current.acting for q, value in a.values.items()}
+    begin = {**current.estimates, **present_values, **start}
     keys = [(e.name, q.name) for e in effects for q in e.parameters if q.fitted]
-    p = _Parameters(problem, (*sensors, *effects), {key: begin[key] for key in keys if key not in known})
-    derivatives = np.stack([known[f.key] for f in p.free], axis=1)
+    p = _Parameters(problem, (*sensors, *effects), {key: begin[key] for key in keys if key not in known_columns})
+    derivatives = np.stack([known_columns[f.key] for f in p.free], axis=1)
     white = valid_rows(problem.white(problem.split(derivatives), current.noises)) * p.scale
     point = p.start(begin)
     rows = sum(int(np.count_nonzero(g.valid)) for g in problem.segments)
@@ -435,44 +437,46 @@ def first_look(
         x = np.concatenate((white * weight[:, np.newaxis], np.diag(p.scale / p.std)))
         y = np.concatenate((valid_rows(white_residuals) * weight, -p.off_nominal(point)))
         low, high = (p.low - point) / p.scale, (p.high - point) / p.scale
-        normal, right = x.T @ x + 1e-12 * np.eye(len(point)), x.T @ y
-        step = np.linalg.solve(normal, right)
+        normal, right_side = x.T @ x + 1e-12 * np.eye(len(point)), x.T @ y
+        step = np.linalg.solve(normal, right_side)
         if np.any((step < low) | (step > high)):
             root = np.linalg.cholesky(normal)
-            step = lsq_linear(root.T, np.linalg.solve(root, right), (low - 1e-12, high + 1e-12), method="bvls").x
+            step = lsq_linear(root.T, np.linalg.solve(root, right_side), (low - 1e-12, high + 1e-12), method="bvls").x
         point = np.clip(point + p.scale * step, p.low, p.high)
-    predicted = problem.predict(*p.model(point))
-    residuals = problem.residuals(predicted)
+    predictions = problem.predict(*p.model(point))
+    residuals = problem.residuals(predictions)
     noises = problem.noises(residuals, largest_root)
     likelihood = log_likelihood(problem, residuals, noises) - 0.5 * float((p.off_nominal(point) ** 2).sum())
-    scaled = np.concatenate((white, np.diag(p.scale / p.std)))
-    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
+    scaled_rows = np.concatenate((white, np.diag(p.scale / p.std)))
+    covariance = np.linalg.pinv(scaled_rows.T @ scaled_rows, rcond=1e-14, hermitian=True) * np.outer(p.scale, p.scale)
     values, active = p.model(point)
     result = Fit(
         problem, values, active[len(sensors) :], active[: len(sensors)], p.free, point, covariance, noises, likelihood, rows,
-        tuple(predicted),
+        tuple(predictions),
     )  # fmt: skip
     return result, derivatives
 
 
-def jacobian(function: Callable[[Array], Array], point: Array, free: Sequence[Free]) -> Array:
+def jacobian(function: Callable[[Array], Array], point: Array, parameters: Sequence[Free]) -> Array:
     """Derivatives of a function by each free parameter, shape (values, parameters), by differences within the bounds."""
     value = function(point)
     columns = np.empty((len(value), len(point)))
-    for i, f in enumerate(free):
+    for i, f in enumerate(parameters):
         step = DIFFERENCE * f.scale
         if point[i] + step > f.high:
             step = -step
-        shifted = point.copy()
-        shifted[i] += step
-        columns[:, i] = (function(shifted) - value) / step
+        shifted_point = point.copy()
+        shifted_point[i] += step
+        columns[:, i] = (function(shifted_point) - value) / step
     return columns
 
 
-def with_levels(result: Fit, without: Collection[str] = (), fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
-    """The same model, `without` some effects and with parameters `fixed` at a value, with predictive values."""
-    effects = [a.effect for a in result.effects if a.effect.name not in without]
-    return fit(result.problem, effects, result.estimates, fixed=fixed, largest_root=SHORT_ROOT)
+def with_levels(
+    result: Fit, removed_names: Collection[str] = (), fixed_values: Mapping[tuple[str, str], float] | None = None
+) -> Fit:
+    """The same model without the effects `removed_names` and with parameters at `fixed_values`, with predictive values."""
+    effects = [a.effect for a in result.effects if a.effect.name not in removed_names]
+    return fit(result.problem, effects, result.estimates, fixed_values=fixed_values, largest_root=SHORT_ROOT)
 
 
 def for_tests(result: Fit) -> Fit:

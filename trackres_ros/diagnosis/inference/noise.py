@@ -52,40 +52,32 @@ class Noise:
 
     def weights(self, white: Array) -> Array:
         """Weights of residuals over `std`: about 1 on average, smaller for outliers."""
-        return (self.degrees + 3.0) / (self.degrees + self._squared(white))
+        return (self.degrees + 3.0) / (self.degrees + self._squares(white))
 
     def deviance_root(self, white: Array) -> Array:
         """Signed root of twice the fall of the log-density from its peak, of residuals over `std`: its least squares are the
         maximum likelihood.
         """
-        return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squared(white) / self.degrees))
+        return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squares(white) / self.degrees))
 
     def deviance_slope(self, white: Array) -> Array:
         """Derivative of `deviance_root`."""
         root = self.deviance_root(white)
-        near = root == 0.0
-        return np.where(near, np.sqrt(self.weights(0.0 * white)), self.weights(white) * white / np.where(near, 1.0, root))
+        is_near = root == 0.0
+        return np.where(is_near, np.sqrt(self.weights(0.0 * white)), self.weights(white) * white / np.where(is_near, 1.0, root))
 
     def log_density(self, white: Array) -> Array:
         """Log-density of the innovations, from residuals over `std`."""
         return -0.5 * self.deviance_root(white) ** 2 + self._log_peak()
 
     def _log_peak(self) -> float:
-        half = 0.5 * self.degrees
-        return float(gammaln(half + 0.5) - gammaln(half) - 0.5 * np.log(np.pi * self.degrees) - np.log(self.scale))
+        half_degrees = 0.5 * self.degrees
+        return float(
+            gammaln(half_degrees + 0.5) - gammaln(half_degrees) - 0.5 * np.log(np.pi * self.degrees) - np.log(self.scale)
+        )
 
-    def _squared(self, white: Array) -> Array:
+    def _squares(self, white: Array) -> Array:
         return np.asarray((white * (self.std / self.scale)) ** 2)
-
-
-def shortened(noise: Noise) -> Noise | None:
-    """The same noise bounded away from a random walk; None where it already is.
-
-    With a slow effect in the model, the noise is short. Without it, the noise looks like a random walk, under which the effect
-    hardly matters. The likelihood has both maxima, and a search from the random walk finds only one.
-    """
-    phi = _stable(noise.phi, SHORT_ROOT)
-    return None if np.allclose(phi, noise.phi) else Noise(phi, noise.scale, noise.degrees)
 
 
 def whitened(series: Array, mask: Mask, phi: Array) -> Array:
@@ -96,13 +88,13 @@ def whitened(series: Array, mask: Mask, phi: Array) -> Array:
     return whitened_at(series, whole_past(mask, MOST_LAGS), phi)
 
 
-def whitened_at(series: Array, valid: Mask, phi: Array) -> Array:
+def whitened_at(series: Array, is_valid: Mask, phi: Array) -> Array:
     """The same for rows known to be valid."""
-    out = np.array(series, dtype=float)
+    output = np.array(series, dtype=float)
     for lag, coefficient in enumerate(phi, start=1):
-        out[lag:] -= coefficient * series[:-lag]
-    out[~valid] = np.nan
-    return out
+        output[lag:] -= coefficient * series[:-lag]
+    output[~is_valid] = np.nan
+    return output
 
 
 def autoregression(shocks: Array, phi: Array) -> Array:
@@ -113,26 +105,26 @@ def autoregression(shocks: Array, phi: Array) -> Array:
 
 def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_root: float = LARGEST_ROOT) -> Noise:
     """Fit the autoregression with bounded roots, and the tails of residuals; the order by BIC."""
-    lagged = []
+    lag_rows = []
     for series, mask in zip(residuals, masks, strict=True):
         rows = np.flatnonzero(whole_past(mask, MOST_LAGS))
-        lagged.append([series[rows - lag] for lag in range(MOST_LAGS + 1)])
-    y, *past = np.concatenate(lagged, axis=1)
-    x = np.array(past).T  # each lag contiguous
+        lag_rows.append([series[rows - lag] for lag in range(MOST_LAGS + 1)])
+    y, *past_values = np.concatenate(lag_rows, axis=1)
+    x = np.array(past_values).T  # each lag contiguous
     initial = _initial_noises(x, y, largest_root)
 
     def most_likely(order: int, degrees: float) -> Noise:
-        return improved(x[:, :order], y, replace(initial[order], degrees=degrees), TURNS, largest_root)
+        return improve_noise(x[:, :order], y, replace(initial[order], degrees=degrees), TURNS, largest_root)
 
     def criterion(noise: Noise) -> float:
         order = len(noise.phi)
         return _log_likelihood(x[:, :order], y, noise) - 0.5 * order * float(np.log(len(y)))
 
-    best = max((most_likely(MOST_LAGS, degrees) for degrees in DEGREES), key=criterion)
-    return max((*(most_likely(order, best.degrees) for order in range(MOST_LAGS)), best), key=criterion)
+    best_noise = max((most_likely(MOST_LAGS, degrees) for degrees in DEGREES), key=criterion)
+    return max((*(most_likely(order, best_noise.degrees) for order in range(MOST_LAGS)), best_noise), key=criterion)
 
 
-def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
+def improve_noise(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
     """Improve coefficients and scale in turn, by expectation-maximisation; order and tails stay.
 
     x are past values, nearest first, shape (n, lags), and y is the series, shape (n,).
@@ -156,10 +148,10 @@ def _initial_noises(x: Array, y: Array, largest_root: float) -> list[Noise]:
     """Noise of each order up to the number of columns of x, robust against outliers, to improve."""
     scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
     limit = OUTLIER * scale  # limits the influence of outliers on the first coefficients
-    tame_x, tame_y, ones = np.clip(x, -limit, limit), np.clip(y, -limit, limit), np.ones(len(y))
+    tame_x, tame_y, weights_of_one = np.clip(x, -limit, limit), np.clip(y, -limit, limit), np.ones(len(y))
     noises = []
     for order in range(x.shape[1] + 1):
-        phi = _coefficients(tame_x[:, :order], tame_y, ones, largest_root)
+        phi = _coefficients(tame_x[:, :order], tame_y, weights_of_one, largest_root)
         noises.append(Noise(phi, MAD_TO_STD * float(np.median(np.abs(y - x[:, :order] @ phi))) or scale, DEGREES[-1]))
     return noises
 
@@ -167,26 +159,26 @@ def _initial_noises(x: Array, y: Array, largest_root: float) -> list[Noise]:
 def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Array:
     if not x.shape[1]:
         return np.empty(0)
-    weighted = x.T * weight
-    return _stable(solved(weighted @ x, weighted @ y, 1e-9), largest_root)
+    weighted_columns = x.T * weight
+    return _make_stable(solve_normal(weighted_columns @ x, weighted_columns @ y, 1e-9), largest_root)
 
 
-def solved(normal: Array, right: Array, ridge: float) -> Array:
+def solve_normal(normal: Array, right_side: Array, ridge: float) -> Array:
     """Solution of normal equations, with a small part of their trace added on their diagonal, in place; the shortest one where
     nothing determines it.
     """
     diagonal = normal.reshape(-1)[:: len(normal) + 1]  # a view: `normal` is contiguous
     diagonal += ridge * diagonal.sum()
-    _, solution, failed = dposv(normal, right)
-    if not failed:
+    _, solution, failure = dposv(normal, right_side)
+    if not failure:
         return np.asarray(solution)
     try:
-        return np.asarray(np.linalg.solve(normal, right))
+        return np.asarray(np.linalg.solve(normal, right_side))
     except np.linalg.LinAlgError:  # singular: the shortest solution
-        return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
+        return np.asarray(np.linalg.lstsq(normal, right_side, rcond=None)[0])
 
 
-def _stable(phi: Array, largest_root: float) -> Array:
+def _make_stable(phi: Array, largest_root: float) -> Array:
     """Shrink an autoregression until its largest root is within the limit."""
     reach = 0.0
     for x in reversed(phi.tolist()):
@@ -195,7 +187,7 @@ def _stable(phi: Array, largest_root: float) -> Array:
         return phi
     companion = np.eye(len(phi), k=-1)
     companion[0] = phi
-    real, imaginary, *_ = dgeev(companion, compute_vl=False, compute_vr=False)
-    largest = float(np.hypot(real, imaginary).max())
-    shrink = min(1.0, largest_root / largest) if largest > 0 else 1.0
+    real_parts, imaginary_parts, *_ = dgeev(companion, compute_vl=False, compute_vr=False)
+    largest_root_of_phi = float(np.hypot(real_parts, imaginary_parts).max())
+    shrink = min(1.0, largest_root / largest_root_of_phi) if largest_root_of_phi > 0 else 1.0
     return phi * shrink ** np.arange(1, len(phi) + 1)

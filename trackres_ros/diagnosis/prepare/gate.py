@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.prepare.checks import (
     duration_s,
     each_usable,
     nothing_left,
-    pooled,
+    pool_notes,
     refuse_overlaps,
     refuse_repeated,
 )
@@ -37,10 +37,10 @@ from trackres_ros.diagnosis.prepare.resample import (
     QUICK,
     STEADY,
     motor_brakes_alone,
-    near,
     resample,
     smoothed_motion,
     step_for,
+    widen,
 )
 from trackres_ros.diagnosis.prepare.session import (
     ALWAYS_KNOWN,
@@ -60,15 +60,15 @@ from trackres_ros.diagnosis.prepare.session import (
     whole_past,
 )
 from trackres_ros.diagnosis.prepare.speed_smoothing import with_slope
-from trackres_ros.diagnosis.prepare.torque_checks import on_one_clock
+from trackres_ros.diagnosis.prepare.torque_checks import at_sprockets, on_one_clock
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Results
 from trackres_ros.estimator.records import Steps
-from trackres_ros.recording.recording import Recording, stamped
+from trackres_ros.recording.recording import Recording, with_stamps
 from trackres_ros.recording.samples import Series, standing_time
 from trackres_ros.route.learned import SLOPE, RouteMap
-from trackres_ros.route.matching import matched
+from trackres_ros.route.matching import match_tracks
 from trackres_ros.route.track import track_of
 from trackres_ros.text import number_of, some_of
 from trackres_ros.units import SECOND_NS
@@ -90,7 +90,7 @@ class Gated:
     """Recordings that passed the checks."""
 
     sessions: tuple[DriveSession, ...]  # one for each used recording, of one step, cut into laps
-    excluded: Mapping[str, int]  # time [s], by reason
+    exclusions: Mapping[str, int]  # time [s], by reason
     notes: tuple[str, ...]  # assumptions, one sentence each
 
     @property
@@ -105,39 +105,39 @@ class Gated:
 
 
 def gate(
-    recordings: Sequence[Recording], settings: GateSettings, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
+    recordings: Sequence[Recording], settings: GateSettings, hide: Sequence[str] = (), refusals: Sequence[Refusal] = ()
 ) -> Gated:
     """Check recordings and resample them to an even grid; unusable ones are skipped with a note.
 
-    Roles in `hide` are not read. `refused` are recordings rejected before the gate.
+    Roles in `hide` are not read. `refusals` are recordings rejected before the gate.
 
     Raises
     ------
     InputError
         If no recording can be used, or too little of all of them, with reasons and remedies.
     """
-    refused, recordings, overlaps = list(refused), in_order([stamped(r) for r in recordings]), list[str]()
-    known = {refusal.name for refusal in refused}
-    admitted = each_usable(
-        (r for r in recordings if r.name not in known), lambda recording: _admit(recording, hide, settings), refused
+    refusals, recordings, overlaps = list(refusals), in_order([with_stamps(r) for r in recordings]), list[str]()
+    refused_names = {refusal.name for refusal in refusals}
+    drives_admitted = each_usable(
+        (r for r in recordings if r.name not in refused_names), lambda recording: _admit(recording, hide, settings), refusals
     )
-    step, admitted = _common_step(admitted, refused, settings)
-    resampled = each_usable(admitted, lambda drive: _resample_drive(drive, step, settings), refused)
-    refuse_repeated([drive.recording for drive in resampled])
-    refuse_overlaps([drive.recording for drive in resampled], overlaps)
-    not_recorded = settings.friction_brakes and not all("brake" in drive.session.given for drive in resampled)
-    alone = _motor_brakes_alone(resampled, settings, overlaps) if not_recorded and resampled else 0.0
-    checked = [_check_drive(drive, settings, alone) for drive in resampled]
-    seconds = [drive.compared_s for drive in checked]
-    shortest = SHORTEST_MOVING_S * pace(step)
-    if sum(seconds) < shortest or (settings.is_vehicle and max(seconds, default=0.0) >= shortest):
-        checked = each_usable(checked, partial(_long_enough, settings=settings), refused)
-    if not checked:
-        raise nothing_left(refused)
-    excluded = sum((drive.excluded for drive in checked), Counter[str]())
-    unused = [r for r in recordings if r.name in {refusal.name for refusal in refused}]
-    excluded[UNUSED] = sum(int(duration_s(r.series)) for r in unused)
-    notes: list[str] = [*(WarningNote(f"{refusal.name}: not used: {refusal.reason}") for refusal in refused), *overlaps]
+    step, drives_admitted = _common_step(drives_admitted, refusals, settings)
+    drives_resampled = each_usable(drives_admitted, lambda drive: _resample_drive(drive, step, settings), refusals)
+    refuse_repeated([drive.recording for drive in drives_resampled])
+    refuse_overlaps([drive.recording for drive in drives_resampled], overlaps)
+    not_recorded = settings.friction_brakes and not all("brake" in drive.session.given for drive in drives_resampled)
+    motor_braking = _motor_brakes_alone(drives_resampled, settings, overlaps) if not_recorded and drives_resampled else 0.0
+    drives_checked = [_check_drive(drive, settings, motor_braking) for drive in drives_resampled]
+    seconds = [drive.compared_s for drive in drives_checked]
+    shortest_s = SHORTEST_MOVING_S * pace(step)
+    if sum(seconds) < shortest_s or (settings.is_vehicle and max(seconds, default=0.0) >= shortest_s):
+        drives_checked = each_usable(drives_checked, partial(_long_enough, settings=settings), refusals)
+    if not drives_checked:
+        raise nothing_left(refusals)
+    exclusions = sum((drive.exclusions for drive in drives_checked), Counter[str]())
+    unused_recordings = [r for r in recordings if r.name in {refusal.name for refusal in refusals}]
+    exclusions[UNUSED] = sum(int(duration_s(r.series)) for r in unused_recordings)
+    notes: list[str] = [*(WarningNote(f"{refusal.name}: not used: {refusal.reason}") for refusal in refusals), *overlaps]
     if step < STEP_S:
         notes.append(
             f"the speed changes quickly, so torques are compared as means over {step:g} s instead of {STEP_S:g} s; pieces, "
@@ -145,8 +145,8 @@ def gate(
         )
     if step > STEP_S:
         notes.append(f"samples are sparse, so torques are compared as means over {step:.0f} s")
-    sessions = _in_sequence(checked, [r for r in unused if _drove(r)], notes, settings.has_belt)
-    return Gated(tuple(sessions), {reason: n for reason, n in excluded.items() if n}, tuple(pooled(notes)))
+    sessions = _in_sequence(drives_checked, [r for r in unused_recordings if _drove(r)], notes, settings.has_belt)
+    return Gated(tuple(sessions), {reason: n for reason, n in exclusions.items() if n}, tuple(pool_notes(notes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +167,8 @@ class _Resampled(_Admitted):
     """The recording on an even grid, and its excluded time."""
 
     session: DriveSession
-    unknown: Mapping[str, Mask]
-    excluded: Counter[str]
+    gaps: Mapping[str, Mask]
+    exclusions: Counter[str]
 
     @property
     def compared_s(self) -> float:
@@ -177,7 +177,7 @@ class _Resampled(_Admitted):
 
 def step_of(recordings: Sequence[Recording], settings: GateSettings) -> float:
     """Common step of recordings of a vehicle [s], see `step_for`."""
-    return step_for(recordings, slowest_speed=settings.slowest, quick=QUICK if settings.is_vehicle else STEADY)
+    return step_for(recordings, slowest_speed=settings.slowest, quick_share=QUICK if settings.is_vehicle else STEADY)
 
 
 def _shortest_s(step: float, settings: GateSettings) -> float:
@@ -186,74 +186,77 @@ def _shortest_s(step: float, settings: GateSettings) -> float:
 
 
 def _admit(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
-    logged, recording = recording, replace(recording, order=None).without(hide)
+    original, recording = recording, replace(recording, order=None).without(hide)
     shortest_s = _shortest_s(step_of([recording], settings), settings)
     check_compared(recording, shortest_s)
     recording, notes = on_one_clock(recording)
+    recording = at_sprockets(recording, settings)
     check_compared(recording, shortest_s)
-    notes += [f"{recording.name}: {note}" for note in logged.wheel_notes(recording.series)]
+    notes += [f"{recording.name}: {note}" for note in original.wheel_notes(recording.series)]
     return _Admitted(recording, _standing_time(recording), notes)
 
 
-def _common_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings: GateSettings) -> tuple[float, list[_Admitted]]:
+def _common_step(
+    drives_admitted: Sequence[_Admitted], refusals: list[Refusal], settings: GateSettings
+) -> tuple[float, list[_Admitted]]:
     """Common step [s], and the recordings that suit it: those with far slower sampling are excluded."""
-    steps_by_name = {drive.name: step_of([drive.recording], settings) for drive in admitted}
-    steps = sorted((steps_by_name[drive.name], duration_s(drive.recording.series)) for drive in admitted)
-    cumulative = np.cumsum([seconds for _, seconds in steps])
+    steps_by_name = {drive.name: step_of([drive.recording], settings) for drive in drives_admitted}
+    steps = sorted((steps_by_name[drive.name], duration_s(drive.recording.series)) for drive in drives_admitted)
+    time_sums = np.cumsum([seconds for _, seconds in steps])
 
     def check_step(drive: _Admitted) -> _Admitted:
         step = steps_by_name[drive.name]
-        longest = SLOWER * steps[np.searchsorted(cumulative, 0.5 * cumulative[-1], side="right")][0]
+        longest_s = SLOWER * steps[np.searchsorted(time_sums, 0.5 * time_sums[-1], side="right")][0]
         statement = f"samples so sparse that torques would be compared as means over {step:.0f} s"
         if step > LONGEST_STEP_S:
             raise InputError(drive.name, statement, f"at most {LONGEST_STEP_S:.0f} s", "record speed and torque more often")
-        if step > longest:
-            allowed = f"at most {longest:.0f} s together with the others"
+        if step > longest_s:
+            allowed = f"at most {longest_s:.0f} s together with the others"
             raise InputError(drive.name, statement, allowed, "diagnose it without the others")
         return drive
 
-    suitable = each_usable(admitted, check_step, refused)
-    return step_of([drive.recording for drive in suitable], settings), suitable
+    suitable_drives = each_usable(drives_admitted, check_step, refusals)
+    return step_of([drive.recording for drive in suitable_drives], settings), suitable_drives
 
 
 def _resample_drive(drive: _Admitted, step: float, settings: GateSettings) -> _Resampled:
-    session, unknown = resample(drive.recording, step, settings, drive.notes, _shortest_s(step, settings))
+    session, gaps = resample(drive.recording, step, settings, drive.notes, _shortest_s(step, settings))
     check_speed(session, settings)
-    return _Resampled(drive.recording, drive.standing_s, drive.notes, session, unknown, Counter())
+    return _Resampled(drive.recording, drive.standing_s, drive.notes, session, gaps, Counter())
 
 
-def _check_drive(drive: _Resampled, settings: GateSettings, alone: float) -> _Resampled:
+def _check_drive(drive: _Resampled, settings: GateSettings, motor_braking: float) -> _Resampled:
     """The session with its mask of comparable samples, and a slope from its altitude."""
-    session = replace(drive.session, used=usable(drive.session, drive.unknown, settings, drive.excluded, alone))
+    session = replace(drive.session, used=usable_steps(drive.session, drive.gaps, settings, drive.exclusions, motor_braking))
     if "brake" in session.given:
-        drive.notes.append(_brake_note(session, drive.unknown[BRAKES_ON], settings))
+        drive.notes.append(_brake_note(session, drive.gaps[BRAKES_ON], settings))
     session, note = with_slope(session)
     drive.notes.extend([note] if note else [])
     return replace(drive, session=session)
 
 
 def _long_enough(drive: _Resampled, settings: GateSettings) -> _Resampled:
-    shortest = SHORTEST_MOVING_S * drive.session.pace
-    if drive.compared_s < shortest:
-        excluded = ", ".join(f"{n} s {reason}" for reason, n in drive.excluded.items() if n)
+    shortest_s = SHORTEST_MOVING_S * drive.session.pace
+    if drive.compared_s < shortest_s:
+        exclusion_text = ", ".join(f"{n} s {reason}" for reason, n in drive.exclusions.items() if n)
         noun = "driving" if settings.is_vehicle else "motion"
-        statement = f"{drive.compared_s:.3g} s of {noun} with a torque; not used: {excluded or 'nothing'}"
+        statement = f"{drive.compared_s:.3g} s of {noun} with a torque; not used: {exclusion_text or 'nothing'}"
         suffix = "" if settings.is_vehicle else " in all recordings together"
         remedy = "give a longer recording, or check units and topics"
-        raise InputError(drive.name, statement, f"at least {shortest:.3g} s{suffix}", remedy)
+        raise InputError(drive.name, statement, f"at least {shortest_s:.3g} s{suffix}", remedy)
     if not whole_past(drive.session.used, MOST_LAGS).any():
         raise too_short_pieces(drive.name, drive.session.step)
     return drive
 
 
 def _in_sequence(
-    checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str], has_belt: bool
+    drives: Sequence[_Resampled], unused_recordings: Sequence[Recording], notes: list[str], has_belt: bool
 ) -> list[DriveSession]:
-    """Sessions with consecutive lap numbers and standing times; `unused` are drives in between."""
-    ends_ns = [r.start_ns + int(duration_s(r.series) * 1e9) for r in unused]
+    """Sessions with consecutive lap numbers and standing times; `unused_recordings` are drives in between."""
+    ends_ns = [r.start_ns + int(duration_s(r.series) * 1e9) for r in unused_recordings]
     sessions: list[DriveSession] = []
     block, end_ns, end_m = 0, None, 0.0
-    for drive in checked:
+    for drive in drives:
         session, begin_ns = drive.session, drive.recording.start_ns
         notes += drive.notes
         is_next = end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0
@@ -268,8 +271,8 @@ def _in_sequence(
             )
         elif is_next:
             session = replace(session, gap=pause_s)
-            carried = "; the belt temperature is carried over" if has_belt else ""
-            notes.append(f"{session.name}: begins {session.gap:.0f} s after the previous one{carried}")
+            belt_text = "; the belt temperature is carried over" if has_belt else ""
+            notes.append(f"{session.name}: begins {session.gap:.0f} s after the previous one{belt_text}")
         elif has_belt:
             notes.append(f"{session.name}: the belts start at ambient temperature")
         end_ns = begin_ns + int(session.time[-1] * 1e9)
@@ -290,13 +293,13 @@ def _drove(recording: Recording) -> bool:
 def _brake_note(session: DriveSession, is_braked: Mask, settings: GateSettings) -> str:
     """Note on the time that remains without friction brakes."""
     drives = np.abs(session.speed) >= settings.slowest
-    braked, driven, rest, braking = (
+    brake_steps, drive_steps, rest, braking_steps = (
         round(int(steps.sum()) * session.step)
         for steps in (drives & is_braked, drives, session.used, session.used & (session.torque * session.ahead < 0.0))
     )
     return (
-        f"{session.name}: brakes on in {braked} s of {driven} s driven; {rest} s remain for comparison, {braking} of them with a "
-        "braking torque"
+        f"{session.name}: brakes on in {brake_steps} s of {drive_steps} s driven; {rest} s remain for comparison, "
+        f"{braking_steps} of them with a braking torque"
     )
 
 
@@ -307,15 +310,16 @@ def _standing_time(recording: Recording) -> float:
     return standing_s if standing_s <= LONGEST_BREAK_S else np.inf
 
 
-def _motor_brakes_alone(resampled: Sequence[_Resampled], settings: GateSettings, notes: list[str]) -> float:
+def _motor_brakes_alone(drives: Sequence[_Resampled], settings: GateSettings, notes: list[str]) -> float:
     """Torque down to which the motor brakes alone [Nm]; adds the result to the notes."""
-    compared = [~is_slow(drive.session, settings) & ~np.any(list(drive.unknown.values()), axis=0) for drive in resampled]
-    alone = motor_brakes_alone([drive.session for drive in resampled], compared)
-    if alone < 0.0:
+    compared_steps = [~is_slow(drive.session, settings) & ~np.any(list(drive.gaps.values()), axis=0) for drive in drives]
+    motor_braking = motor_brakes_alone([drive.session for drive in drives], compared_steps)
+    if motor_braking < 0.0:
         notes.append(
-            f"down to {alone:.0f} Nm the motor brakes alone, by the speed's changes; below that friction brakes may act too"
+            f"down to {motor_braking:.0f} Nm the motor brakes alone, by the speed's changes; "
+            "below that friction brakes may act too"
         )
-    return alone
+    return motor_braking
 
 
 def in_order(recordings: Sequence[Recording]) -> list[Recording]:
@@ -333,33 +337,33 @@ def in_order(recordings: Sequence[Recording]) -> list[Recording]:
     return sorted(recordings, key=lambda r: (r.start_ns, digests(r), r.name))
 
 
-def usable(
-    session: DriveSession, unknown: Mapping[str, Mask], settings: GateSettings, excluded: Counter[str], alone: float
+def usable_steps(
+    session: DriveSession, gaps: Mapping[str, Mask], settings: GateSettings, exclusions: Counter[str], motor_braking: float
 ) -> Mask:
-    """Steps with a comparable torque; `excluded` receives the seconds of the others, each under its first reason.
+    """Steps with a comparable torque; `exclusions` receives the seconds of the others, each under its first reason.
 
-    `unknown` are steps without a needed measurement, each of shape (n,), by reason. Down to the torque `alone` [Nm], zero or
+    `gaps` are steps without a needed measurement, each of shape (n,), by reason. Down to the torque `motor_braking` [Nm], zero or
     negative, the motor brakes alone.
     """
-    used = np.ones(len(session), dtype=bool)
+    used_steps = np.ones(len(session), dtype=bool)
     torque = session.torque * session.ahead
-    braking = (session.accel * session.ahead < BRAKING_MPS2) & (torque <= 0.0)
+    is_braking = (session.accel * session.ahead < BRAKING_MPS2) & (torque <= 0.0)
     if settings.friction_brakes:  # applied with a braking torque, and for a moment after it
-        braking = near(torque < alone if alone < 0.0 else torque <= 0.0)
+        is_braking = widen(torque < motor_braking if motor_braking < 0.0 else torque <= 0.0)
     if "brake" in session.given or settings.friction_brakes is None:  # all braking except the torque is known
-        braking = np.zeros(len(session), dtype=bool)
-    slow = is_slow(session, settings)
-    stuck = _stuck(session.torque, session.step, ~slow, LONGEST_STUCK_S * session.pace)
-    for reason, bad in (
-        *((reason, bad) for reason, bad in unknown.items() if reason != BRAKES_ON),
-        (f"slower than {settings.slowest:g} m/s", slow),
-        ("torque stuck", stuck),
-        (BRAKES_ON, unknown[BRAKES_ON]),
-        ("may brake", braking),
+        is_braking = np.zeros(len(session), dtype=bool)
+    is_crawling = is_slow(session, settings)
+    is_stuck = _stuck_steps(session.torque, session.step, ~is_crawling, LONGEST_STUCK_S * session.pace)
+    for reason, mask in (
+        *((reason, mask) for reason, mask in gaps.items() if reason != BRAKES_ON),
+        (f"slower than {settings.slowest:g} m/s", is_crawling),
+        ("torque stuck", is_stuck),
+        (BRAKES_ON, gaps[BRAKES_ON]),
+        ("may brake", is_braking),
     ):
-        excluded[reason] += round(int((used & bad).sum()) * session.step)
-        used &= ~bad
-    return used
+        exclusions[reason] += round(int((used_steps & mask).sum()) * session.step)
+        used_steps &= ~mask
+    return used_steps
 
 
 def is_slow(session: DriveSession, settings: GateSettings) -> Mask:
@@ -367,81 +371,84 @@ def is_slow(session: DriveSession, settings: GateSettings) -> Mask:
     return np.asarray(np.abs(session.speed) < settings.slowest)
 
 
-def _stuck(torque: Array, step: float, moving: Mask, longest_s: float) -> Mask:
+def _stuck_steps(torque: Array, step: float, is_moving: Mask, longest_s: float) -> Mask:
     """Steps with a constant torque, but for rounding, while moving."""
     changes = np.flatnonzero(~(np.abs(np.diff(torque, prepend=np.nan)) <= SAME_SHARE * np.abs(torque).max()))
     lengths = np.diff(np.append(changes, len(torque)))
-    return np.repeat(lengths * step > longest_s, lengths) & moving
+    return np.repeat(lengths * step > longest_s, lengths) & is_moving
 
 
-def on_route(gated: Gated, route: Sequence[RouteMap], acting: Sequence[Active] = ()) -> Gated:
+def on_route(gate_result: Gated, route: Sequence[RouteMap], acting_effects: Sequence[Active] = ()) -> Gated:
     """Sessions with torque and, if not recorded, slope of the route by position; samples off the route are excluded.
 
-    The notes name what lacks an input: values of the route, and effects of the vehicle file and its surroundings, `acting`.
+    The notes name what lacks an input: values of the route, and effects of the vehicle file and its surroundings,
+    `acting_effects`.
     """
-    sessions, notes = list(gated.sessions), list(gated.notes)
-    notes += _left_out(sessions, route, acting)
+    sessions, notes = list(gate_result.sessions), list(gate_result.notes)
+    notes += _left_out(sessions, route, acting_effects)
     for route_map in route:
         for i, session in enumerate(sessions):
             if "position" not in session.given or (route_map.kind == SLOPE and "grade" in session.given):
                 continue
-            values = _along(session, route_map)
-            known = np.isfinite(values)
-            notes.append(f"{session.name}: {100.0 * known.mean():.0f} % of it is on the route with known {route_map.kind}s")
-            if known.mean() <= MOST_UNKNOWN:
+            values = _values_along(session, route_map)
+            is_known = np.isfinite(values)
+            notes.append(f"{session.name}: {100.0 * is_known.mean():.0f} % of it is on the route with known {route_map.kind}s")
+            if is_known.mean() <= MOST_UNKNOWN:
                 notes[-1] = WarningNote(f"{notes[-1]}; they are not used")
                 continue
-            values = np.where(known, values, 0.0)
-            session = replace(session, used=session.used & known)
+            values = np.where(is_known, values, 0.0)
+            session = replace(session, used=session.used & is_known)
             if route_map.kind == SLOPE:
                 sessions[i] = replace(session, grade=values, given=session.given | {"grade"})
             else:
                 sessions[i] = replace(session, torque_by_place=values)
-    return replace(with_fewer_steps(gated, sessions, "off the route"), notes=tuple(notes))
+    return replace(with_fewer_steps(gate_result, sessions, "off the route"), notes=tuple(notes))
 
 
-def _left_out(sessions: Sequence[DriveSession], route: Sequence[RouteMap], acting: Sequence[Active]) -> list[str]:
+def _left_out(sessions: Sequence[DriveSession], route: Sequence[RouteMap], acting_effects: Sequence[Active]) -> list[str]:
     """A note for each effect, or kind of value of the route, that lacks an input in some sessions."""
     owner = "of the vehicle or its surroundings"
-    needed: dict[str, Sequence[str]] = {f"{active.effect.name} {owner}": active.effect.needs for active in acting}
-    needed |= {f"{values.kind} of the route": ("position",) for values in route}
+    needs_by_effect: dict[str, Sequence[str]] = {
+        f"{active.effect.name} {owner}": active.effect.needs for active in acting_effects
+    }
+    needs_by_effect |= {f"{values.kind} of the route": ("position",) for values in route}
     names_by_input: dict[tuple[str, str], list[str]] = {}
     for session in sessions:
-        for name, needs in needed.items():
-            lacks = [need for need in needs if need not in ALWAYS_KNOWN and need not in session.given]
-            if lacks and not (name == f"{SLOPE} of the route" and "grade" in session.given):
-                names_by_input.setdefault((name, ", ".join(lacks)), []).append(session.name)
+        for name, needed_inputs in needs_by_effect.items():
+            missing_inputs = [need for need in needed_inputs if need not in ALWAYS_KNOWN and need not in session.given]
+            if missing_inputs and not (name == f"{SLOPE} of the route" and "grade" in session.given):
+                names_by_input.setdefault((name, ", ".join(missing_inputs)), []).append(session.name)
     return [
-        WarningNote(f"{some_of(names)}: {name} is left out, as {lacks} is not known")
-        for (name, lacks), names in names_by_input.items()
+        WarningNote(f"{some_of(names)}: {name} is left out, as {missing_inputs} is not known")
+        for (name, missing_inputs), names in names_by_input.items()
     ]
 
 
-def with_fewer_steps(gated: Gated, sessions: Sequence[DriveSession], reason: str) -> Gated:
+def with_fewer_steps(gate_result: Gated, sessions: Sequence[DriveSession], reason: str) -> Gated:
     """The same sessions with fewer compared steps; their time is excluded for a reason."""
-    before, after = (sum(s.used.sum() * s.step for s in group) for group in (gated.sessions, sessions))
-    lost = {reason: round(before - after)} if before > after else {}
-    return replace(gated, sessions=tuple(sessions), excluded={**gated.excluded, **lost})
+    seconds_before, seconds_after = (sum(s.used.sum() * s.step for s in group) for group in (gate_result.sessions, sessions))
+    lost_seconds = {reason: round(seconds_before - seconds_after)} if seconds_before > seconds_after else {}
+    return replace(gate_result, sessions=tuple(sessions), exclusions={**gate_result.exclusions, **lost_seconds})
 
 
 def way_of(session: DriveSession) -> Way:
     """Positions of a session; without positions within its steps, those at their middles."""
     if session.way is not None:
         return session.way
-    driven = np.abs(np.nan_to_num(session.speed)) * session.step
-    return Way(session.latitude, session.longitude, np.cumsum(driven) - 0.5 * driven)
+    distance_steps = np.abs(np.nan_to_num(session.speed)) * session.step
+    return Way(session.latitude, session.longitude, np.cumsum(distance_steps) - 0.5 * distance_steps)
 
 
-def _along(session: DriveSession, route: RouteMap) -> Array:
+def _values_along(session: DriveSession, route: RouteMap) -> Array:
     """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
-    match = matched(route.places, [track])[0].at(track.nearest(way.driven))
-    learned = route.value[match.place, (match.sign < 0.0).astype(int)]
-    known = np.isfinite(learned) & (match.share > 0.0) & match.known[:, np.newaxis]
-    share = np.where(known, match.share, 0.0)
+    match = match_tracks(route.places, [track])[0].select(track.nearest_index(way.driven))
+    route_values = route.value[match.place, (match.sign < 0.0).astype(int)]
+    is_known = np.isfinite(route_values) & (match.share > 0.0) & match.is_known[:, np.newaxis]
+    share = np.where(is_known, match.share, 0.0)
     total = share.sum(axis=1)
-    values = (share * np.where(known, learned, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)
+    values = (share * np.where(is_known, route_values, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)
     mean = values.reshape(len(session), -1).mean(axis=1)
     return np.asarray(np.where((session.speed < 0.0) & (route.kind == SLOPE), -mean, mean))
 
@@ -457,22 +464,22 @@ def with_acceleration(recording: Recording, settings: GateSettings) -> Recording
     if "accel" in recording.series and np.isfinite(recording.series["accel"].value).any():
         return replace(recording, notes=(*recording.notes, RECORDED_ACCELERATION))
     recording = recording.without(["accel"])  # a role may have no sample
-    logged, speed = recording.series["speed"], stamped(recording).series["speed"]
-    finite = np.flatnonzero(np.isfinite(speed.value))
-    stamps, first, stamp_of = np.unique(speed.stamp_ns[finite], return_index=True, return_inverse=True)
+    speed_log, speed = recording.series["speed"], with_stamps(recording).series["speed"]
+    finite_rows = np.flatnonzero(np.isfinite(speed.value))
+    stamps, first_rows, stamp_of = np.unique(speed.stamp_ns[finite_rows], return_index=True, return_inverse=True)
     if len(stamps) < 2:
         raise InputError(
             recording.name, number_of(len(stamps), "usable speed"), "two or more, for an acceleration from both sides"
         )
     times = (stamps - stamps[0]) / SECOND_NS
-    motion = smoothed_motion(times, speed.value[finite][first], times, step_of([recording], settings), settings.slowest)
+    motion = smoothed_motion(times, speed.value[finite_rows][first_rows], times, step_of([recording], settings), settings.slowest)
     accel = motion.accel[stamp_of]
     finite_accel = np.isfinite(accel)
-    rows, order = finite[finite_accel], recording.log_order()
+    rows, order = finite_rows[finite_accel], recording.log_order()
     places = np.flatnonzero(order == list(recording.series).index("speed"))[rows]
     return replace(
         recording,
-        series={**recording.series, "accel": Series(logged.stamp_ns[rows], logged.arrival_ns[rows], accel[finite_accel])},
+        series={**recording.series, "accel": Series(speed_log.stamp_ns[rows], speed_log.arrival_ns[rows], accel[finite_accel])},
         order=np.insert(order, places, np.int16(len(recording.series))),
     )
 
@@ -483,7 +490,7 @@ class ComparedTorque:
     def __init__(self, recording: Recording, settings: GateSettings) -> None:
         """Take the steps of a recording. Raises InputError where a diagnosis would refuse it, with the reason."""
         (self._session,) = gate([recording], settings).sessions
-        self._start_ns = stamped(recording).start_ns
+        self._start_ns = with_stamps(recording).start_ns
         self._sum, self._number = np.zeros((2, len(self._session)))  # of the residuals in each step [Nm]
 
     def writer(self, write: Callable[[Steps], None]) -> Callable[[Steps], None]:
@@ -498,9 +505,9 @@ class ComparedTorque:
     def _add(self, steps: Steps) -> None:
         residual = steps.rows[:, Results.residual_nm]
         step = np.floor((steps.stamp_ns - self._start_ns) / (self._session.step * SECOND_NS)).astype(int)
-        inside = np.isfinite(residual) & (step >= 0) & (step < len(self._session))
-        np.add.at(self._sum, step[inside], residual[inside])
-        np.add.at(self._number, step[inside], 1.0)
+        is_inside = np.isfinite(residual) & (step >= 0) & (step < len(self._session))
+        np.add.at(self._sum, step[is_inside], residual[is_inside])
+        np.add.at(self._number, step[is_inside], 1.0)
 
     def as_dict(self) -> dict[str, Any]:
         """Mean absolute residual of the steps' means [Nm], the length of a step and the number of steps, ready for JSON."""

@@ -20,6 +20,7 @@ from trackres_ros.recording.roles import PASSENGER_KG
 from trackres_ros.recording.slopes import runs_of
 from trackres_ros.text import told_apart
 from trackres_ros.units import MAD_TO_STD, STANDSTILL_MPS
+from trackres_ros.vehicle.gears import Gears
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,7 +42,7 @@ class Cumulative:
 
     times: Array
     integral: Array
-    _asked: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
+    _cache: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, times: Array, value: Array) -> Cumulative:
@@ -54,15 +55,15 @@ class Cumulative:
         edges = np.interp(np.stack([begin, begin + step]), self.times, self.integral)
         return np.asarray((edges[1] - edges[0]) / step)
 
-    def later_means(self, begin: Array, step: float, later: float) -> Array:
-        """The same, some time `later` [s]; cached for the last few, as most derivatives of a fit keep the delay."""
-        key = len(begin), float(begin[0]), step, later
-        result = self._asked.get(key)
+    def later_means(self, begin: Array, step: float, delay: float) -> Array:
+        """The same, some time `delay` [s]; cached for the last few, as most derivatives of a fit keep the delay."""
+        key = len(begin), float(begin[0]), step, delay
+        result = self._cache.get(key)
         if result is None:
-            result = self.means(begin + later, step)
-            if len(self._asked) >= MOST_KEPT:
-                self._asked.clear()
-            self._asked[key] = result
+            result = self.means(begin + delay, step)
+            if len(self._cache) >= MOST_KEPT:
+                self._cache.clear()
+            self._cache[key] = result
         return result
 
 
@@ -133,9 +134,9 @@ class DriveSession:
         """Time scale over that of a drive, see `pace`."""
         return pace(self.step)
 
-    def stretches(self, inside: Mask) -> Iterator[tuple[float, float]]:
+    def stretches(self, mask: Mask) -> Iterator[tuple[float, float]]:
         """Begin and end [s] of each stretch inside a mask."""
-        for begin, end in runs_of(inside):
+        for begin, end in runs_of(mask):
             yield float(self.time[begin]), float(self.time[end - 1] + self.step)
 
     @cached_property
@@ -146,15 +147,17 @@ class DriveSession:
     @cached_property
     def ahead(self) -> Array:
         """1 driving forward and -1 in reverse, at rest as at the next start; shape (n,). Times it, a torque below zero brakes."""
-        moves = np.flatnonzero(np.abs(self.speed) > STANDSTILL_MPS)
-        after = np.searchsorted(moves, np.arange(len(self)))
-        return np.copysign(1.0, np.append(self.speed[moves], self.speed[moves[-1:]])[after] if len(moves) else self.speed)
+        moving_rows = np.flatnonzero(np.abs(self.speed) > STANDSTILL_MPS)
+        next_rows = np.searchsorted(moving_rows, np.arange(len(self)))
+        return np.copysign(
+            1.0, np.append(self.speed[moving_rows], self.speed[moving_rows[-1:]])[next_rows] if len(moving_rows) else self.speed
+        )
 
     @cached_property
     def accel_around(self) -> Array:
         """Mean acceleration over `AROUND` steps [m/s^2], in which errors of the speed at the edges of a step cancel."""
-        inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
-        return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
+        count = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
+        return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / count)
 
 
 def shown_names(sessions: Sequence[DriveSession]) -> list[str]:
@@ -164,11 +167,11 @@ def shown_names(sessions: Sequence[DriveSession]) -> list[str]:
 
 def whole_past(mask: Mask, lags: int) -> Mask:
     """Whether a sample and the `lags` before it can be used."""
-    valid = mask.copy()
+    is_valid = mask.copy()
     for lag in range(1, lags + 1):
-        valid[lag:] &= mask[:-lag]
-        valid[:lag] = False
-    return valid
+        is_valid[lag:] &= mask[:-lag]
+        is_valid[:lag] = False
+    return is_valid
 
 
 def with_unseen(sessions: Sequence[DriveSession]) -> Iterator[tuple[DriveSession, bool]]:
@@ -226,7 +229,7 @@ class GateSettings:
     ambient: float  # [degC], for recordings without it
     friction_brakes: bool | None  # whether they may add to a braking torque, if not recorded; None for a vehicle without
     belt_shows_surface: bool = False  # whether a measured belt temperature is that of the surface, as from infrared
-    motor_ratio: float | None = None  # motor turns per sprocket turn; None if not in the file
+    gears: Gears | None = None  # between motor and sprockets; None if not in the file
     torque_scale: float = 1.0  # shown over true torque: sessions have the true one [Nm]
     torque_share: tuple[float, float] = (1.0, 1.0)  # limits of true over expected torque, by the ranges of the file
     passenger_kg: float = PASSENGER_KG  # of one passenger
@@ -236,22 +239,25 @@ class GateSettings:
     friction: float = 0.0  # torque that an offset and friction which the model lacks may reach [Nm]
     axles: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # by axle, nominal loads of its assemblies [N]
 
-    def total_load(self, known: Mapping[str, Array], payload: Array | float = 0.0) -> Array:
+    def total_load(self, loads: Mapping[str, Array], payload: Array | float = 0.0) -> Array:
         """Load of the whole vehicle [N], from loads of it, of axles or of assemblies by role, alike in shape, at least one.
 
         Where that of an axle or assembly is unknown, it is the nominal one with its share of a counted payload [N].
         """
-        loaded = 1.0 + payload / self.weight
-        if "load" in known:
-            return known["load"]
-        if not known.keys() <= {f"load/{name}" for axle, assemblies in self.axles.items() for name in (axle, *assemblies)}:
-            return np.asarray(np.sum(list(known.values()), axis=0))
-        unknown = np.full_like(next(iter(known.values())), np.nan)
-        total = np.zeros_like(unknown)
+        load_share = 1.0 + payload / self.weight
+        if "load" in loads:
+            return loads["load"]
+        if not loads.keys() <= {f"load/{name}" for axle, assemblies in self.axles.items() for name in (axle, *assemblies)}:
+            return np.asarray(np.sum(list(loads.values()), axis=0))
+        no_load = np.full_like(next(iter(loads.values())), np.nan)
+        total = np.zeros_like(no_load)
         for axle, nominal in self.axles.items():
-            axle_load, *assembly_loads = (known.get(f"load/{name}", unknown) for name in (axle, *nominal))
+            axle_load, *assembly_loads = (loads.get(f"load/{name}", no_load) for name in (axle, *nominal))
             total_of_parts = np.sum(
-                [np.where(np.isfinite(x), x, load * loaded) for x, load in zip(assembly_loads, nominal.values(), strict=True)],
+                [
+                    np.where(np.isfinite(x), x, load * load_share)
+                    for x, load in zip(assembly_loads, nominal.values(), strict=True)
+                ],
                 axis=0,
             )
             total += np.where(np.isfinite(axle_load), axle_load, total_of_parts)
@@ -301,14 +307,14 @@ class SensorFinding(WarningNote):
         The error as an effect of the catalogue, with the value of its first parameter; empty where there is none.
     """
 
-    says: str
+    statement: str
     effect: str
     value: float
 
-    def __new__(cls, text: str, says: str, effect: str = "", value: float = 0.0) -> SensorFinding:
+    def __new__(cls, text: str, statement: str, effect: str = "", value: float = 0.0) -> SensorFinding:
         """A string with attributes."""
         finding = super().__new__(cls, text)
-        finding.says, finding.effect, finding.value = says, effect, value
+        finding.statement, finding.effect, finding.value = statement, effect, value
         return finding
 
 
@@ -319,7 +325,7 @@ PIECES, SHORTEST_PIECE_S, LONGEST_PIECE_S = 20, 60.0, 300.0
 FEWEST_DRIVES = 8
 
 
-def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
+def split_laps(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
     """Choose the hold-out blocks: the last ones, or `held_out`.
 
     That is the number of the last sessions (of several) or blocks, or the names of recordings, or of laps as in a report
@@ -331,11 +337,11 @@ def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None
     InputError
         If nothing, or too little, would remain to fit on, or a name is not among the recordings.
     """
-    chosen = _choose(sessions, held_out)
-    rows = sum(int(whole_past(chosen.training_mask(s), MOST_LAGS).sum()) for s in sessions)
+    choice = _choose(sessions, held_out)
+    rows = sum(int(whole_past(choice.training_mask(s), MOST_LAGS).sum()) for s in sessions)
     if rows < FEWEST_FITTED:
         raise too_short_pieces(", ".join(s.name for s in sessions), sessions[0].step)
-    return chosen
+    return choice
 
 
 def _choose(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None) -> Split:
@@ -347,25 +353,27 @@ def _choose(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | No
             b for lap, b in laps.items() if any(lap == name if name in laps else lap.endswith(name) for name in held_out)
         }
         part_names = [name for name in held_out if not any(lap.endswith(name) for lap in laps)]
-        unknown = [name for name in part_names if not any(name in s.name for s in sessions)]
-        if unknown:
-            raise InputError("--holdout", unknown[0], f"part of a name among {', '.join(s.name for s in sessions)}")
+        unknown_names = [name for name in part_names if not any(name in s.name for s in sessions)]
+        if unknown_names:
+            raise InputError("--holdout", unknown_names[0], f"part of a name among {', '.join(s.name for s in sessions)}")
         names_of = [(s.name, PurePath(s.name).stem) for s in sessions]
-        exact = {name for names in names_of for name in names}
-        chosen = {i for i, names in enumerate(names_of) for name in part_names if name in (names if name in exact else names[0])}
+        exact_names = {name for names in names_of for name in names}
+        chosen_indices = {
+            i for i, names in enumerate(names_of) for name in part_names if name in (names if name in exact_names else names[0])
+        }
         if lap_blocks:
-            return _by_laps(sessions, blocks, lap_blocks.union(*(blocks[i] for i in chosen)))
+            return _by_laps(sessions, blocks, lap_blocks.union(*(blocks[i] for i in chosen_indices)))
     elif by_session:
         count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(sessions)))
-        chosen = set(range(len(sessions) - count, len(sessions)))
+        chosen_indices = set(range(len(sessions) - count, len(sessions)))
     else:
         return _last_laps(sessions, [b for session_blocks in blocks for b in session_blocks], held_out)
-    training = tuple(b for i, session_blocks in enumerate(blocks) if i not in chosen for b in session_blocks)
-    if not training or not chosen:
+    training = tuple(b for i, session_blocks in enumerate(blocks) if i not in chosen_indices for b in session_blocks)
+    if not training or not chosen_indices:
         allowed, lap = f"some, but not all, of the {len(sessions)} recordings", lap_name(sessions[-1], blocks[-1][-1])
         raise InputError("--holdout", held_out, allowed, f"or laps by name, such as '{lap}'")
-    text = f"held out: {', '.join(sessions[i].name for i in sorted(chosen))}"
-    return Split(training, tuple(b for i in sorted(chosen) for b in blocks[i]), text)
+    text = f"held out: {', '.join(sessions[i].name for i in sorted(chosen_indices))}"
+    return Split(training, tuple(b for i in sorted(chosen_indices) for b in blocks[i]), text)
 
 
 def lap_name(session: DriveSession, block: int) -> str:
@@ -375,17 +383,19 @@ def lap_name(session: DriveSession, block: int) -> str:
 
 def _last_laps(sessions: Sequence[DriveSession], laps: Sequence[int], held_out: int | None) -> Split:
     """Hold out so many of the last laps, by default a quarter; the last driven ones if the vehicle is parked in all of these."""
-    compared = set(np.concatenate([s.block[s.used] for s in sessions]).tolist())
-    end, parked = len(laps), ""
+    compared_blocks = set(np.concatenate([s.block[s.used] for s in sessions]).tolist())
+    end, parking_text = len(laps), ""
     count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
-    if 0 < count < end and compared.isdisjoint(laps[-count:]):
-        end = 1 + max((i for i, lap in enumerate(laps) if lap in compared), default=-1)
+    if 0 < count < end and compared_blocks.isdisjoint(laps[-count:]):
+        end = 1 + max((i for i, lap in enumerate(laps) if lap in compared_blocks), default=-1)
         count = max(1, round(HELD_OUT_SHARE * end)) if held_out is None else held_out
-        parked = f", before {len(laps) - end} without a comparable torque"
+        parking_text = f", before {len(laps) - end} without a comparable torque"
     if not 0 < count < end:
         raise InputError("--holdout", count, f"1 to {end - 1} of the {end} laps or pieces")
-    first = end - count
-    return Split(tuple(laps[:first]), tuple(laps[first:]), f"the last {count} of {end} laps or pieces are held out{parked}")
+    first_lap = end - count
+    return Split(
+        tuple(laps[:first_lap]), tuple(laps[first_lap:]), f"the last {count} of {end} laps or pieces are held out{parking_text}"
+    )
 
 
 def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:
@@ -400,9 +410,9 @@ def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], 
 
 def lap_numbers(session: DriveSession) -> NDArray[np.int64]:
     """Number of the drive between two stops, or of a piece of equal length if there are few stops; shape (n,), from 0."""
-    standing = np.abs(session.speed) < SLOWEST_MPS
+    is_standing = np.abs(session.speed) < SLOWEST_MPS
     full_stop = FULL_STOP_S * session.pace
-    cuts = [begin for begin, end in runs_of(standing) if begin > 0 and (end - begin) * session.step >= full_stop]
+    cuts = [begin for begin, end in runs_of(is_standing) if begin > 0 and (end - begin) * session.step >= full_stop]
     if len(cuts) >= FEWEST_DRIVES - 1:
         return np.searchsorted(np.array(cuts), np.arange(len(session)), side="right").astype(np.int64)
     duration = len(session) * session.step

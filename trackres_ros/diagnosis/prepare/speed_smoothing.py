@@ -66,8 +66,8 @@ class SmoothedSpeed:
     @property
     def typical_change_std(self) -> float:
         """Root mean square of `change_std` while driving [m/s]; 0 where there is none."""
-        driven = self.change_std[self.change_std > 0.0]
-        return float(np.sqrt(np.mean(driven**2))) if len(driven) else 0.0
+        moving_stds = self.change_std[self.change_std > 0.0]
+        return float(np.sqrt(np.mean(moving_stds**2))) if len(moving_stds) else 0.0
 
 
 def smooth_speed(sample_times: Array, speeds: Array, times: Array, longest_gap_s: float) -> SmoothedSpeed | None:
@@ -80,38 +80,38 @@ def smooth_speed(sample_times: Array, speeds: Array, times: Array, longest_gap_s
     sample_times, speeds = sample_times[is_new], speeds[is_new]
     step = rounding_step(speeds)
     grid = _Grid.of(sample_times, speeds, times, longest_gap_s)
-    if grid.kept.sum() < FEWEST:
+    if grid.is_kept.sum() < FEWEST:
         return None
     jerk, noise = _most_likely(grid, step)
     constant_jerk = np.full(len(grid.times), jerk)
     states, variances = grid.run(constant_jerk, noise)
-    local = constant_jerk
+    local_jerk = constant_jerk
     for _ in range(LOCAL_TURNS):  # a steady speed has hardly any jerk: its apparent one is sensor error
         squares = grid.squared_jerks(states)
         if np.median(squares) > EVEN * squares.mean():
             break
-        local = np.clip(np.sqrt(squares * LOCAL_S), max(LEAST_LOCAL * jerk, HELD), MOST_LOCAL * jerk)
-        states, variances = grid.run(local, noise)
+        local_jerk = np.clip(np.sqrt(squares * LOCAL_S), max(LEAST_LOCAL * jerk, HELD), MOST_LOCAL * jerk)
+        states, variances = grid.run(local_jerk, noise)
     white = noise
     for _ in range(TURNS):  # coloured noise pulls the speed along, and shows fully only afterwards
         count = _correlated_samples(grid.speeds[grid.sample] - states[grid.sample, 0])
         if count == 1.0:
             break
         noise = white * np.sqrt(count)
-        states, variances = grid.run(local, noise)
+        states, variances = grid.run(local_jerk, noise)
     rest = at_rest(sample_times, speeds)
     values = speeds.copy()
-    values[grid.kept] = states[grid.sample, 0]
+    values[grid.is_kept] = states[grid.sample, 0]
     values[rest] = 0.0
     speed = np.interp(times, sample_times, values)
-    speed[grid.within] = states[~grid.sample, 0]
-    right = np.clip(np.searchsorted(sample_times, times, side="right"), 1, len(sample_times) - 1)
-    variance = np.where(rest[right] & rest[right - 1], 0.0, np.nan)
+    speed[grid.is_within] = states[~grid.sample, 0]
+    next_index = np.clip(np.searchsorted(sample_times, times, side="right"), 1, len(sample_times) - 1)
+    variance = np.where(rest[next_index] & rest[next_index - 1], 0.0, np.nan)
     accel = variance.copy()
-    variance[grid.within], accel[grid.within] = states[~grid.sample, 2], states[~grid.sample, 1]
+    variance[grid.is_within], accel[grid.is_within] = states[~grid.sample, 2], states[~grid.sample, 1]
     change = variance[1:] + variance[:-1]
     joint = np.full(len(times), np.nan)
-    joint[grid.within] = variances[~grid.sample]
+    joint[grid.is_within] = variances[~grid.sample]
     change = np.where(np.isfinite(joint[:-1]), joint[:-1], change)
     return SmoothedSpeed(speed, accel, np.sqrt(np.maximum(change, 0.0)), jerk, noise, step)
 
@@ -124,8 +124,8 @@ def without_repeats(speeds: Array) -> Mask:
     for length in range(2, LONGEST_REPEAT + 1):
         if len(lengths) >= FEWEST and np.mean(lengths % length == 0) >= REGULAR:
             rhythm = length
-    since = np.arange(len(speeds)) - np.repeat(changes, np.diff(np.append(changes, len(speeds))))
-    return np.asarray(since % rhythm == 0)
+    repeat_count = np.arange(len(speeds)) - np.repeat(changes, np.diff(np.append(changes, len(speeds))))
+    return np.asarray(repeat_count % rhythm == 0)
 
 
 def rounding_step(speeds: Array) -> float:
@@ -140,8 +140,8 @@ def resolution(readings: Array) -> float:
     differences = differences[differences > SAME * float(np.abs(values).max(initial=0.0))]
     if len(differences) < 2:
         return 0.0
-    least = float(np.percentile(differences, 1.0))
-    step = float(np.median(differences[differences < 1.5 * least]))
+    smallest_step = float(np.percentile(differences, 1.0))
+    step = float(np.median(differences[differences < 1.5 * smallest_step]))
     multiples = differences / step
     return step if np.mean(np.abs(multiples - np.round(multiples)) < WHOLE) >= MULTIPLES else 0.0
 
@@ -161,50 +161,50 @@ class _Grid:
     times: Array
     speeds: Array
     sample: Mask  # a sample, else a requested time
-    begins: Mask
-    kept: Mask  # kept samples among all
-    within: Mask  # requested times inside, among all
+    is_begin: Mask
+    is_kept: Mask  # kept samples among all
+    is_within: Mask  # requested times inside, among all
 
     @classmethod
     def of(cls, sample_times: Array, speeds: Array, times: Array, longest_gap_s: float) -> _Grid:
         rest = at_rest(sample_times, speeds)
         is_still = rest[1:] & rest[:-1]  # from one sample to the next
-        kept = ~(np.append(is_still, rest[-1]) & np.concatenate(([rest[0]], is_still)))
+        is_kept = ~(np.append(is_still, rest[-1]) & np.concatenate(([rest[0]], is_still)))
         cut = is_still | (np.diff(sample_times) > longest_gap_s)
-        begins = np.concatenate(([True], cut))
-        right = np.searchsorted(sample_times, times, side="right")
-        inside = (right > 0) & (right < len(sample_times))
-        within = inside & ~cut[np.clip(right, 1, len(sample_times) - 1) - 1]
-        all_times = np.concatenate((sample_times[kept], times[within]))
+        is_begin = np.concatenate(([True], cut))
+        next_index = np.searchsorted(sample_times, times, side="right")
+        is_inside = (next_index > 0) & (next_index < len(sample_times))
+        is_within = is_inside & ~cut[np.clip(next_index, 1, len(sample_times) - 1) - 1]
+        all_times = np.concatenate((sample_times[is_kept], times[is_within]))
         order = np.argsort(all_times, kind="stable")
-        count, asked = int(kept.sum()), int(within.sum())
-        sample = np.repeat((True, False), (count, asked))[order]
-        values = np.concatenate((speeds[kept], np.zeros(asked)))[order]
-        first = np.concatenate((begins[kept], np.zeros(asked, dtype=bool)))[order]
-        return cls(all_times[order], values, sample, first, kept, within)
+        count, request_count = int(is_kept.sum()), int(is_within.sum())
+        sample = np.repeat((True, False), (count, request_count))[order]
+        values = np.concatenate((speeds[is_kept], np.zeros(request_count)))[order]
+        is_first = np.concatenate((is_begin[is_kept], np.zeros(request_count, dtype=bool)))[order]
+        return cls(all_times[order], values, sample, is_first, is_kept, is_within)
 
     def run(self, jerk: Array, noise: float) -> tuple[Array, Array]:
         """Smoothed states, and variances of changes to the next requested time."""
         states, variances = np.empty((len(self.times), 5)), np.full(len(self.times), np.nan)
         turns = np.empty(len(self.times), dtype=bool)
-        filter_forward(self.times, self.speeds, self.sample, self.begins, jerk, noise, states, turns)
-        smooth_backward(self.times, ~self.sample, self.begins, jerk, turns, states, variances)
+        filter_forward(self.times, self.speeds, self.sample, self.is_begin, jerk, noise, states, turns)
+        smooth_backward(self.times, ~self.sample, self.is_begin, jerk, turns, states, variances)
         return states, variances
 
     def squared_jerks(self, states: Array) -> Array:
         """Local mean squares of the smoothed acceleration's change [m^2/s^6]."""
         ends = np.clip(np.stack([self.times - LOCAL_S, self.times + LOCAL_S]), self.times[0], self.times[-1])
-        before, after = np.interp(ends, self.times, states[:, 1])
-        square = Cumulative.of(self.times, ((after - before) / (2.0 * LOCAL_S)) ** 2)
-        low, high = np.interp(ends, self.times, square.integral)
-        return np.asarray((high - low) / np.maximum(ends[1] - ends[0], 1e-9))
+        accel_before, accel_after = np.interp(ends, self.times, states[:, 1])
+        square = Cumulative.of(self.times, ((accel_after - accel_before) / (2.0 * LOCAL_S)) ** 2)
+        lower_integral, upper_integral = np.interp(ends, self.times, square.integral)
+        return np.asarray((upper_integral - lower_integral) / np.maximum(ends[1] - ends[0], 1e-9))
 
 
 def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
     """Density of the jerk, and standard deviation of the noise including rounding."""
     piece = np.arange(len(grid.times)) // PIECE
     is_used = piece % (1 + piece[-1] // MOST_PIECES) == 0
-    begins = (grid.begins | np.append(True, np.diff(piece) > 0))[is_used]
+    is_begin = (grid.is_begin | np.append(True, np.diff(piece) > 0))[is_used]
     times, speeds, sample = grid.times[is_used], grid.speeds[is_used], _spaced_samples(grid)[is_used]
     states, turns = np.empty((len(times), 5)), np.empty(len(times), dtype=bool)
 
@@ -214,7 +214,7 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
 
     def cost(point: Array) -> float:
         jerk, noise = values(point)
-        return filter_forward(times, speeds, sample, begins, np.full(len(times), jerk), noise, states, turns)
+        return filter_forward(times, speeds, sample, is_begin, np.full(len(times), jerk), noise, states, turns)
 
     bounds = np.log([JERK, NOISE_MPS])
     start = bounds.mean(axis=1)
@@ -226,8 +226,8 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
 def _spaced_samples(grid: _Grid) -> Mask:
     """Samples spaced so that a rounding sensor has mostly changed its step: its error is then white."""
     speeds, spacing = grid.speeds[grid.sample], float(np.median(np.diff(grid.times[grid.sample])))
-    stays = len(speeds) / (1 + int(np.count_nonzero(np.diff(speeds))))
-    spacing_count = max(1, int(min(stays, SLOWEST_S / spacing)))
+    repeat_count = len(speeds) / (1 + int(np.count_nonzero(np.diff(speeds))))
+    spacing_count = max(1, int(min(repeat_count, SLOWEST_S / spacing)))
     return np.asarray(grid.sample & (np.cumsum(grid.sample) % spacing_count == 0))
 
 
@@ -246,25 +246,30 @@ def _correlated_samples(residual: Array) -> float:
 
 @entry
 def filter_forward(
-    times: Array, speeds: Array, sample: Mask, begins: Mask, jerk: Array, noise: float, states: States, turns: Mask
+    times: Array, speeds: Array, sample: Mask, is_begin: Mask, jerk: Array, noise: float, states: States, turns: Mask
 ) -> float:
     """Kalman filter: half the deviance of the innovations.
 
     At the `times` [s] marked in `sample`, `speeds` [m/s] are samples; at others only the state is computed. Stretches that
-    are independent of earlier samples start at `begins`. `jerk` is the density up to each moment [m/s^2/sqrt(s)], `noise` the
+    are independent of earlier samples start at `is_begin`. `jerk` is the density up to each moment [m/s^2/sqrt(s)], `noise` the
     standard deviation of a sample [m/s]. `states` receives speed, acceleration, and variance of the speed, covariance and
     variance of the acceleration, shape (n, 5). `turns` receives the moments at which the acceleration may have changed at
     once: outliers that last begin there, so the filter goes back to that moment and follows them.
     """
-    deviance, known, i = 0.0, 0, 0
+    deviance, row_count, i = 0.0, 0, 0
     v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
     r = noise * noise
-    above, side, first, lasts = False, 0, -1, 0.0  # side of the last innovations, since when, and the first outlier among them
-    missed = 0  # of its outliers
+    above, side, first_outlier, lasts = (
+        False,
+        0,
+        -1,
+        0.0,
+    )  # side of the last innovations, since when, and the first outlier among them
+    misses = 0  # of its outliers
     turns[:] = False
     while i < len(times):
-        if begins[i]:
-            v, a, vv, va, aa, known, first = speeds[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0, -1
+        if is_begin[i]:
+            v, a, vv, va, aa, row_count, first_outlier = speeds[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0, -1
         else:
             dt, q = times[i] - times[i - 1], jerk[i] * jerk[i]
             if turns[i]:
@@ -274,34 +279,34 @@ def filter_forward(
             va += dt * aa + 0.5 * q * dt * dt
             aa += q * dt
         if sample[i]:
-            known += 1
-            off = speeds[i] - v
-            expected = OUTLIER * math.sqrt(vv + r)
-            if known <= 3 or (off > 0.0) != above:
-                above, side, first = off > 0.0, i, -1
-            if known > 3 and abs(off) > expected:
-                if first < 0:
-                    first, missed = i, 0
-                    lasts = LASTS_S if abs(off) < 2.0 * expected + FASTEST * (times[i] - times[i - 1]) else BREAKS_S
-                elif times[i] - times[first] >= lasts and not turns[first]:
-                    while times[first] - times[side] > LASTS_S:
+            row_count += 1
+            error = speeds[i] - v
+            limit = OUTLIER * math.sqrt(vv + r)
+            if row_count <= 3 or (error > 0.0) != above:
+                above, side, first_outlier = error > 0.0, i, -1
+            if row_count > 3 and abs(error) > limit:
+                if first_outlier < 0:
+                    first_outlier, misses = i, 0
+                    lasts = LASTS_S if abs(error) < 2.0 * limit + FASTEST * (times[i] - times[i - 1]) else BREAKS_S
+                elif times[i] - times[first_outlier] >= lasts and not turns[first_outlier]:
+                    while times[first_outlier] - times[side] > LASTS_S:
                         side += 1
-                    turns[side] = turns[first] = True
+                    turns[side] = turns[first_outlier] = True
                     if lasts == LASTS_S:
-                        deviance += MISSED * missed * 0.5 * OUTLIER * OUTLIER
-                    i, first = side, -1
+                        deviance += MISSED * misses * 0.5 * OUTLIER * OUTLIER
+                    i, first_outlier = side, -1
                     v, a = states[i - 1, 0], states[i - 1, 1]
                     vv, va, aa = states[i - 1, 2], states[i - 1, 3], states[i - 1, 4]
                     continue
-                missed += 1
+                misses += 1
             else:
-                first = -1
-            s = max(vv + r, off * off / (OUTLIER * OUTLIER))
-            if known > 2:  # the first two only initialise the stretch
-                deviance += 0.5 * (math.log(s) + off * off / s)
+                first_outlier = -1
+            s = max(vv + r, error * error / (OUTLIER * OUTLIER))
+            if row_count > 2:  # the first two only initialise the stretch
+                deviance += 0.5 * (math.log(s) + error * error / s)
             of_speed, of_accel = vv / s, va / s
-            v += of_speed * off
-            a += of_accel * off
+            v += of_speed * error
+            a += of_accel * error
             aa -= of_accel * va
             va -= of_speed * va
             vv -= of_speed * vv
@@ -311,16 +316,18 @@ def filter_forward(
 
 
 @entry
-def smooth_backward(times: Array, asked: Mask, begins: Mask, jerk: Array, turns: Mask, states: States, variances: Array) -> None:
+def smooth_backward(
+    times: Array, is_requested: Mask, is_begin: Mask, jerk: Array, turns: Mask, states: States, variances: Array
+) -> None:
     """Rauch, Tung and Striebel's pass over the states of `filter_forward`, in place.
 
-    `variances` receives the variance of the change of speed from each of the `asked` times to the next of the stretch,
+    `variances` receives the variance of the change of speed from each of the `is_requested` times to the next of the stretch,
     shape (n,).
     """
-    later, with_v, with_a = -1, 0.0, 0.0  # the next requested time, and covariances of its speed with the state here
+    later_row, with_v, with_a = -1, 0.0, 0.0  # the next requested time, and covariances of its speed with the state here
     for i in range(len(times) - 1, -1, -1):
-        if i == len(times) - 1 or begins[i + 1]:
-            later = -1
+        if i == len(times) - 1 or is_begin[i + 1]:
+            later_row = -1
         else:
             dt, q = times[i + 1] - times[i], jerk[i + 1] * jerk[i + 1]
             v, a, vv, va, aa = states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4]
@@ -343,10 +350,10 @@ def smooth_backward(times: Array, asked: Mask, begins: Mask, jerk: Array, turns:
             states[i, 3] = va + h_vv * g_av + h_va * g_aa
             states[i, 4] = aa + h_av * g_av + h_aa * g_aa
             with_v, with_a = g_vv * with_v + g_va * with_a, g_av * with_v + g_aa * with_a
-        if asked[i]:
-            if later >= 0:
-                variances[i] = max(states[i, 2] + states[later, 2] - 2.0 * with_v, 0.0)
-            later, with_v, with_a = i, states[i, 2], states[i, 3]
+        if is_requested[i]:
+            if later_row >= 0:
+                variances[i] = max(states[i, 2] + states[later_row, 2] - 2.0 * with_v, 0.0)
+            later_row, with_v, with_a = i, states[i, 2], states[i, 3]
 
 
 def noise_of_means(times: Array, value: Array, step: float) -> float:
@@ -378,7 +385,7 @@ def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
     The measured torque must also fit significantly better with these slopes than without.
     """
     result, text = slope_of_altitude(session)
-    return (result, text) if result is session else confirmed(session, result, text, "torque", "Nm", torque_errors(result))
+    return (result, text) if result is session else confirm_slope(session, result, text, "torque", "Nm", torque_errors(result))
 
 
 def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
@@ -392,45 +399,50 @@ def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
         return session, ""
     error, passes = error_by_revisits(session)
     slope = slopes(session.time + 0.5 * session.step, session.speed, session.altitude, error)
-    known = np.isfinite(slope.value)
-    used = session.used & known
+    is_known = np.isfinite(slope.value)
+    used_steps = session.used & is_known
     passes_text = f", which differs by {error:.1f} m between passes of one place ({passes} places)," if passes else ""
     where = f"{session.name}: the altitude{passes_text}"
-    if used.sum() < (1.0 - MOST_UNKNOWN) * session.used.sum():
+    if used_steps.sum() < (1.0 - MOST_UNKNOWN) * session.used.sum():
         return session, f"{where} gives a slope on less than half of the distance; it is not used"
-    spread = float(np.std(slope.value[used]))
+    spread = float(np.std(slope.value[used_steps]))
     text = f"over {slope.length_m:.0f} m with a standard deviation of {slope.std:.2%}"
     if spread**2 < slope.std**2 / (1.0 - WORTH):
         return session, f"{where} gives no usable slope: slopes {text}, as large as the slopes themselves; it is not used"
-    grade = np.where(known, slope.value, 0.0)
-    roles, computed = session.given | {"grade"}, session.computed | {"grade"}
-    result = replace(session, grade=grade, grade_std=slope.std, used=used, given=roles, computed=computed)
+    grade = np.where(is_known, slope.value, 0.0)
+    roles, computed_roles = session.given | {"grade"}, session.computed | {"grade"}
+    result = replace(session, grade=grade, grade_std=slope.std, used=used_steps, given=roles, computed=computed_roles)
     return result, f"{where} gives a slope {text}"
 
 
-def confirmed(
-    session: DriveSession, sloped: DriveSession, text: str, what: str, unit: str, errors: tuple[float, float, bool]
+def confirm_slope(
+    session: DriveSession,
+    session_with_slope: DriveSession,
+    text: str,
+    quantity: str,
+    unit: str,
+    errors: tuple[float, float, bool],
 ) -> tuple[DriveSession, str]:
-    """The `sloped` session if the errors of a measurement confirm it, else unchanged; and the note with both."""
-    without, with_it, surely = errors
-    text = f"{text}; the {what} error is {with_it:.4g} {unit} with it and {without:.4g} {unit} without"
-    return (sloped, text) if surely else (session, f"{text}, so it is no usable slope")
+    """`session_with_slope` if the errors of a measurement confirm it, else unchanged; and the note with both."""
+    error_without, with_it, is_sure = errors
+    text = f"{text}; the {quantity} error is {with_it:.4g} {unit} with it and {error_without:.4g} {unit} without"
+    return (session_with_slope, text) if is_sure else (session, f"{text}, so it is no usable slope")
 
 
 def error_by_revisits(session: DriveSession) -> tuple[float, int]:
     """Standard deviation of the altitude's error between passes of a place [m], and the number of pairs; 0 without pairs."""
     from scipy.spatial import cKDTree  # takes a while to load
 
-    x, y = Frame.about(session.latitude, session.longitude).metres(session.latitude, session.longitude)
-    known = np.isfinite(x) & np.isfinite(session.altitude)
+    x, y = Frame.of_positions(session.latitude, session.longitude).metres(session.latitude, session.longitude)
+    is_known = np.isfinite(x) & np.isfinite(session.altitude)
     piece = np.floor(session.distance / APART_M)
-    rows = np.flatnonzero(known & (np.diff(piece, prepend=-1.0) > 0.0))
+    rows = np.flatnonzero(is_known & (np.diff(piece, prepend=-1.0) > 0.0))
     if len(rows) < 2:
         return 0.0, 0
     pairs = cKDTree(np.column_stack([x[rows], y[rows]])).query_pairs(SAME_PLACE_M, output_type="ndarray")
-    first, second = rows[pairs[:, 0]], rows[pairs[:, 1]]
-    is_revisit = np.abs(session.time[first] - session.time[second]) > ANOTHER_PASS_S
-    differences = np.abs(session.altitude[first] - session.altitude[second])[is_revisit]
+    first_rows, second_rows = rows[pairs[:, 0]], rows[pairs[:, 1]]
+    is_revisit = np.abs(session.time[first_rows] - session.time[second_rows]) > ANOTHER_PASS_S
+    differences = np.abs(session.altitude[first_rows] - session.altitude[second_rows])[is_revisit]
     if len(differences) < FEWEST_REVISITS:
         return 0.0, 0
     return float(MAD_TO_STD * np.median(differences) / np.sqrt(2.0)), len(differences)
@@ -451,12 +463,12 @@ def torque_errors(session: DriveSession) -> tuple[float, float, bool]:
 
 def coasting_errors(sessions: Sequence[DriveSession]) -> tuple[float, float, bool]:
     """The same for coast-downs, each in use and a block of its own: mean error of the decelerating force [N]."""
-    resists = np.concatenate([_resistance_columns(s) for s in sessions])
+    resistance = np.concatenate([_resistance_columns(s) for s in sessions])
     forces = (
         np.concatenate([(s.weight / GRAVITY * (s.accel + part * GRAVITY * s.grade))[s.used] for s in sessions])
         for part in (0.0, 1.0)
     )
-    return _error_change(((force, resists) for force in forces), np.concatenate([s.block[s.used] for s in sessions]))
+    return _error_change(((force, resistance) for force in forces), np.concatenate([s.block[s.used] for s in sessions]))
 
 
 def _resistance_columns(session: DriveSession) -> Array:
@@ -465,10 +477,10 @@ def _resistance_columns(session: DriveSession) -> Array:
     return np.column_stack([mass * np.sign(speed), mass * speed, speed * np.abs(speed)])
 
 
-def _error_change(fits: Iterable[tuple[Array, Array]], pieces: Array) -> tuple[float, float, bool]:
+def _error_change(regressions: Iterable[tuple[Array, Array]], pieces: Array) -> tuple[float, float, bool]:
     """Mean errors of two fits of values by columns, and whether the second is significantly smaller, by the pieces."""
-    without, with_it = (np.abs(y - x @ robust_least_squares(x, y)) for y, x in fits)
+    errors_without, with_it = (np.abs(y - x @ robust_least_squares(x, y)) for y, x in regressions)
     _, piece = np.unique(pieces, return_inverse=True)
-    gains = np.bincount(piece, without - with_it) / np.bincount(piece)
-    surely = len(gains) > 1 and gains.mean() > SURE * np.std(gains, ddof=1) / np.sqrt(len(gains))
-    return float(without.mean()), float(with_it.mean()), bool(surely)
+    gains = np.bincount(piece, errors_without - with_it) / np.bincount(piece)
+    is_sure = len(gains) > 1 and gains.mean() > SURE * np.std(gains, ddof=1) / np.sqrt(len(gains))
+    return float(errors_without.mean()), float(with_it.mean()), bool(is_sure)

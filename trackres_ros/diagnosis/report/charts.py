@@ -39,7 +39,7 @@ class Line(NamedTuple):
     colour: str
     pieces: Sequence[tuple[Values, Values]]  # x and y
     width: float = 1.5
-    dashed: bool = False
+    is_dashed: bool = False
 
 
 class Area(NamedTuple):
@@ -59,9 +59,9 @@ class Bars(NamedTuple):
     colour: str
     x: Values
     height: Values
-    half: Values  # of the interval; nan without one
+    half_width: Values  # of the interval; nan without one
     width: float
-    starred: Sequence[bool] = ()
+    has_star: Sequence[bool] = ()
     details: Sequence[str] = ()  # at the pointer
     keys: Sequence[str] = ()  # of the times that a press highlights
 
@@ -73,7 +73,7 @@ class Points(NamedTuple):
     colour: str
     x: Values
     y: Values
-    half: Values
+    half_width: Values
     x_half: Values | None = None
 
 
@@ -91,7 +91,7 @@ class Rule(NamedTuple):
     """A line across the panel; an upright one is dashed, and has a label at its top."""
 
     place: float
-    upright: bool = False
+    is_upright: bool = False
     text: str = ""
     label: str = ""
     colour: str = GREY
@@ -127,7 +127,7 @@ class Panel(NamedTuple):
     y_label: str = ""
     height: int = 240  # pixels of the interactive page
     ticks: tuple[Sequence[float], Sequence[str]] | None = None  # their places and labels
-    lit: tuple[int, float] | None = None  # session whose highlighted steps it shows, and seconds per unit of the x-axis
+    highlight: tuple[int, float] | None = None  # session whose highlighted steps it shows, and seconds per unit of the x-axis
 
     @property
     def lines(self) -> list[Line]:
@@ -154,8 +154,8 @@ class Chart(NamedTuple):
     def legend(self) -> list[tuple[str, str, bool]]:
         """Colour and text of each series, and whether it is solid."""
         series = [e for panel in self.panels for e in panel.elements if not isinstance(e, Map | Matrix)]
-        dashed = {e.text for e in series if isinstance(e, Rule) or (isinstance(e, Line) and e.dashed)}
-        return list({e.text: (e.colour, e.text, e.text not in dashed) for e in series if e.text}.values())
+        dashed_texts = {e.text for e in series if isinstance(e, Rule) or (isinstance(e, Line) and e.is_dashed)}
+        return list({e.text: (e.colour, e.text, e.text not in dashed_texts) for e in series if e.text}.values())
 
 
 def unit(label: str) -> str:

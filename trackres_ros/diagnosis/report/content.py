@@ -13,10 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.base.variables import BY_NAME, varying_series
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.term import FOLLOWED, Route, Term
-from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, joined, likelier, rejected, why_not
+from trackres_ros.diagnosis.findings.wording import (
+    LEAST_AHEAD,
+    LEFT_OUT,
+    join_sentences,
+    likelier_text,
+    rejected_sentences,
+    why_not,
+)
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SUSPECTED, Improvement
@@ -24,7 +31,7 @@ from trackres_ros.diagnosis.selection.locate import Bin, residual_sources
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.vehicle.writing.changes import Interval
-from trackres_ros.vehicle.writing.sensor_lines import replaced, sensor_lines
+from trackres_ros.vehicle.writing.sensor_lines import file_phrase, sensor_lines
 from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
@@ -34,8 +41,8 @@ BINS, CELLS = 24, (24, 12)  # of a histogram; of speed and acceleration
 def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
     """All findings as plain data."""
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
-    lines = sensor_lines(d.kept.of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
-    kept = {kind: d.kept.names_of(kind) for kind in BELONGS_TO}
+    lines = sensor_lines(d.kept.effects_of("sensor"), {s.name: s.bindings for s in d.sessions}, scale)
+    written_names = {kind: d.kept.names_of(kind) for kind in BELONGS_TO}
     routes = [_route(t, t.pattern, d.final) for t in d.in_order if isinstance(t.pattern, Route)]
     content = {
         "schema": SCHEMA,
@@ -43,14 +50,13 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "base": _base(d),
         "verdict": _verdict(d),
         "effects": [_effect(t) for t in d.found],
-        "described": [_described(t) for t in (*d.described, *(() if d.drift is None else (d.drift,)))],
+        "described": [_describe_term(t) for t in (*d.described, *(() if d.drift is None else (d.drift,)))],
         "route": routes[0] if routes else None,
         "routes": routes,
         **{
             grade: [
-                {"name": t.name, "heldout": _improvement(t.improvement), "grade": t.grade, "why": joined(rejected([t]))}
-                for t in d.unconfirmed
-                if t.grade == grade
+                {"name": t.name, "heldout": _improvement(t.improvement), "grade": t.grade, "why": join_sentences(sentences)}
+                for t, sentences in ((t, rejected_sentences([t])) for t in d.unconfirmed if t.grade == grade)
             ]
             for grade in (SUSPECTED, REFUTED)
         },
@@ -58,18 +64,18 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "written": {
             "base": d.kept.values is not None,
             "values": d.kept.values,
-            "effects": [name for names in kept.values() for name in names],
+            "effects": [name for names in written_names.values() for name in names],
             "disturbance": None if d.kept.disturbance is None else d.kept.disturbance.disturbance.form,
             "why": d.kept.text,
         },
         "heldout": _held_out(d),
         "not_visible": [{"name": n.name, "why": n.why} for n in d.alone.separability.of_names.not_visible],
-        "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.excluded.items()],
+        "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.exclusions.items()],
         "advice": [asdict(advice) for advice in d.advice],
         "candidates": _candidates(d),
         "residual_by_regime": {
-            stage: [{**_bin(b), "samples": b.samples, "p": b.p} for b in of.bins]
-            for stage, of in (("base", d.at_base), ("end", d.at_end))
+            stage: [{**_bin(b), "samples": b.samples, "p": b.p} for b in regime_map.bins]
+            for stage, regime_map in (("base", d.at_base), ("end", d.at_end))
         },
         "changes": [
             {"recording": c.recording, "t_s": c.time, "before": c.before, "after": c.after, "unit": "Nm"} for c in d.changes
@@ -81,15 +87,15 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "notes": d.gated.notes,
         "warnings": d.gated.warnings,
         "sensors": [
-            {"effect": s.effect or None, "value": s.value if s.effect else None, "text": s.says} for s in d.gated.sensors
+            {"effect": s.effect or None, "value": s.value if s.effect else None, "text": s.statement} for s in d.gated.sensors
         ],
         "inputs": inputs(d),
-        "kept": kept,
+        "kept": written_names,
         "topics_lines": lines,
         "to_do": _to_do(d, lines),
         "thermal": None if d.thermal is None else asdict(d.thermal),
     }  # fmt: skip
-    return {key: value if key == "inputs" else _plain(value) for key, value in content.items()}
+    return {key: value if key == "inputs" else _plain_value(value) for key, value in content.items()}
 
 
 def _base(d: Diagnosis) -> dict[str, Any]:
@@ -108,9 +114,9 @@ def _base(d: Diagnosis) -> dict[str, Any]:
             for name, value in d.final.base_values.items()
         },
         "instrument": {
-            active.effect.name: {q.name: {"value": active.values[q.name], "unit": q.unit}}
-            for active in d.final.instrument
-            for q in active.effect.parameters
+            sensor_term.effect.name: {q.name: {"value": sensor_term.values[q.name], "unit": q.unit}}
+            for sensor_term in d.final.instrument
+            for q in sensor_term.effect.parameters
         },
     }
 
@@ -135,16 +141,16 @@ def _verdict(d: Diagnosis) -> dict[str, Any]:
 
 
 def _held_out(d: Diagnosis) -> dict[str, Any]:
-    of = d.held_out
+    errors = d.held_out
     return {
-        "laps": of.laps,
-        "mae": of.mae,
-        "r2": of.r2,
-        "bias": of.bias,
-        "improvement_ci95": [of.of_effects.low, of.of_effects.high],
-        "of_refit": _improvement(of.of_refit),
-        "without_sensor_error": of.without_sensor,
-        "by_lap": {measure: {stage: x.tolist() for stage, x in stages.items()} for measure, stages in of.by_lap.items()},
+        "laps": errors.laps,
+        "mae": errors.mae,
+        "r2": errors.r2,
+        "bias": errors.bias,
+        "improvement_ci95": [errors.of_effects.low, errors.of_effects.high],
+        "of_refit": _improvement(errors.of_refit),
+        "without_sensor_error": errors.without_sensor,
+        "by_lap": {measure: {stage: x.tolist() for stage, x in stages.items()} for measure, stages in errors.by_lap.items()},
     }
 
 
@@ -160,57 +166,57 @@ def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
             "kept": c.kept,
             "d_prime": c.d_prime,
             "threshold": search_round.cost,
-            "chosen": c in chosen,
-            "why": why(c, search_round.cost, *chosen),
+            "chosen": c in terms_chosen,
+            "why": why(c, search_round.cost, *terms_chosen),
         }
-        for number, (search_round, chosen) in enumerate([*rounds, (d.last, ())], 1)
-        for c in (*chosen, *search_round.candidates)
+        for number, (search_round, terms_chosen) in enumerate([*rounds, (d.last, ())], 1)
+        for c in (*terms_chosen, *search_round.candidates)
     ]
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
     """Next steps for the kept results, in addition to using the vehicle file."""
     steps = []
-    around, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
-    if around:
+    surroundings, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
+    if surroundings:
         steps.append(
-            f"The surroundings, not the vehicle, cause {around}. That is written to {SURROUNDINGS_FILE}, for --surroundings "
-            "where it applies."
+            f"The surroundings, not the vehicle, cause {surroundings}. That is written to {SURROUNDINGS_FILE}, for "
+            "--surroundings where it applies."
         )
     if lines:
-        steps.append(f"A sensor causes {sensors}. No file corrects that: {replaced(lines)}:")
+        steps.append(f"A sensor causes {sensors}. No file corrects that: {file_phrase(lines)}:")
     return steps
 
 
-def why(c: Term, cost: float, chosen: Term | None = None) -> str:
+def why(c: Term, cost: float, choice: Term | None = None) -> str:
     """Why a candidate was chosen or not, of a round at this cost."""
-    if chosen is c:
+    if choice is c:
         return "chosen"
-    if chosen is not None and c.name in chosen.members:
-        return f"not distinguishable from {chosen.name} here"
+    if choice is not None and c.name in choice.members:
+        return f"not distinguishable from {choice.name} here"
     if c.level <= cost:
         return "the best of as many candidates may gain as much by chance"
     if not c.matters:
         return f"adds only {100.0 * c.share:.1f} % of the torque"
-    if chosen is None:
+    if choice is None:
         return why_not(c)
-    if c.level > chosen.level - LEAST_AHEAD:
-        if chosen.is_name and not c.is_name:
-            return f"fits as well as {chosen.name}, but is a form: it bends to the data"
-        on_laps = f"{LEFT_OUT} decide for {chosen.name}" if c.name in chosen.worse else why_not(c)
-        return f"fits as well as {chosen.name}, but {on_laps}"
-    return f"{likelier(chosen, c)} times less likely than {chosen.name}"
+    if c.level > choice.level - LEAST_AHEAD:
+        if choice.is_name and not c.is_name:
+            return f"fits as well as {choice.name}, but is a form: it bends to the data"
+        on_laps = f"{LEFT_OUT} decide for {choice.name}" if c.name in choice.worse else why_not(c)
+        return f"fits as well as {choice.name}, but {on_laps}"
+    return f"{likelier_text(choice, c)} times less likely than {choice.name}"
 
 
 def _effect(t: Term) -> dict[str, Any]:
-    effect, where = t.effect, t.location
+    effect, location = t.effect, t.location
     units = {q.name: q.unit for q in effect.parameters}
     return {
         "name": t.name,
         "class": t.members,
         "weights": t.weights,
         "acts_on": effect.acts_on,
-        "acts": {"text": t.place, "size": t.seen, "by": where.variable if where is not None and where.both_ways else ""},
+        "acts": {"text": t.place, "size": t.seen, "by": location.variable if location is not None and location.both_ways else ""},
         "grade": t.grade,
         "heldout": _improvement(t.improvement),
         "on_bounds": t.on_bounds,
@@ -234,18 +240,18 @@ def _effect(t: Term) -> dict[str, Any]:
     }
 
 
-def _sources(final: Fit) -> dict[str, Any]:
-    s = residual_sources(final)
+def _sources(final_fit: Fit) -> dict[str, Any]:
+    s = residual_sources(final_fit)
     sensors = {"torque_sensor": s.torque_sensor, "speed_sensor": s.speed_sensor}
     return {"total": s.total, **sensors, "model_at_most": s.model, "unit": "Nm", "text": s.text}
 
 
-def _described(t: Term) -> dict[str, Any]:
+def _describe_term(t: Term) -> dict[str, Any]:
     """A term without a name, or a drift, with its improvement of laps left out."""
-    followed = t.form in FOLLOWED
+    is_followed = t.form in FOLLOWED
     return {
         "form": t.form,
-        "name": None if followed else t.name,
+        "name": None if is_followed else t.name,
         "variable": t.variable or None,
         "gate": t.gate or None,
         "period_m": t.period_m,
@@ -260,22 +266,22 @@ def _described(t: Term) -> dict[str, Any]:
         "grade": t.grade,
         "heldout": _improvement(t.improvement),
         "parameters": {name: _pair(interval) for name, interval in t.intervals.items()},
-        **({} if followed else {"instead": t.instead or None}),
+        **({} if is_followed else {"instead": t.instead or None}),
     }
 
 
-def _route(t: Term, route: Route, final: Fit) -> dict[str, Any]:
-    learned = t.learned(final)
+def _route(t: Term, route: Route, final_fit: Fit) -> dict[str, Any]:
+    route_values = t.learned(final_fit)
     return {
         "name": t.name,
-        "kind": learned.kind,
+        "kind": route_values.kind,
         "slope_likelier_by": route.slope_gain,
         "streets_m": route.metres,
         "passed_again_m": route.again_m,
         "passes": route.passes,
-        "rms": float(np.sqrt(np.nanmean(learned.value**2))),
-        "std_median": float(np.nanmedian(learned.std)),
-        "unit": "1" if learned.kind == SLOPE else "Nm",
+        "rms": float(np.sqrt(np.nanmean(route_values.value**2))),
+        "std_median": float(np.nanmedian(route_values.std)),
+        "unit": "1" if route_values.kind == SLOPE else "Nm",
     }
 
 
@@ -297,20 +303,20 @@ def _pair(interval: Interval | None) -> list[float] | None:
     return None if interval is None else [interval.low, interval.high]
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     """Plain data for JSON: numbers with 6 significant digits, None if not finite. Those of a `Stretch` are complete."""
     if isinstance(value, float):
         return float(np.format_float_positional(value, 6, fractional=False)) if math.isfinite(value) else None
     if isinstance(value, Stretch):
         return asdict(value)
     if isinstance(value, Mapping):
-        return {key: _plain(of) for key, of in value.items()}
-    return [_plain(of) for of in value] if isinstance(value, list | tuple) else value
+        return {key: _plain_value(item) for key, item in value.items()}
+    return [_plain_value(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def inputs(d: Diagnosis) -> dict[str, Any]:
     """Summary of the recordings as plain data: the length and gaps of each [s], the range and histogram of each variable."""
-    used = np.concatenate([s.used for s in d.sessions])
+    used_steps = np.concatenate([s.used for s in d.sessions])
     recordings = []
     for s in d.sessions:
         gaps = [end - begin for begin, end in s.stretches(~s.used)]
@@ -326,27 +332,29 @@ def inputs(d: Diagnosis) -> dict[str, Any]:
                 "measured": sorted(s.given),
             }
         )
-    series = {"torque": np.concatenate([s.torque for s in d.sessions])[used]}
-    series |= {name: of[used] for name, of in varying(d.sessions, d.refitted.predicted).items()}
+    series = {"torque": np.concatenate([s.torque for s in d.sessions])[used_steps]}
+    series |= {name: samples[used_steps] for name, samples in varying_series(d.sessions, d.refitted.predicted).items()}
     ranges = []
-    for name, of in series.items():
-        low, middle, high = (_short(q) for q in np.quantile(of, (0.0, 0.5, 1.0)))
+    for name, samples in series.items():
+        low, middle, high = (_shorten(q) for q in np.quantile(samples, (0.0, 0.5, 1.0)))
         unit = "Nm" if name == "torque" else BY_NAME[name].unit
-        seconds = (np.histogram(of, BINS)[0] * d.sessions[0].step).tolist()
+        seconds = (np.histogram(samples, BINS)[0] * d.sessions[0].step).tolist()
         ranges.append({"variable": name, "unit": unit, "low": low, "median": middle, "high": high, "histogram_s": seconds})
     return {"step_s": d.sessions[0].step, "recordings": recordings, "ranges": ranges, "coverage": _coverage(d)}
 
 
 def _coverage(d: Diagnosis) -> dict[str, Any]:
     """Compared seconds by speed and acceleration: one row for each range of the acceleration, the least first."""
-    used = np.concatenate([s.used for s in d.sessions])
-    speed = np.concatenate([s.speed for s in d.sessions])[used]
-    accel = np.concatenate([BY_NAME["acceleration"].of(*x) for x in zip(d.sessions, d.refitted.predicted, strict=True)])[used]
+    used_steps = np.concatenate([s.used for s in d.sessions])
+    speed = np.concatenate([s.speed for s in d.sessions])[used_steps]
+    accel = np.concatenate([BY_NAME["acceleration"].of(*x) for x in zip(d.sessions, d.refitted.predicted, strict=True)])[
+        used_steps
+    ]
     counts, speeds, accels = np.histogram2d(speed, accel, CELLS)
     seconds = (counts.T * d.sessions[0].step).tolist()
-    ends = {"speed": [_short(speeds[0]), _short(speeds[-1])], "acceleration": [_short(accels[0]), _short(accels[-1])]}
+    ends = {"speed": [_shorten(speeds[0]), _shorten(speeds[-1])], "acceleration": [_shorten(accels[0]), _shorten(accels[-1])]}
     return {**ends, "seconds": seconds}
 
 
-def _short(value: float) -> float:
+def _shorten(value: float) -> float:
     return float(np.format_float_positional(value, 4, fractional=False))

@@ -53,31 +53,31 @@ def interactive(d: Diagnosis) -> Interactive:
     MissingExtraError
         Without Bokeh.
     """
-    found = find_spec("bokeh")
-    if found is None or found.origin is None:
+    package = find_spec("bokeh")
+    if package is None or package.origin is None:
         raise MissingExtraError("zoom and hover on the page", "bokeh", "interactive")
     plots, legends, roots, names = {}, {}, list[Any](), dict[Model, str]()
     for part, chart in first_charts(d).items():
-        roots += (drawn := [encoded(plot, names) for plot in plots_of(chart)])
-        plots[part] = [(f"plot-{root['id']}", panel.title) for root, panel in zip(drawn, chart.panels, strict=True)]
-        legends[part] = [*chart.legend(), *([HIGHLIGHTED] if any(panel.lit for panel in chart.panels) else [])]
+        roots += (encoded_plots := [encoded(plot, names) for plot in plots_of(chart)])
+        plots[part] = [(f"plot-{root['id']}", panel.title) for root, panel in zip(encoded_plots, chart.panels, strict=True)]
+        legends[part] = [*chart.legend(), *([HIGHLIGHTED] if any(panel.highlight for panel in chart.panels) else [])]
     ids = [root["id"] for root in roots]
-    steps = [{"begin": float(s.time[0]), "step": s.step, **of} for s, of in zip(d.sessions, bins_of_steps(d), strict=True)]
+    steps = [{"begin": float(s.time[0]), "step": s.step, **bins} for s, bins in zip(d.sessions, bins_of_steps(d), strict=True)]
     data = {
         "documents": {DOCUMENT: {"version": version("bokeh"), "title": DOCUMENT, "roots": roots}},
         "items": [{"docid": DOCUMENT, "roots": {root: f"plot-{root}" for root in ids}, "root_ids": ids}],
         "steps": dict(enumerate(steps)),
     }
-    return Interactive(plots, legends, _library(Path(found.origin).parent), version("bokeh"), packed(json.dumps(data)))
+    return Interactive(plots, legends, _library(Path(package.origin).parent), version("bokeh"), pack(json.dumps(data)))
 
 
 @cache
 def _library(folder: Path) -> str:
     """Bokeh's own script from the folder of its package, packed for the page."""
-    return packed((folder / "server" / "static" / "js" / "bokeh.min.js").read_text(encoding="utf-8"))
+    return pack((folder / "server" / "static" / "js" / "bokeh.min.js").read_text(encoding="utf-8"))
 
 
-def packed(text: str) -> str:
+def pack(text: str) -> str:
     """A text packed for the page; the same text gives the same result."""
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
 
@@ -119,8 +119,8 @@ def plots_of(chart: Chart) -> list[Model]:
     """A plot for each panel of a chart; panels with a common label share its axis."""
     x_range = None
     if chart.x_label:
-        begins, ends = zip(*(panel.x_range for panel in chart.panels), strict=True)
-        x_range = Model("Range1d", start=min(begins), end=max(ends), bounds="auto")
+        left_ends, right_ends = zip(*(panel.x_range for panel in chart.panels), strict=True)
+        x_range = Model("Range1d", start=min(left_ends), end=max(right_ends), bounds="auto")
     y_range = _range(chart.panels) if chart.y_label else None
     return [_plot(chart, panel, x_range, y_range or _range([panel])) for panel in chart.panels]
 
@@ -130,16 +130,16 @@ def _range(panels: Sequence[Panel]) -> Model:
     values: list[Values] = [np.zeros(0)]
     for element in (element for panel in panels for element in panel.elements):
         match element:
-            case Rule(place, upright=False):
+            case Rule(place, is_upright=False):
                 values.append(np.array([place]))
             case Line():
                 values += [y for _, y in element.pieces]
             case Bars():
-                half = np.nan_to_num(element.half)
-                values += [element.height - half, element.height + half]
-    every = np.concatenate(values)
-    every = every[np.isfinite(every)] if np.isfinite(every).any() else np.zeros(1)
-    low, high = float(every.min()), float(every.max())
+                half_width = np.nan_to_num(element.half_width)
+                values += [element.height - half_width, element.height + half_width]
+    all_values = np.concatenate(values)
+    all_values = all_values[np.isfinite(all_values)] if np.isfinite(all_values).any() else np.zeros(1)
+    low, high = float(all_values.min()), float(all_values.max())
     rim = RIM * (high - low) + 1e-9
     return Model("Range1d", start=low - rim, end=high + rim)
 
@@ -154,7 +154,7 @@ def _plot(chart: Chart, panel: Panel, x_range: Model | None, y_range: Model) -> 
         x_axis.attributes["ticker"] = Model("FixedTicker", ticks=list(places))
         x_axis.attributes["major_label_overrides"] = dict(zip(places, labels, strict=True))
         x_range = Model("Range1d", start=places[0] - EDGE, end=places[-1] + EDGE)
-    renderers = [] if panel.lit is None else [_strips(*panel.lit)]
+    renderers = [] if panel.highlight is None else [_strips(*panel.highlight)]
     center = [Model("Grid", axis=axis, dimension=i, grid_line_color="#E3E3E3") for i, axis in enumerate((x_axis, y_axis))]
     start, stop, tools, bars = y_range.attributes["start"], y_range.attributes["end"], list[Model](), list[Model]()
     for element in panel.elements:
@@ -162,20 +162,23 @@ def _plot(chart: Chart, panel: Panel, x_range: Model | None, y_range: Model) -> 
             case Span(_, begin, end, colour, top):
                 box = {"left": begin, "right": end, "bottom": start, "top": start + top * (stop - start)}
                 center.append(Model("BoxAnnotation", **box, fill_color=colour, fill_alpha=1.0, line_color=None))
-            case Rule(place, upright, _, label, colour):
-                way = {"dimension": "height", "line_dash": [6]} if upright else {"dimension": "width"}
+            case Rule(place, is_upright, _, label, colour):
+                way = {"dimension": "height", "line_dash": [6]} if is_upright else {"dimension": "width"}
                 center.append(Model("Span", location=place, line_color=colour, **way))
                 text = {"text": label, "text_font_size": "10px", "text_color": DARK, "text_baseline": "top"}
                 center += [Model("Label", x=place, y=stop, x_offset=3, **text)] if label else []
             case Area(_, colour, x, low, high):
-                columns = {"x": _rounded(x, 3), "y1": _rounded(low, 3), "y2": _rounded(high, 3)}
+                columns = {"x": _round_values(x, 3), "y1": _round_values(low, 3), "y2": _round_values(high, 3)}
                 renderers.append(_renderer(columns, "VArea", fill_color=colour))
             case Bars():
                 bars.append(_bars(element))
                 head, source = Model("TeeHead", size=5), bars[-1].attributes["data_source"]
                 ends = {"base": Column("x"), "lower": Column("low"), "upper": Column("high"), "line_color": DARK}
                 center.append(Model("Whisker", source=source, lower_head=head, upper_head=head, **ends))
-                stars: dict[str, list[Any]] = {"x": _rounded(element.x, 3), "text": ["*" * star for star in element.starred]}
+                stars: dict[str, list[Any]] = {
+                    "x": _round_values(element.x, 3),
+                    "text": ["*" * star for star in element.has_star],
+                }
                 stars["text_baseline"] = ["top" if height > 0 else "bottom" for height in element.height]
                 renderers.append(_renderer(stars, "Text", y=0.0, text_align="center", text_color=element.colour))
     if bars:
@@ -210,39 +213,42 @@ def _strips(session: int, unit_s: float) -> Model:
 def _lines(lines: Sequence[Line], x_unit: str, y_unit: str) -> tuple[list[Model], list[list[str]]]:
     """Lines over the same `x`, and their texts at the pointer. A nan after each piece breaks a line before the next."""
     places = _places(np.concatenate([y for line in lines for _, y in line.pieces]))
-    data = {"x": [v for x, _ in lines[0].pieces for v in (*_rounded(x, 3), math.nan)]}
+    data = {"x": [v for x, _ in lines[0].pieces for v in (*_round_values(x, 3), math.nan)]}
     for i, line in enumerate(lines):
-        data[f"y{i}"] = [v for _, y in line.pieces for v in (*_rounded(y, places + 1), math.nan)]
-    source, drawn = Model("ColumnDataSource", data=data), []
+        data[f"y{i}"] = [v for _, y in line.pieces for v in (*_round_values(y, places + 1), math.nan)]
+    source, glyphs = Model("ColumnDataSource", data=data), []
     for i, line in enumerate(lines):
-        look = {"line_color": line.colour, "line_width": 1.4 * line.width, "line_dash": [6] if line.dashed else []}
+        look = {"line_color": line.colour, "line_width": 1.4 * line.width, "line_dash": [6] if line.is_dashed else []}
         glyph = Model("Line", x=Column("x"), y=Column(f"y{i}"), **look)
-        drawn.append(Model("GlyphRenderer", data_source=source, glyph=glyph))
-    return drawn, [["time", f"@x{{0.0[0]}} {x_unit}"], *([t.text, _number(f"y{i}", places, y_unit)] for i, t in enumerate(lines))]
+        glyphs.append(Model("GlyphRenderer", data_source=source, glyph=glyph))
+    return glyphs, [
+        ["time", f"@x{{0.0[0]}} {x_unit}"],
+        *([t.text, _number(f"y{i}", places, y_unit)] for i, t in enumerate(lines)),
+    ]
 
 
 def _bars(bars: Bars) -> Model:
     """Bars; a press highlights the times of one."""
     places = 1 + _places(bars.height)
-    ends = {"low": bars.height - bars.half, "top": bars.height, "high": bars.height + bars.half}
+    ends = {"low": bars.height - bars.half_width, "top": bars.height, "high": bars.height + bars.half_width}
     data = {"x": bars.x.tolist(), "details": bars.details, "key": bars.keys}
-    source = Model("ColumnDataSource", data=data | {name: _rounded(values, places) for name, values in ends.items()})
+    source = Model("ColumnDataSource", data=data | {name: _round_values(values, places) for name, values in ends.items()})
     code = "const i = source.selected.indices[0]; window.trackresLight(i === undefined ? null : source.data.key[i])"
-    pressed = {"change:indices": [Model("CustomJS", args={"source": source}, code=code)]}
-    source.attributes["selected"] = Model("Selection", js_property_callbacks=pressed)
+    callbacks = {"change:indices": [Model("CustomJS", args={"source": source}, code=code)]}
+    source.attributes["selected"] = Model("Selection", js_property_callbacks=callbacks)
     look = {"x": Column("x"), "top": Column("top"), "width": bars.width, "fill_color": bars.colour}
-    glyph, chosen = Model("VBar", line_color=bars.colour, **look), Model("VBar", line_color=BLACK, line_width=2, **look)
-    return Model("GlyphRenderer", data_source=source, glyph=glyph, selection_glyph=chosen, nonselection_glyph=glyph)
+    glyph, selected_glyph = Model("VBar", line_color=bars.colour, **look), Model("VBar", line_color=BLACK, line_width=2, **look)
+    return Model("GlyphRenderer", data_source=source, glyph=glyph, selection_glyph=selected_glyph, nonselection_glyph=glyph)
 
 
-def _rounded(values: Values, places: int) -> list[float]:
+def _round_values(values: Values, places: int) -> list[float]:
     return [float(v) for v in np.round(values, places)]
 
 
 def _places(values: Values) -> int:
     """Decimals that show three figures of the largest value; none from 100 on."""
-    largest = float(np.nanmax(np.abs(values), initial=0.0))
-    return min(6, max(0, 2 - math.floor(math.log10(largest)))) if largest > 0.0 else 0
+    largest_value = float(np.nanmax(np.abs(values), initial=0.0))
+    return min(6, max(0, 2 - math.floor(math.log10(largest_value)))) if largest_value > 0.0 else 0
 
 
 def _number(column: str, places: int, unit_of_it: str) -> str:

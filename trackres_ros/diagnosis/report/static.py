@@ -28,7 +28,7 @@ from trackres_ros.diagnosis.report.charts import (
     Rule,
     Span,
 )
-from trackres_ros.output.style import picture, picture_with_legend, thinned
+from trackres_ros.output.style import picture, picture_with_legend, thin_out
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,26 +81,26 @@ def _draw_panel(axis: Axes, panel: Panel) -> None:
 
 def _draw_element(axis: Axes, element: Element) -> None:
     match element:
-        case Line(text, colour, pieces, width, dashed):
+        case Line(text, colour, pieces, width, is_dashed):
             for piece in pieces:
-                course = thinned(*piece, max(FEWEST_POINTS, MOST_POINTS // len(pieces)))
-                axis.plot(*course, color=colour, label=text, linewidth=width, linestyle=(0, (3, 1.5)) if dashed else "-")
+                course = thin_out(*piece, max(FEWEST_POINTS, MOST_POINTS // len(pieces)))
+                axis.plot(*course, color=colour, label=text, linewidth=width, linestyle=(0, (3, 1.5)) if is_dashed else "-")
         case Area(text, colour, x, low, high):
             axis.fill_between(x, low, high, color=colour, linewidth=0.0, label=text)
         case Bars():
             _draw_bars(axis, element)
-        case Points(text, colour, x, y, half, x_half):
-            axis.errorbar(x, y, half, x_half, fmt="o", color=colour, markersize=4, linewidth=1.0, label=text)
+        case Points(text, colour, x, y, half_width, x_half):
+            axis.errorbar(x, y, half_width, x_half, fmt="o", color=colour, markersize=4, linewidth=1.0, label=text)
         case Span(text, begin, end, colour, top):
             axis.axvspan(begin, end, ymax=top, color=colour, linewidth=0, label=text)
-        case Rule(place, upright, text, label, colour):
-            across, style = (axis.axvline, "--") if upright else (axis.axhline, "-")
-            across(place, color=colour, linewidth=0.8, linestyle=style, label=text or None)
+        case Rule(place, is_upright, text, label, colour):
+            draw_line, style = (axis.axvline, "--") if is_upright else (axis.axhline, "-")
+            draw_line(place, color=colour, linewidth=0.8, linestyle=style, label=text or None)
             corner: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
             axis.annotate(label, (place, 1.0), (2, -2), color=DARK, fontsize=7, **corner)
         case Map(x, y, values, label):
-            furthest = float(np.nanmax(np.abs(values)))
-            dots = axis.scatter(x, y, c=values, cmap="coolwarm", vmin=-furthest, vmax=furthest, s=8.0, rasterized=True)
+            largest_value = float(np.nanmax(np.abs(values)))
+            dots = axis.scatter(x, y, c=values, cmap="coolwarm", vmin=-largest_value, vmax=largest_value, s=8.0, rasterized=True)
             axis.figure.colorbar(dots, ax=axis, label=label)
             axis.set_aspect("equal")
         case Matrix(names, values, label):
@@ -113,8 +113,8 @@ def _draw_element(axis: Axes, element: Element) -> None:
 
 def _draw_bars(axis: Axes, bars: Bars) -> None:
     axis.bar(bars.x, bars.height, bars.width, color=bars.colour, label=bars.text)
-    axis.errorbar(bars.x, bars.height, bars.half, fmt="none", ecolor=DARK, elinewidth=0.8, capsize=1.5)
-    for x, height, starred in zip(bars.x, bars.height, bars.starred, strict=False):
-        if starred:
-            away, side = (-1, "top") if height > 0 else (1, "bottom")
-            axis.annotate("*", (x, 0.0), (0, away), textcoords="offset points", ha="center", va=side, color=bars.colour)
+    axis.errorbar(bars.x, bars.height, bars.half_width, fmt="none", ecolor=DARK, elinewidth=0.8, capsize=1.5)
+    for x, height, has_star in zip(bars.x, bars.height, bars.has_star, strict=False):
+        if has_star:
+            direction, side = (-1, "top") if height > 0 else (1, "bottom")
+            axis.annotate("*", (x, 0.0), (0, direction), textcoords="offset points", ha="center", va=side, color=bars.colour)

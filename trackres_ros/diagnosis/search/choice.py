@@ -34,7 +34,7 @@ from trackres_ros.diagnosis.prepare.session import SLOWEST_MPS
 from trackres_ros.diagnosis.search.cross_validation import Score
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
 from trackres_ros.diagnosis.search.proposals import TIED
-from trackres_ros.diagnosis.search.stability import unstable
+from trackres_ros.diagnosis.search.stability import find_instabilities
 from trackres_ros.diagnosis.selection.as_used import ON_BOUND, AsUsed
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.locate import against_travel
@@ -73,127 +73,132 @@ class Chosen:
 class Choice:
     """Judges the explanations of a search; on hold-out laps none may be worse than the base as it was `refitted`."""
 
-    def __init__(self, search: Search, refitted: Fit, laps: HeldOutLaps, use: AsUsed) -> None:
-        self._search, self._validation, self._refitted, self._laps = search, search.validation, refitted, laps
-        self._beyond_base = self._validation.beyond(search.nothing.fit)
+    def __init__(self, search: Search, base_fit: Fit, laps: HeldOutLaps, use: AsUsed) -> None:
+        self._search, self._validation, self._base_fit, self._laps = search, search.validation, base_fit, laps
+        self._beyond_base = self._validation.beyond(search.base_explanation.fit)
         self._use, self._by_file = use, use.error(None)
-        self._wide: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
-        self._graded: dict[tuple[Key, str], Term] = {}
-        self._unstable = set[str]()  # names whose size changes
+        self._wide_fits: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
+        self._terms_by_name: dict[tuple[Key, str], Term] = {}
+        self._unstable_names = set[str]()  # names whose size changes
 
-    def graded(self, explanation: Explanation, name: str) -> Term:
+    def grade_term(self, explanation: Explanation, name: str) -> Term:
         """A term of an explanation with its cross-validated grade."""
         term, key = explanation.terms[name], (explanation.key, name)
-        if key not in self._graded:
-            without = self._search.without(explanation, name)
-            improvement = self._validation.improvement(without.score, explanation.score)
-            faults = self._faults(explanation, name, improvement, without) if improvement.confirmed else ()
-            displaces = displaced_parameters(improvement, explanation.fit, without.fit)
+        if key not in self._terms_by_name:
+            remainder = self._search.without(explanation, name)
+            improvement = self._validation.improvement(remainder.score, explanation.score)
+            faults = self._faults(explanation, name, improvement, remainder) if improvement.confirmed else ()
+            displaces = displaced_parameters(improvement, explanation.fit, remainder.fit)
             bounds = on_bounds(active_of(explanation.fit, name))
-            self._graded[key] = replace(
+            self._terms_by_name[key] = replace(
                 term, improvement=improvement, faults=tuple(faults), on_bounds=bounds, displaces=displaces
             )
-        return term.graded_as(self._graded[key])
+        return term.graded_as(self._terms_by_name[key])
 
-    def _faults(self, explanation: Explanation, name: str, improvement: Improvement, without: Explanation) -> list[str]:
+    def _faults(self, explanation: Explanation, name: str, improvement: Improvement, remainder: Explanation) -> list[str]:
         """Why laps and recordings left out do not confirm a term that predicts the laps better, in words after its name."""
         term, validation = explanation.terms[name], self._validation
         change = f"from {figures(improvement.before)} to {figures(improvement.after)} Nm on laps left out"
         faults = []
         threshold = ALIKE_WITHIN if term.kind == CLOCK else ALIKE_WITHIN + self._search.cost
-        if not improvement.likelier > 0.0 or improvement.gained < threshold:
+        if not improvement.likelihood_bound > 0.0 or improvement.level_gain < threshold:
             faults.append(f"gains no more than the best of many candidates may by chance: {change}")
         if not term.matters:
             faults.append(f"adds only {100.0 * term.share:.1f} % of the torque")
         is_small = improvement.before - improvement.after < SMALL_SHARE * improvement.before
-        if is_small and not validation.level_falls(without.score, explanation.score):
+        if is_small and not validation.level_falls(remainder.score, explanation.score):
             faults.append(f"hardly reduces the error: {change}")
-        decrease = float((without.score.square - explanation.score.square).sum())
+        decrease = float((remainder.score.square - explanation.score.square).sum())
         if decrease < LEAST_OF_SIZE * float((self._beyond_base(explanation.fit.contribution(name)) ** 2).sum()):
             faults.append("mostly cancels another term")
         spreads = np.array([float(np.std(x[np.isfinite(x)])) for x in explanation.fit.contribution(name)])
-        is_active = (spreads > MOVES * spreads.max()) & (validation.by_recording(np.ones_like(without.score.error)) > 0.0)
+        is_active = (spreads > MOVES * spreads.max()) & (validation.by_recording(np.ones_like(remainder.score.error)) > 0.0)
         if len(spreads) < FEWEST_SESSIONS and self._only_between(explanation, name):
             faults.append(f"{ONLY_BETWEEN} {len(spreads)} recordings, as other things may")
-        gains = validation.by_recording(without.score.error - explanation.score.error)[is_active]
+        gains = validation.by_recording(remainder.score.error - explanation.score.error)[is_active]
         if len(gains) > 1 and np.mean(gains > 0.0) <= 0.5:
             faults.append(f"helps in {int((gains > 0.0).sum())} of the {len(gains)} recordings in which it acts")
-        before, after = without.score.unseen, explanation.score.unseen
-        if is_active.sum() >= 3 and after > NO_WORSE * before:
-            faults.append(f"predicts recordings left out worse: {figures(before)} to {figures(after)} Nm")
+        error_before, error_after = remainder.score.unseen, explanation.score.unseen
+        if is_active.sum() >= 3 and error_after > NO_WORSE * error_before:
+            faults.append(f"predicts recordings left out worse: {figures(error_before)} to {figures(error_after)} Nm")
         if term.is_name and not faults:
             faults += self._size_faults(explanation, name)
         if not term.is_name and not faults:
-            faults += self._clock_rivals(explanation, name, without)
-        return faults or self._value_rivals(explanation, without)
+            faults += self._clock_rivals(explanation, name, remainder)
+        return faults or self._value_rivals(explanation, remainder)
 
     def _size_faults(self, explanation: Explanation, name: str) -> list[str]:
         """Faults of a name whose size changes, or that is confirmed only together with a form."""
-        faults = unstable(explanation.fit, name, self._validation.scored)
+        faults = find_instabilities(explanation.fit, name, self._validation.scored)
         if faults:
-            self._unstable.add(name)
+            self._unstable_names.add(name)
             return faults
         by_names = explanation
-        for other, term in explanation.terms.items():
-            by_names = by_names if term.is_name else self._search.without(by_names, other)
+        for other_name, term in explanation.terms.items():
+            by_names = by_names if term.is_name else self._search.without(by_names, other_name)
         if by_names.key == explanation.key:
             return []
         improvement = self._validation.improvement(self._search.without(by_names, name).score, by_names.score)
         return [] if improvement.confirmed else ["passes only beside a form, which bends to the data"]
 
-    def _value_rivals(self, explanation: Explanation, without: Explanation) -> list[str]:
+    def _value_rivals(self, explanation: Explanation, remainder: Explanation) -> list[str]:
         """A fault if base values outside the ranges of the vehicle file predict as well as the term."""
-        fitted = without.fit
-        values = [(q, fitted.base_values[q.name]) for q in fitted.problem.base.parameters]
+        base_fit = remainder.fit
+        values = [(q, base_fit.base_values[q.name]) for q in base_fit.problem.base.parameters]
         if not any(min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low) for q, value in values):
             return []
-        if without.key not in self._wide:
-            problem = replace(fitted.problem, base=self._use.base)
-            wide = fit(problem, [a.effect for a in fitted.effects], fitted.estimates, fitted.noises, largest_root=SHORT_ROOT)
-            self._wide[without.key] = wide, self._validation.score(wide)
-        wide, score = self._wide[without.key]
+        if remainder.key not in self._wide_fits:
+            problem = replace(base_fit.problem, base=self._use.base)
+            wide_fit = fit(
+                problem, [a.effect for a in base_fit.effects], base_fit.estimates, base_fit.noises, largest_root=SHORT_ROOT
+            )
+            self._wide_fits[remainder.key] = wide_fit, self._validation.score(wide_fit)
+        wide_fit, score = self._wide_fits[remainder.key]
         if self._validation.least_gain(score, explanation.score) > 0.0:
             return []
-        names = [q.name for q in wide.problem.base.parameters if q.outside(wide.base_values[q.name])]
+        names = [q.name for q in wide_fit.problem.base.parameters if q.outside(wide_fit.base_values[q.name])]
         return [f"predicts no better than {', '.join(names)} outside the given range"] if names else []
 
     @staticmethod
     def _only_between(explanation: Explanation, name: str) -> bool:
         """Whether the torque of a term hardly varies within recordings, but varies between them."""
         problem = explanation.fit.problem
-        resists = against_travel(problem.sessions, explanation.fit.contribution(name))
-        slow = min(SLOWEST_MPS, SLOW * max(float(np.nanmax(np.abs(s.speed))) for s in problem.sessions))
+        resistance = against_travel(problem.sessions, explanation.fit.contribution(name))
+        slow_mps = min(SLOWEST_MPS, SLOW * max(float(np.nanmax(np.abs(s.speed))) for s in problem.sessions))
         rows = [
-            x[m & np.isfinite(x) & (np.abs(s.speed) > slow)]
-            for x, m, s in zip(resists, problem.masks, problem.sessions, strict=True)
+            x[m & np.isfinite(x) & (np.abs(s.speed) > slow_mps)]
+            for x, m, s in zip(resistance, problem.masks, problem.sessions, strict=True)
         ]
         series = np.concatenate(rows)
-        within = sum(len(x) * float(np.var(x)) for x in rows if len(x)) / len(series)
-        return varies(series) and within < (LEAST_WITHIN * float(np.std(series))) ** 2
+        variance_within = sum(len(x) * float(np.var(x)) for x in rows if len(x)) / len(series)
+        return varies(series) and variance_within < (LEAST_WITHIN * float(np.std(series))) ** 2
 
-    def _clock_rivals(self, explanation: Explanation, name: str, without: Explanation) -> list[str]:
+    def _clock_rivals(self, explanation: Explanation, name: str, remainder: Explanation) -> list[str]:
         """A fault if the laps left out do not separate a form over a channel from one over the clock."""
         other_kind = {FORM: CLOCK, CLOCK: FORM}[explanation.terms[name].kind]
         for key, rival in self._search.known.items():
-            new = key - without.key
-            if len(key) != len(explanation.key) or not without.key <= key or len(new) != 1:
+            new_names = key - remainder.key
+            if len(key) != len(explanation.key) or not remainder.key <= key or len(new_names) != 1:
                 continue
-            (other,) = new
-            searched = other in rival.searched or name in explanation.searched
-            if rival.terms[other].kind != other_kind or other == name or searched:
+            (other_name,) = new_names
+            was_searched = other_name in rival.searched_key or name in explanation.searched_key
+            if rival.terms[other_name].kind != other_kind or other_name == name or was_searched:
                 continue
-            if self._validation.least_gain(rival.score, explanation.score) <= 0.0 and rival.worth > explanation.worth - SURE:
-                return [f"cannot be separated from {other} in these drives"]
+            if (
+                self._validation.least_gain(rival.score, explanation.score) <= 0.0
+                and rival.net_gain > explanation.net_gain - SURE
+            ):
+                return [f"cannot be separated from {other_name} in these drives"]
         return []
 
     def _graded_terms(self, explanation: Explanation) -> dict[str, Term]:
-        return {name: self.graded(explanation, name) for name in explanation.terms}
+        return {name: self.grade_term(explanation, name) for name in explanation.terms}
 
     def _is_confirmed(self, explanation: Explanation) -> bool:
-        improvement = self._validation.improvement(self._search.nothing.score, explanation.score)
+        improvement = self._validation.improvement(self._search.base_explanation.score, explanation.score)
         hold_out = self._hold_out_improvement(explanation)
         # Terms that pass only together were chosen from many more sets, and cancel each other as they please.
-        if explanation.worth <= SURE * (len(explanation.key) - 1):
+        if explanation.net_gain <= SURE * (len(explanation.key) - 1):
             return False
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
         if (
@@ -202,69 +207,84 @@ class Choice:
             or not self._laps.predicts(explanation.fit)
         ):
             return False
-        return all(self.graded(explanation, name).confirmed for name in explanation.terms)
+        return all(self.grade_term(explanation, name).confirmed for name in explanation.terms)
 
     def _hold_out_improvement(self, explanation: Explanation) -> Improvement:
-        return self._laps.improvement_of(self._refitted, explanation.fit)
+        return self._laps.improvement_of(self._base_fit, explanation.fit)
 
     def best(self, keep_suspected: bool = False) -> Chosen:
         """The best explanation; each of its terms is compared with all possible replacements.
 
         If none is confirmed: with `keep_suspected` the one with the highest worth, else nothing.
         """
-        nothing = self._search.nothing
+        base_explanation = self._search.base_explanation
         for _ in range(2):  # replacements of each term may make a better explanation
-            judged, confirmed, best = self._judge()
+            explanations, confirmed_explanations, best_explanation = self._judge()
             # A name whose size changes hides what is there instead.
-            if judged and judged[0].worth > best.worth and self._search.leave_out(judged[0].key & self._unstable):
-                judged, confirmed, best = self._judge()
-            for explanation in (best, *(self._search.without(best, name) for name in names_of(best))):
+            if (
+                explanations
+                and explanations[0].net_gain > best_explanation.net_gain
+                and self._search.leave_out(explanations[0].key & self._unstable_names)
+            ):
+                explanations, confirmed_explanations, best_explanation = self._judge()
+            for explanation in (
+                best_explanation,
+                *(self._search.without(best_explanation, name) for name in names_of(best_explanation)),
+            ):
                 self._search.expand(explanation)
-        first = judged[0] if judged else nothing
-        doubts = tuple(term for term in self._graded_terms(first).values() if not term.confirmed and term.name not in best.key)
-        graded = self._graded_terms(best)
-        shares = self._shares([e for e in confirmed if _competes(e, best)] or [nothing])
-        if keep_suspected and not best.key:
-            best, doubts, graded = first, (), self._graded_terms(first)
-            graded = {name: replace(term, faults=(NOT_AS_A_WHOLE, *term.faults)) for name, term in graded.items()}
-        terms = {name: self._classify(best, term) for name, term in graded.items()}
-        return Chosen(replace(best, terms=terms), self._round(nothing), self._round(best), doubts, shares)
+        first_explanation = explanations[0] if explanations else base_explanation
+        doubts = tuple(
+            term
+            for term in self._graded_terms(first_explanation).values()
+            if not term.confirmed and term.name not in best_explanation.key
+        )
+        graded_terms = self._graded_terms(best_explanation)
+        shares = self._shares([e for e in confirmed_explanations if _competes(e, best_explanation)] or [base_explanation])
+        if keep_suspected and not best_explanation.key:
+            best_explanation, doubts, graded_terms = first_explanation, (), self._graded_terms(first_explanation)
+            graded_terms = {name: replace(term, faults=(NOT_AS_A_WHOLE, *term.faults)) for name, term in graded_terms.items()}
+        terms = {name: self._classify(best_explanation, term) for name, term in graded_terms.items()}
+        return Chosen(
+            replace(best_explanation, terms=terms), self._round(base_explanation), self._round(best_explanation), doubts, shares
+        )
 
     def _judge(self) -> tuple[list[Explanation], list[Explanation], Explanation]:
         """The judged explanations, the confirmed ones of them, and the best one of these."""
-        judged = self._judged()
-        confirmed = [e for e in judged if self._is_confirmed(e)]
-        return judged, confirmed, self._select(confirmed)
+        explanations = self._judged_explanations()
+        confirmed_explanations = [e for e in explanations if self._is_confirmed(e)]
+        return explanations, confirmed_explanations, self._select(confirmed_explanations)
 
-    def _judged(self) -> list[Explanation]:
+    def _judged_explanations(self) -> list[Explanation]:
         """The explanations with the highest worth and all with a term by place, and each without some of its terms."""
-        known = self._search.known
+        known_explanations = self._search.known
         candidates = (
-            e for e in known.values() if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0 and not self._search.has_left_out(e)
+            e
+            for e in known_explanations.values()
+            if 0 < len(e.key) <= MOST_TERMS and e.net_gain > 0.0 and not self._search.has_left_out(e)
         )
-        ranking = sorted(candidates, key=lambda e: -e.worth)
+        ranking = sorted(candidates, key=lambda e: -e.net_gain)
         by_names = [e for e in ranking if not e.without_a_name][:MOST_NAMED]
         queue = [e for i, e in enumerate(ranking) if i < MOST_JUDGED or e in by_names or e.by_place is not None]
-        judged: dict[Key, Explanation] = {}
+        explanations: dict[Key, Explanation] = {}
         while queue:
             explanation = queue.pop(0)
-            if explanation.key and explanation.key not in judged:
-                judged[explanation.key] = self._search.polished(explanation)
+            if explanation.key and explanation.key not in explanations:
+                explanations[explanation.key] = self._search.polish(explanation)
                 queue += [self._search.without(explanation, name) for name in explanation.terms]
-        return sorted(judged.values(), key=lambda e: -e.worth)
+        return sorted(explanations.values(), key=lambda e: -e.net_gain)
 
-    def _select(self, confirmed: Sequence[Explanation]) -> Explanation:
+    def _select(self, confirmed_explanations: Sequence[Explanation]) -> Explanation:
         """Choose among those that no other significantly beats: fewest unnamed terms first, then the highest worth.
 
         A named function is accurate to about 10 %: a flexible form added to a true name has a higher score, but predicts
         no better.
         """
-        unbeaten = [e for e in confirmed if not any(self._beats(other, e) for other in confirmed)]
+        contenders = [e for e in confirmed_explanations if not any(self._beats(rival, e) for rival in confirmed_explanations)]
 
         def rank(explanation: Explanation) -> tuple[int, float]:
-            return -explanation.without_a_name, explanation.worth
+            return -explanation.without_a_name, explanation.net_gain
 
-        return max(unbeaten or confirmed, key=rank, default=self._search.nothing)
+        return max(contenders or confirmed_explanations, key=rank, default=self._search.base_explanation)
 
     def _beats(self, rival: Explanation, explanation: Explanation) -> bool:
         """Whether a rival predicts significantly better than an explanation.
@@ -286,28 +306,30 @@ class Choice:
     def _round(self, explanation: Explanation) -> Round:
         """The round from an explanation, with the fitted candidates and their grades, where laps left out have judged them."""
         proposals = self._search.rounds.get(explanation.key) or self._search.rounds[frozenset()]
-        added = []
+        terms_added = []
         for key, child in self._search.known.items():
             if len(key - explanation.key) == 1 and explanation.key < key:
                 (name,) = key - explanation.key
                 term = replace(child.terms[name], level=self._validation.gain(explanation.score, child.score))
-                added.append(term.graded_as(self._graded.get((key, name), term)))
-        ordered = tuple(sorted(added, key=lambda term: -term.level))
-        return Round(explanation.fit, proposals.separability, ordered, self._search.cost)
+                terms_added.append(term.graded_as(self._terms_by_name.get((key, name), term)))
+        terms_by_level = tuple(sorted(terms_added, key=lambda term: -term.level))
+        return Round(explanation.fit, proposals.separability, terms_by_level, self._search.cost)
 
-    def _classify(self, best: Explanation, term: Term) -> Term:
+    def _classify(self, explanation: Explanation, term: Term) -> Term:
         """A term with the round without it and its class: the term and the rivals of its kind that it does not surely beat."""
-        without, name = self._search.without(best, term.name), term.name
-        search_round = self._round(without)
-        level = self._validation.gain(without.score, best.score)
+        remainder, name = self._search.without(explanation, term.name), term.name
+        search_round = self._round(remainder)
+        level = self._validation.gain(remainder.score, explanation.score)
         contenders = [c for c in search_round.candidates if c.is_name == term.is_name and c.level > level - NEAR]
-        rivals = {c.name: self._search.polished(self._search.known[without.key | {c.name}]) for c in contenders}
-        rivals = {other: e for other, e in rivals.items() if e.worth > 0.0 and self._is_rival(e, other, name)} | {name: best}
-        worse = {other for other, e in rivals.items() if e is not best and self._beats(best, e)}
+        rivals = {c.name: self._search.polish(self._search.known[remainder.key | {c.name}]) for c in contenders}
+        rivals = {
+            rival_name: e for rival_name, e in rivals.items() if e.net_gain > 0.0 and self._is_rival(e, rival_name, name)
+        } | {name: explanation}
+        worse_names = {rival_name for rival_name, e in rivals.items() if e is not explanation and self._beats(explanation, e)}
         shares = dict(zip(rivals, self._validation.shares([e.score for e in rivals.values()]).tolist(), strict=True))
         separability = search_round.separability
-        alike = set(separability.alike(name)) & rivals.keys() if name in separability.names else {name}
-        members = _class_of(name, shares, (rivals.keys() - worse) | alike)
+        similar_names = set(separability.alike(name)) & rivals.keys() if name in separability.names else {name}
+        members = _class_of(name, shares, (rivals.keys() - worse_names) | similar_names)
         total = sum(shares[m] for m in members)
         return replace(
             term,
@@ -316,35 +338,37 @@ class Choice:
             members=tuple(members),
             weights={m: shares[m] / max(total, 1e-12) for m in members},
             stability=float(total),
-            worse=tuple(sorted(worse)),
+            worse=tuple(sorted(worse_names)),
         )
 
-    def _is_rival(self, explanation: Explanation, name: str, chosen: str) -> bool:
+    def _is_rival(self, explanation: Explanation, name: str, chosen_name: str) -> bool:
         """Whether a replacement of a chosen term would be confirmed itself, or these drives hardly separate the two."""
-        return {name, chosen} <= set(TIED) or (self.graded(explanation, name).confirmed and self._is_confirmed(explanation))
+        return {name, chosen_name} <= set(TIED) or (
+            self.grade_term(explanation, name).confirmed and self._is_confirmed(explanation)
+        )
 
-    def _shares(self, judged: Sequence[Explanation]) -> dict[str, float]:
+    def _shares(self, explanations: Sequence[Explanation]) -> dict[str, float]:
         """Probability of each name, and of no name: shares of the explanations that have it."""
-        shares = self._validation.shares([e.score for e in judged])
+        shares = self._validation.shares([e.score for e in explanations])
         probabilities: dict[str, float] = {}
-        for explanation, share in zip(judged, shares.tolist(), strict=True):
+        for explanation, share in zip(explanations, shares.tolist(), strict=True):
             for name in names_of(explanation) or [NONE_OF_THESE]:
                 probabilities[name] = probabilities.get(name, 0.0) + share
         return dict(sorted(probabilities.items(), key=lambda pair: -pair[1]))
 
 
-def _competes(rival: Explanation, chosen: Explanation) -> bool:
+def _competes(rival: Explanation, explanation: Explanation) -> bool:
     """Whether a confirmed rival casts doubt on the chosen explanation: not with more forms, which bend."""
-    return rival.without_a_name <= chosen.without_a_name
+    return rival.without_a_name <= explanation.without_a_name
 
 
-def _class_of(name: str, shares: Mapping[str, float], alike: Collection[str]) -> list[str]:
+def _class_of(name: str, shares: Mapping[str, float], similar_names: Collection[str]) -> list[str]:
     """The smallest set with `CLASS_SHARE` of the probability, including the chosen one, plus those that it does not beat."""
     members, total = [name], shares[name]
-    for other, share in sorted(shares.items(), key=lambda pair: -pair[1]):
+    for other_name, share in sorted(shares.items(), key=lambda pair: -pair[1]):
         if total >= CLASS_SHARE:
             break
-        if other != name:
-            members.append(other)
+        if other_name != name:
+            members.append(other_name)
             total += share
-    return [*members, *(other for other in sorted(alike) if other not in members)]
+    return [*members, *(other_name for other_name in sorted(similar_names) if other_name not in members)]

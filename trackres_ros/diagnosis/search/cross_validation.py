@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import Fit, Problem, bounded
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, solve_bounded
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, numbered
+from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, number_pieces
 from trackres_ros.diagnosis.selection.visibility import base_columns
 
 FOLDS = 4
@@ -50,18 +50,18 @@ class Score:
 class CrossValidation:
     """Cross-validation over the fitted laps of a fit, and its final hold-out samples."""
 
-    def __init__(self, fitted: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
-        sessions, masks = fitted.problem.sessions, fitted.problem.masks
-        fitted_laps = list(zip(numbered(sessions, masks, FOLDS), masks, strict=True))
+    def __init__(self, base_fit: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
+        sessions, masks = base_fit.problem.sessions, base_fit.problem.masks
+        fitted_laps = list(zip(number_pieces(sessions, masks, FOLDS), masks, strict=True))
         laps = np.unique(np.concatenate([lap[m] for lap, m in fitted_laps]))
         self._fold = [np.where(m, np.searchsorted(laps, lap) % FOLDS, -1) for lap, m in fitted_laps]
         self.scored = [m | h for m, h in zip(masks, held_out, strict=True)]
         self.measured = self._samples([s.torque for s in sessions])
-        pieces = self._samples(numbered(sessions, self.scored, FEWEST_LAPS))
-        _, first, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
+        pieces = self._samples(number_pieces(sessions, self.scored, FEWEST_LAPS))
+        _, first_rows, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
         self._count = np.bincount(self._pieces)
-        self._begin = self._samples([s.time for s in sessions])[first]
-        self._session = self._samples([np.full(len(s), i) for i, s in enumerate(sessions)])[first]
+        self._begin = self._samples([s.time for s in sessions])[first_rows]
+        self._session = self._samples([np.full(len(s), i) for i, s in enumerate(sessions)])[first_rows]
         self._rng = rng
         self._draws: dict[int, Array] = {}
 
@@ -87,25 +87,27 @@ class CrossValidation:
 
         def left_out(folds: Sequence[NDArray[np.int64]], rows_of: Callable[[int], Mask], count: int) -> list[Array]:
             """Expected torque of each session, each fold predicted by one Newton step to the fit without its rows."""
-            expected = [p.torque.copy() for p in fit.predicted]
+            torques = [p.torque.copy() for p in fit.predicted]
             for fold in range(count):
                 rows = rows_of(fold)
-                own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
-                shift = scale * bounded(information - own + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
+                own_information = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
+                shift = (
+                    scale * solve_bounded(information - own_information + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
+                )
                 for i, numbers in enumerate(folds):
-                    expected[i][numbers == fold] += by_session[i][numbers == fold] @ shift
-            return expected
+                    torques[i][numbers == fold] += by_session[i][numbers == fold] @ shift
+            return torques
 
-        expected = left_out(self._fold, lambda fold: lap_folds == fold, FOLDS)
-        count, unseen = len(problem.sessions), math.nan
+        torque_series = left_out(self._fold, lambda fold: lap_folds == fold, FOLDS)
+        count, unseen_error = len(problem.sessions), math.nan
         if count >= FEWEST_RECORDINGS:
             recordings = [np.full(len(s), i) for i, s in enumerate(problem.sessions)]
             forecasts = left_out(recordings, lambda fold: torques & (session == fold), count)
-            unseen = float(np.abs(self.measured - self._samples(forecasts)).mean())
+            unseen_error = float(np.abs(self.measured - self._samples(forecasts)).mean())
         for active in fit.effects:
             if isinstance(active.effect, ResidualPattern):
-                self._replace_by_forecast(active.effect, fit, expected)
-        error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
+                self._replace_by_forecast(active.effect, fit, torque_series)
+        error = [s.torque - e for s, e in zip(problem.sessions, torque_series, strict=True)]
         # Noise of the forecast: that of the fit is too small for unpredictable events, such as the start of a
         # spell.
         noise = estimate_noise(error, self.scored, SHORT_ROOT)
@@ -117,12 +119,12 @@ class CrossValidation:
         deviations = [np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self.scored, strict=True)]
         drive = problem.sessions[0]  # all have its step
         correlation_s = correlation_length(deviations) * drive.step
-        own = correlation_s > PIECE_S * drive.pace
-        occasion = np.stack([self._session, self._begin // correlation_s if own else np.arange(len(self._begin))])
+        is_correlated = correlation_s > PIECE_S * drive.pace
+        occasion = np.stack([self._session, self._begin // correlation_s if is_correlated else np.arange(len(self._begin))])
         return Score(
             self._sum(self._samples(density)), self._sum(np.abs(errors)), self._sum(errors**2),
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
-            self._sum(errors) / self._count, unseen,
+            self._sum(errors) / self._count, unseen_error,
         )  # fmt: skip
 
     def rows(self, problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -131,49 +133,51 @@ class CrossValidation:
         recording = [np.full(len(g.measured), g.session) for g in problem.segments]
         return np.concatenate(folds), np.concatenate(recording)
 
-    def _replace_by_forecast(self, effect: ResidualPattern, fit: Fit, expected: list[Array]) -> None:
+    def _replace_by_forecast(self, effect: ResidualPattern, fit: Fit, torque_series: list[Array]) -> None:
         """Replace a series learned from all laps by its forecast."""
         torques = fit.contribution(effect.name)
         size = sum(float((s * s).sum()) for s in effect.shape)
         per_shape = sum(float((a * s).sum()) for a, s in zip(torques, effect.shape, strict=True)) / max(size, 1e-300)
         for i, (shape, forecast) in enumerate(zip(effect.shape, effect.ahead, strict=True)):
             rows = self._fold[i] >= 0
-            expected[i][rows] += per_shape * (forecast - shape)[rows]
+            torque_series[i][rows] += per_shape * (forecast - shape)[rows]
 
-    def gain(self, before: Score, after: Score) -> float:
-        """Level score of `after` over `before`."""
-        return float((after.density - before.density).sum())
+    def gain(self, score_before: Score, score_after: Score) -> float:
+        """Level score of `score_after` over `score_before`."""
+        return float((score_after.density - score_before.density).sum())
 
-    def least_gain(self, before: Score, after: Score) -> float:
+    def least_gain(self, score_before: Score, score_after: Score) -> float:
         """Lower bound of the level score."""
-        return self._lower_bound(before, after.density - before.density)
+        return self._lower_bound(score_before, score_after.density - score_before.density)
 
     def by_recording(self, values: Array) -> Array:
         """Sums of each recording, of values of the pieces."""
         return np.asarray(np.bincount(self._session, weights=values, minlength=len(self.scored)), dtype=np.float64)
 
-    def level_falls(self, before: Score, after: Score) -> bool:
+    def level_falls(self, score_before: Score, score_after: Score) -> bool:
         """Whether the mean error of the pieces' levels falls by at least `LEAST_LEVEL`."""
-        old, new = (float((np.abs(s.level) * self._count).sum()) for s in (before, after))
-        return new <= (1.0 - LEAST_LEVEL) * old
+        old_error, new_error = (float((np.abs(s.level) * self._count).sum()) for s in (score_before, score_after))
+        return new_error <= (1.0 - LEAST_LEVEL) * old_error
 
-    def improvement(self, before: Score, after: Score) -> Improvement:
+    def improvement(self, score_before: Score, score_after: Score) -> Improvement:
         """Change of the mean error, with the lower bound of the level score."""
-        count, decrease = self._count.sum(), before.error - after.error
+        count, decrease = self._count.sum(), score_before.error - score_after.error
         return Improvement(
-            float(before.error.sum() / count), float(after.error.sum() / count),
-            self._lower_bound(before, decrease, self._count), -self._lower_bound(before, -decrease, self._count),
-            self.least_gain(before, after),
-            self.gain(before, after),
+            float(score_before.error.sum() / count), float(score_after.error.sum() / count),
+            self._lower_bound(score_before, decrease, self._count), -self._lower_bound(score_before, -decrease, self._count),
+            self.least_gain(score_before, score_after),
+            self.gain(score_before, score_after),
         )  # fmt: skip
 
-    def _lower_bound(self, before: Score, gains: Array, count: NDArray[Any] | None = None) -> float:
+    def _lower_bound(self, score_before: Score, gains: Array, count: NDArray[Any] | None = None) -> float:
         """Lower bound of a sum, or of a mean, over resampled occasions; minus infinity for too few occasions."""
-        if before.occasion.max() + 1 < FEWEST_OCCASIONS:
+        if score_before.occasion.max() + 1 < FEWEST_OCCASIONS:
             return -np.inf
-        draws = self._draw(int(before.occasion.max()) + 1)
-        sums = draws @ np.bincount(before.occasion, weights=gains)
-        return float(np.quantile(sums if count is None else sums / (draws @ np.bincount(before.occasion, weights=count)), SURELY))
+        draws = self._draw(int(score_before.occasion.max()) + 1)
+        sums = draws @ np.bincount(score_before.occasion, weights=gains)
+        return float(
+            np.quantile(sums if count is None else sums / (draws @ np.bincount(score_before.occasion, weights=count)), SURELY)
+        )
 
     def shares(self, scores: Sequence[Score]) -> Array:
         """Share of resampled laps in which each is the most likely; equal likelihoods share.
@@ -193,13 +197,13 @@ class CrossValidation:
     def beyond(self, base: Fit) -> Callable[[Sequence[Array]], Array]:
         """Function that returns the scored samples of each session's series, orthogonal to the parameters of a base."""
         columns = base_columns(base) * np.array([f.scale for f in base.free])
-        own = self._samples(base.problem.split(columns)[: len(self.scored)])  # torques come first
-        basis, size, _ = np.linalg.svd(own, full_matrices=False)
+        own_columns = self._samples(base.problem.split(columns)[: len(self.scored)])  # torques come first
+        basis, size, _ = np.linalg.svd(own_columns, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
 
         def rest(series: Sequence[Array]) -> Array:
-            whole = self._samples(series)
-            return np.asarray(whole - basis @ (basis.T @ whole))
+            samples = self._samples(series)
+            return np.asarray(samples - basis @ (basis.T @ samples))
 
         return rest
 

@@ -77,7 +77,7 @@ def intervals(result: Fit) -> dict[tuple[str, str], Interval]:
     session_of_row = np.concatenate([np.full(len(g.measured), g.session) for g in result.problem.segments])
     laps, sessions = lap_std(result), _jackknife_std(result, session_of_row)  # unmodelled conditions differ between sessions
     by_laps = {key: max(std, sessions.get(key, 0.0)) for key, std in laps.items()}
-    offs = {(a.effect.name, q.name): q.off for a in result.effects for q in a.effect.parameters if q.off is not None}
+    off_values = {(a.effect.name, q.name): q.off for a in result.effects for q in a.effect.parameters if q.off is not None}
 
     def interval(f: Free) -> Interval:
         if f.key not in result.estimates:
@@ -90,9 +90,9 @@ def intervals(result: Fit) -> dict[tuple[str, str], Interval]:
         low, low_open = _edge(result, f.key, -1.0, f.low)
         high, high_open = _edge(result, f.key, 1.0, f.high)
         lap = NORMAL_95 * by_laps.get(f.key, 0.0)
-        form = NORMAL_95 * FORM_ERROR * abs(value - offs.get(f.key, value))
-        below, above = (float(np.hypot(max(reach, lap), form)) for reach in (value - low, high - value))
-        return Interval(max(f.low, value - below), min(f.high, value + above), low_open or high_open)
+        form = NORMAL_95 * FORM_ERROR * abs(value - off_values.get(f.key, value))
+        distance_below, distance_above = (float(np.hypot(max(reach, lap), form)) for reach in (value - low, high - value))
+        return Interval(max(f.low, value - distance_below), min(f.high, value + distance_above), low_open or high_open)
 
     parameters = free_parameters(result.problem.base, [a.effect for a in result.effects])
     return {f.key: interval(f) for f in counted(parameters, "intervals", len(parameters))}
@@ -109,8 +109,8 @@ def _jackknife_std(result: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, st
     prior = np.array([f.scale / f.std for f in result.free])
     columns = result.problem.white(result.problem.split(base_columns(result) * scale), result.noises)
     x, e = np.concatenate(columns), np.concatenate(result.white)
-    valid = np.isfinite(e) & np.isfinite(x).all(axis=1)
-    x, e, blocks = x[valid], (e * result.weights)[valid], blocks[valid]
+    is_valid = np.isfinite(e) & np.isfinite(x).all(axis=1)
+    x, e, blocks = x[is_valid], (e * result.weights)[is_valid], blocks[is_valid]
     inverse = np.linalg.pinv(x.T @ x + np.diag(prior**2), rcond=1e-13)
     shifts = np.array([inverse @ (x[blocks == b].T @ e[blocks == b]) for b in np.unique(blocks)])
     count = len(shifts)
@@ -127,26 +127,26 @@ def _edge(result: Fit, key: tuple[str, str], side: float, bound: float) -> tuple
     if reach <= 1e-6 * max(abs(bound), abs(optimum), 1e-12):
         return bound, True
     step = min(max(NORMAL_95 * result.std_of(*key), 1e-4 * reach), reach)
-    inside, outside = (0.0, 0.0), None
+    inner_point, outer_point = (0.0, 0.0), None
     for _ in range(MOST_TRIES):
-        fixed = {key: optimum + side * step}
+        fixed_values = {key: optimum + side * step}
         profile_fit = fit(
-            result.problem, effects, result.estimates, result.noises, rounds=1, fixed=fixed, largest_root=SHORT_ROOT
+            result.problem, effects, result.estimates, result.noises, rounds=1, fixed_values=fixed_values, largest_root=SHORT_ROOT
         )
         decrease = result.log_likelihood - profile_fit.log_likelihood
         if decrease >= DROP:
-            outside = (step, decrease)
+            outer_point = (step, decrease)
             break
-        inside = (step, max(decrease, 0.0))
+        inner_point = (step, max(decrease, 0.0))
         if step >= reach * (1.0 - 1e-9):
             return bound, True
         step = min(reach, GROWTH * step)
-    if outside is None:
+    if outer_point is None:
         return bound, True
     # Between them the square root of the fall is nearly linear.
-    a, b = np.sqrt(inside[1]), np.sqrt(outside[1])
+    a, b = np.sqrt(inner_point[1]), np.sqrt(outer_point[1])
     share = (np.sqrt(DROP) - a) / (b - a) if b > a else 1.0
-    return optimum + side * float(inside[0] + share * (outside[0] - inside[0])), False
+    return optimum + side * float(inner_point[0] + share * (outer_point[0] - inner_point[0])), False
 
 
 Bounds = Mapping[tuple[str, str], Interval]
@@ -165,14 +165,16 @@ def of_kind(effects: Sequence[Active], *kinds: str) -> tuple[Active, ...]:
 class AsUsed:
     """Hold-out errors of files, each as it is used: in the given surroundings, and alone, as it was `recorded`."""
 
-    def __init__(self, base: Base, sessions: Sequence[DriveSession], recorded: Sequence[DriveSession], laps: HeldOutLaps) -> None:
+    def __init__(
+        self, base: Base, sessions: Sequence[DriveSession], recorded_sessions: Sequence[DriveSession], laps: HeldOutLaps
+    ) -> None:
         self._sessions = tuple(sessions)
-        self._around = base, tuple(replace(s, first_drive=True) for s in sessions)
-        self._alone = self._around
-        pairs = list(zip(self._around[1], recorded, strict=True))
+        self._base_around = base, tuple(replace(s, first_drive=True) for s in sessions)
+        self._base_alone = self._base_around
+        pairs = list(zip(self._base_around[1], recorded_sessions, strict=True))
         if base.alone is not base or any(s.given != r.given or s.torque_by_place is not r.torque_by_place for s, r in pairs):
             sessions_alone = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
-            self._alone = base.alone, tuple(sessions_alone)
+            self._base_alone = base.alone, tuple(sessions_alone)
         self.base, self._laps = base, laps
         self.distance = sum(float(np.abs(np.nan_to_num(s.speed)).sum()) * s.step for s in sessions)
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
@@ -186,79 +188,82 @@ class AsUsed:
 
     def recorded(self, values: Values | None, effects: Sequence[Active]) -> list[Array]:
         """Sensed torque of each session [Nm], one after the other, from a file with other values, or with its own."""
-        base = self._base_with(values, alone=False)
+        base = self._base_with(values, is_alone=False)
         return [p.torque for p in base.predict(self._sessions, base.nominal, effects)]
 
-    def expected(self, values: Values | None, effects: Sequence[Active], alone: bool) -> list[Array]:
+    def expected(self, values: Values | None, effects: Sequence[Active], is_alone: bool) -> list[Array]:
         """Sensed torque of each session [Nm] from the written file, with each drive by itself."""
-        base = self._base_with(values, alone)
-        _, sessions = self._alone if alone else self._around
+        base = self._base_with(values, is_alone)
+        _, sessions = self._base_alone if is_alone else self._base_around
         return [p.torque for p in base.predict(sessions, base.nominal, self.written(effects))]
 
     def outside(self, values: Values | None) -> dict[str, RangedValue]:
         """Values of the written file outside the range of the present file, with that range, by their place in the file."""
-        original, written = (self._base_with(file_values, alone=True).quantities for file_values in (None, values))
-        quantities = {name: quantity._replace(value=written[name].value) for name, quantity in original.items()}
+        original, written_values = (self._base_with(file_values, is_alone=True).quantities for file_values in (None, values))
+        quantities = {name: quantity._replace(value=written_values[name].value) for name, quantity in original.items()}
         return {
             name: q
             for name, q in quantities.items()
             if not q.low - ROUNDING * abs(q.low) <= q.value <= q.high + ROUNDING * abs(q.high)
         }
 
-    def _base_with(self, values: Values | None, alone: bool) -> Base:
-        base, _ = self._alone if alone else self._around
+    def _base_with(self, values: Values | None, is_alone: bool) -> Base:
+        base, _ = self._base_alone if is_alone else self._base_around
         if values is None:
             return base
-        key = alone and self._alone is not self._around, tuple(values.values())
+        key = is_alone and self._base_alone is not self._base_around, tuple(values.values())
         if key not in self._read:
             self._read[key] = base.as_written(values)
         return self._read[key]
 
-    def error(self, values: Values | None, effects: Sequence[Active] = (), alone: bool = False) -> float:
+    def error(self, values: Values | None, effects: Sequence[Active] = (), is_alone: bool = False) -> float:
         """Mean absolute error on hold-out laps [Nm]."""
-        return float(np.abs(self._laps.measured - self._laps.samples(self.expected(values, effects, alone))).mean())
+        return float(np.abs(self._laps.measured - self._laps.samples(self.expected(values, effects, is_alone))).mean())
 
-    def surely_better(self, after: Fit, before: Fit) -> bool:
+    def surely_better(self, fit_after: Fit, fit_before: Fit) -> bool:
         """Whether the error of one fit is significantly smaller, without surroundings."""
-        base, sessions = self._alone
-        written = (self.written(of_kind(f.effects, VEHICLE, SENSOR)) for f in (before, after))
-        results = (base.predict(sessions, f.base_values, effects) for f, effects in zip((before, after), written, strict=True))
+        base, sessions = self._base_alone
+        written_effects = (self.written(of_kind(f.effects, VEHICLE, SENSOR)) for f in (fit_before, fit_after))
+        results = (
+            base.predict(sessions, f.base_values, effects)
+            for f, effects in zip((fit_before, fit_after), written_effects, strict=True)
+        )
         return self._laps.improvement(*([p.torque for p in predictions] for predictions in results)).grade == CONFIRMED
 
 
-def inside_ranges(result: Fit, use: AsUsed, fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
+def inside_ranges(result: Fit, use: AsUsed, fixed_values: Mapping[tuple[str, str], float] | None = None) -> Fit:
     """A fit with base values inside the ranges of the vehicle file, except values confirmed outside on hold-out laps.
 
-    The alternative to a value outside is the end of its range with a re-fit of the others, and parameters `fixed` at a value. It
-    is confirmed if vehicle.yaml alone is significantly better with it, and it is not as far outside as is plausible: then it is
-    no estimate. Further fits of the same problem keep to these ranges.
+    The alternative to a value outside is the end of its range with a re-fit of the others, and parameters `fixed_values` at a
+    value. It is confirmed if vehicle.yaml alone is significantly better with it, and it is not as far outside as is plausible:
+    then it is no estimate. Further fits of the same problem keep to these ranges.
     """
     names = {q.name for q in result.problem.base.parameters}
-    limited, confirmed = set[str](), set[str]()
+    limited_names, confirmed_names = set[str](), set[str]()
     while True:
-        outside = [q for q in _parameters_outside(result) if q.name not in confirmed]
-        if not outside:
+        parameters_outside = [q for q in _parameters_outside(result) if q.name not in confirmed_names]
+        if not parameters_outside:
             break
-        name = outside[0].name
-        inside = with_levels(_limited_fit(result, names - limited - {name}), (), fixed)
-        if name not in at_implausible_bounds(result) and use.surely_better(result, inside):
-            confirmed.add(name)
+        name = parameters_outside[0].name
+        limited_fit = with_levels(_limited_fit(result, names - limited_names - {name}), (), fixed_values)
+        if name not in at_implausible_bounds(result) and use.surely_better(result, limited_fit):
+            confirmed_names.add(name)
         else:
-            result = inside
-            limited.add(name)
-    return _limited_fit(result, confirmed)
+            result = limited_fit
+            limited_names.add(name)
+    return _limited_fit(result, confirmed_names)
 
 
 def _parameters_outside(result: Fit) -> list[BaseParameter]:
     """Parameters of the base outside the ranges of the vehicle file, furthest first."""
     base, values = result.problem.base, result.base_values
-    outside = [q for q in base.parameters if q.outside(values[q.name])]
-    return sorted(outside, key=lambda q: -abs(values[q.name] - q.nominal) / q.std)
+    parameters = [q for q in base.parameters if q.outside(values[q.name])]
+    return sorted(parameters, key=lambda q: -abs(values[q.name] - q.nominal) / q.std)
 
 
-def _limited_fit(result: Fit, free: Collection[str]) -> Fit:
-    """The same values for a base limited to the ranges of the vehicle file, except the parameters in `free`."""
-    base = result.problem.base.inside_ranges(free)
+def _limited_fit(result: Fit, free_names: Collection[str]) -> Fit:
+    """The same values for a base limited to the ranges of the vehicle file, except the parameters in `free_names`."""
+    base = result.problem.base.inside_ranges(free_names)
     bounds = {("", q.name): (q.low, q.high) for q in base.parameters}
     limits = ((f, *bounds.get(f.key, (f.low, f.high))) for f in result.free)
     return replace(
@@ -272,120 +277,123 @@ def _limited_fit(result: Fit, free: Collection[str]) -> Fit:
 class _Option:
     """Possible content of the files; `fitted` is the fit of the base values, None for the file's own."""
 
-    fitted: Fit | None
+    fit_of_base: Fit | None
     effects: tuple[Active, ...]
 
     @property
     def values(self) -> Values | None:
-        return None if self.fitted is None else self.fitted.base_values
+        return None if self.fit_of_base is None else self.fit_of_base.base_values
 
     @property
     def text(self) -> str:
-        base = "the file's own values" if self.fitted is None else "the re-fitted values"
+        base = "the file's own values" if self.fit_of_base is None else "the re-fitted values"
         return " and ".join([base, *([", ".join(a.effect.name for a in self.effects)] if self.effects else [])])
 
 
 def choose_written(
-    believed: Collection[str],
-    confirmed: Collection[str],
-    final: Fit,
-    refitted: Fit,
+    believed_names: Collection[str],
+    confirmed_names: Collection[str],
+    final_fit: Fit,
+    base_fit: Fit,
     use: AsUsed,
     bounds: Bounds,
     passing: Collection[str] = (),
 ) -> FileChanges:
     """Changes to write: the first of `_options` that is no worse in use than the vehicle file.
 
-    `believed` are the names of the effects that may be written, `confirmed` those confirmed on hold-out laps. Confirmed sensor
-    effects correct the torque for judging vehicle.yaml. `final` has all found effects, with the intervals `bounds`, and
-    `refitted` none. A re-fit without `passing` terms, confirmed spells, would average what is with and
-    without them. So values are fitted together with them. No file has these terms, so they are not in any error.
+    `believed_names` are the names of the effects that may be written, `confirmed_names` those confirmed on hold-out laps.
+    Confirmed sensor effects correct the torque for judging vehicle.yaml. `final_fit` has all found effects, with the intervals
+    `bounds`, and `base_fit` none. A re-fit without `passing` terms, confirmed spells, would average what is with and without
+    them. So values are fitted together with them. No file has these terms, so they are not in any error.
     """
-    written = tuple(a for a in final.effects if a.effect.name in believed and a.effect.acts_on != WATCHED)
-    if any(a.effect.name in passing for a in final.effects):
-        refitted = _with_refitted_base((), final, use)
+    written_effects = tuple(a for a in final_fit.effects if a.effect.name in believed_names and a.effect.acts_on != WATCHED)
+    if any(a.effect.name in passing for a in final_fit.effects):
+        base_fit = _with_refitted_base((), final_fit, use)
     note = ""
-    for option in _options(written, final, refitted, use):
-        objection = _objection(option, confirmed, use)
+    for option in _options(written_effects, final_fit, base_fit, use):
+        objection = _objection(option, confirmed_names, use)
         if not objection:
-            return _file_changes(option, final, confirmed, use, bounds, note)
+            return _file_changes(option, final_fit, confirmed_names, use, bounds, note)
         note = note or f"; not {option.text}, as {objection}"
-    return _file_changes(_Option(None, ()), final, confirmed, use, bounds, note)
+    return _file_changes(_Option(None, ()), final_fit, confirmed_names, use, bounds, note)
 
 
-def _options(written: tuple[Active, ...], final: Fit, refitted: Fit, use: AsUsed) -> Iterator[_Option]:
+def _options(written_effects: tuple[Active, ...], final_fit: Fit, base_fit: Fit, use: AsUsed) -> Iterator[_Option]:
     """Possible changes, best first: the found effects with fitted values; the same with the file's own values; the
-    vehicle's effects alone; a re-fit without effects. Effects keep their parameters of `final`, as in the report.
+    vehicle's effects alone; a re-fit without effects. Effects keep their parameters of `final_fit`, as in the report.
     """
-    if written:
-        yield _Option(_with_refitted_base(written, final, use), written)
-        yield _Option(None, written)
-    of_vehicle = of_kind(written, VEHICLE)
-    if of_vehicle and len(of_vehicle) < len(written):
-        yield _Option(_with_refitted_base(of_vehicle, final, use), of_vehicle)
-    yield _Option(refitted, ())
+    if written_effects:
+        yield _Option(_with_refitted_base(written_effects, final_fit, use), written_effects)
+        yield _Option(None, written_effects)
+    of_vehicle = of_kind(written_effects, VEHICLE)
+    if of_vehicle and len(of_vehicle) < len(written_effects):
+        yield _Option(_with_refitted_base(of_vehicle, final_fit, use), of_vehicle)
+    yield _Option(base_fit, ())
 
 
-def _with_refitted_base(written: Sequence[Active], final: Fit, use: AsUsed) -> Fit:
+def _with_refitted_base(written_effects: Sequence[Active], final_fit: Fit, use: AsUsed) -> Fit:
     """Re-fit of the base with some effects at their final parameters."""
-    names = {a.effect.name for a in written}
-    names_left = [a.effect.name for a in final.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
+    names = {a.effect.name for a in written_effects}
+    names_left = [a.effect.name for a in final_fit.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
     if not names_left:
-        return final
-    fixed = {(a.effect.name, q.name): a.values[q.name] for a in written for q in a.effect.parameters if q.fitted}
-    return inside_ranges(with_levels(final, names_left, fixed), use, fixed)
+        return final_fit
+    fixed_values = {(a.effect.name, q.name): a.values[q.name] for a in written_effects for q in a.effect.parameters if q.fitted}
+    return inside_ranges(with_levels(final_fit, names_left, fixed_values), use, fixed_values)
 
 
-def _objection(option: _Option, confirmed: Collection[str], use: AsUsed) -> str:
+def _objection(option: _Option, confirmed_names: Collection[str], use: AsUsed) -> str:
     """Reason for not writing an option; empty if it may be written."""
     values, effects = option.values, option.effects
     try:
-        alone, before = _alone(option, confirmed, use)
+        error_alone, error_before = _errors_alone(option, confirmed_names, use)
     except InputError as error:  # a fit may be infeasible elsewhere: a belt that burns at its greatest speed
         return f"no command would accept that file: {error.given}; allowed: {error.allowed}"
-    if alone > before:
-        return f"the mean error of vehicle.yaml alone would be {figures(alone)} Nm, {figures(before)} Nm with the old file"
-    together = use.error(values, effects)
+    if error_alone > error_before:
+        text = f"the mean error of vehicle.yaml alone would be {figures(error_alone)} Nm"
+        return f"{text}, {figures(error_before)} Nm with the old file"
+    error_together = use.error(values, effects)
     for kind, file in ((SURROUNDINGS, "surroundings.yaml"), (SENSOR, "the topics file")):
         group = of_kind(effects, kind)
-        without = use.error(values, [a for a in effects if a not in group]) if group else together
-        if together > without:
-            return f"with {file} the mean error would be {figures(together)} Nm, {figures(without)} Nm without"
+        error_without = use.error(values, [a for a in effects if a not in group]) if group else error_together
+        if error_together > error_without:
+            return f"with {file} the mean error would be {figures(error_together)} Nm, {figures(error_without)} Nm without"
     nominal = use.error(None)
-    if together > nominal:
-        return f"the mean error would be {figures(together)} Nm, {figures(nominal)} Nm with the old file"
+    if error_together > nominal:
+        return f"the mean error would be {figures(error_together)} Nm, {figures(nominal)} Nm with the old file"
     return ""
 
 
-def _alone(option: _Option, confirmed: Collection[str], use: AsUsed) -> tuple[float, float]:
+def _errors_alone(option: _Option, confirmed_names: Collection[str], use: AsUsed) -> tuple[float, float]:
     """Errors of vehicle.yaml alone and of its original against the torque with confirmed sensor corrections [Nm]."""
-    sensors = _sensor_corrections(option, confirmed)
-    error = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], alone=True)
-    return error, use.error(None, sensors, alone=True)
+    sensors = _sensor_corrections(option, confirmed_names)
+    error = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], is_alone=True)
+    return error, use.error(None, sensors, is_alone=True)
 
 
-def _sensor_corrections(option: _Option, confirmed: Collection[str]) -> list[Active]:
-    return [a for a in of_kind(option.effects, SENSOR) if a.effect.name in confirmed]
+def _sensor_corrections(option: _Option, confirmed_names: Collection[str]) -> list[Active]:
+    return [a for a in of_kind(option.effects, SENSOR) if a.effect.name in confirmed_names]
 
 
-def _file_changes(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, note: str) -> FileChanges:
+def _file_changes(
+    option: _Option, final_fit: Fit, confirmed_names: Collection[str], use: AsUsed, bounds: Bounds, note: str
+) -> FileChanges:
     """An option with its intervals and a text."""
     effects = use.written(option.effects)
     ranges = {
         key: interval for active in option.effects for key, interval in _later_intervals(active, bounds, use.distance).items()
     }
-    if option.fitted is not None:
-        base_intervals = bounds if option.fitted is final else intervals(option.fitted)
+    if option.fit_of_base is not None:
+        base_intervals = bounds if option.fit_of_base is final_fit else intervals(option.fit_of_base)
         ranges |= {key: interval for key, interval in base_intervals.items() if not key[0]}
-    alone, before = _alone(option, confirmed, use)
-    error = f"the mean error on hold-out laps is {figures(alone)} Nm with vehicle.yaml alone"
-    error += f", {figures(before)} Nm with the old file" if option.fitted is not None or option.effects else ""
-    error += ", compared with the torque that the topics file corrects" if _sensor_corrections(option, confirmed) else ""
+    error_alone, error_before = _errors_alone(option, confirmed_names, use)
+    error = f"the mean error on hold-out laps is {figures(error_alone)} Nm with vehicle.yaml alone"
+    error += f", {figures(error_before)} Nm with the old file" if option.fit_of_base is not None or option.effects else ""
+    error += ", compared with the torque that the topics file corrects" if _sensor_corrections(option, confirmed_names) else ""
     if of_kind(option.effects, SURROUNDINGS):
         error += f", {figures(use.error(option.values, option.effects))} Nm with surroundings.yaml"
     names = {a.effect.name for a in option.effects}
-    doubted = [a.effect.name for a in final.effects if a.effect.acts_on != WATCHED and a.effect.name not in names]
-    omissions = f"; not written: {', '.join(doubted)}" if doubted else ""
+    doubtful_names = [a.effect.name for a in final_fit.effects if a.effect.acts_on != WATCHED and a.effect.name not in names]
+    omissions = f"; not written: {', '.join(doubtful_names)}" if doubtful_names else ""
     return FileChanges(
         None if option.values is None else dict(option.values),
         tuple(a for a in effects if not isinstance(a.effect, ByPlace)),
@@ -401,16 +409,16 @@ def _later_intervals(active: Active, bounds: Bounds, distance: float) -> dict[tu
     def later_value(q: str, value: float) -> float:
         return active.effect.values_after({**active.values, q: value}, distance)[q]
 
-    own = {(name, q): interval for (name, q), interval in bounds.items() if name == active.effect.name}
+    own_bounds = {(name, q): interval for (name, q), interval in bounds.items() if name == active.effect.name}
     return {
         key: replace(interval, low=later_value(key[1], interval.low), high=later_value(key[1], interval.high))
-        for key, interval in own.items()
+        for key, interval in own_bounds.items()
     }
 
 
-def _change_notes(option: _Option, written: Sequence[Active], use: AsUsed) -> str:
+def _change_notes(option: _Option, written_effects: Sequence[Active], use: AsUsed) -> str:
     """Text on values outside their range, and on effects whose values differ between file and report."""
-    text, written_values, km = "", {a.effect.name: a.values for a in written}, figures(use.distance / 1000.0)
+    text, written_values, km = "", {a.effect.name: a.values for a in written_effects}, figures(use.distance / 1000.0)
     for place, q in use.outside(option.values).items():
         value, low, high = (figures(x, SHOWN) for x in q[1:])
         unit = "" if q.unit == "1" else f" {q.unit}"

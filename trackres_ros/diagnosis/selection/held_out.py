@@ -38,8 +38,8 @@ class Improvement:
     after: float  # and of this one
     low: float  # 95 % interval of the difference, over laps
     high: float
-    likelier: float = -np.inf  # lower bound of the level score; negative infinity where not requested
-    gained: float = np.nan  # the level score; nan where not requested
+    likelihood_bound: float = -np.inf  # lower bound of the level score; negative infinity where not requested
+    level_gain: float = np.nan  # the level score; nan where not requested
 
     @property
     def grade(self) -> str:
@@ -51,19 +51,19 @@ class Improvement:
         """
         if self.after > NO_WORSE * self.before or self.high < 0.0:
             return REFUTED
-        surely = self.likelier > 0.0 or (self._falls and not self.gained <= 0.0)
-        return CONFIRMED if self.after <= self.before and surely else SUSPECTED
+        is_sure = self.likelihood_bound > 0.0 or (self._is_smaller and not self.level_gain <= 0.0)
+        return CONFIRMED if self.after <= self.before and is_sure else SUSPECTED
 
     @property
     def less_likely(self) -> bool:
         """Whether only the level score prevents a confirmation: it falls although the mean error significantly falls too."""
-        return self._falls and self.gained <= 0.0
+        return self._is_smaller and self.level_gain <= 0.0
 
     @property
-    def _falls(self) -> bool:
+    def _is_smaller(self) -> bool:
         """Whether the mean error falls significantly, with level scores by at least `SMALL_SHARE`."""
-        least = 0.0 if np.isinf(self.likelier) else SMALL_SHARE * self.before
-        return self.low > 0.0 and self.before - self.after >= least
+        least_gain = 0.0 if np.isinf(self.likelihood_bound) else SMALL_SHARE * self.before
+        return self.low > 0.0 and self.before - self.after >= least_gain
 
     @property
     def confirmed(self) -> bool:
@@ -83,7 +83,7 @@ class HeldOutLaps:
         self.measured = self.samples([s.torque for s in sessions])
         self.blocks = np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)])
         self.names = {int(b): lap_name(s, int(b)) for s in sessions for b in np.unique(s.block)}
-        _, self._piece = np.unique(self.samples(numbered(sessions, masks, FEWEST_LAPS)), return_inverse=True)
+        _, self._piece = np.unique(self.samples(number_pieces(sessions, masks, FEWEST_LAPS)), return_inverse=True)
         self._count = np.bincount(self._piece)
         n = len(self._count)
         self._draws = rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
@@ -92,9 +92,9 @@ class HeldOutLaps:
         """The hold-out samples of a series of each session."""
         return np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
 
-    def improvement(self, before: Sequence[Array], after: Sequence[Array]) -> Improvement:
+    def improvement(self, torques_before: Sequence[Array], torques_after: Sequence[Array]) -> Improvement:
         """Improvement by one predicted torque of each session over another [Nm]."""
-        errors = [np.abs(self.measured - self.samples(x)) for x in (before, after)]
+        errors = [np.abs(self.measured - self.samples(x)) for x in (torques_before, torques_after)]
         decrease = np.bincount(self._piece, weights=errors[0] - errors[1])
         means = (self._draws @ decrease) / (self._draws @ self._count)  # over resampled laps
         low, high = np.quantile(means, (0.025, 0.975))
@@ -106,15 +106,15 @@ class HeldOutLaps:
         is_small = float(np.abs(error).mean()) < SMALL_ERROR * float(np.abs(self.measured).mean())
         return is_small or _r2(self.measured, error) >= 0.0
 
-    def improvement_of(self, before: Fit, after: Fit) -> Improvement:
+    def improvement_of(self, fit_before: Fit, fit_after: Fit) -> Improvement:
         """Improvement by one fit over another."""
-        return self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
+        return self.improvement(*([p.torque for p in fit.predicted] for fit in (fit_before, fit_after)))
 
 
-def numbered(sessions: Sequence[DriveSession], masks: Sequence[Mask], fewest: int) -> list[NDArray[np.int64]]:
-    """Number of the lap of each sample of sessions; of its piece, by lap and time, where masks have fewer than `fewest`."""
+def number_pieces(sessions: Sequence[DriveSession], masks: Sequence[Mask], least_count: int) -> list[NDArray[np.int64]]:
+    """Number of the lap of each sample of sessions; of its piece, by lap and time, where masks have fewer than `least_count`."""
     laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
-    if len(laps) >= fewest:
+    if len(laps) >= least_count:
         return [s.block for s in sessions]
     return [np.asarray(s.block * 10_000 + (s.time // (PIECE_S * s.pace)).astype(np.int64)) for s in sessions]
 
@@ -133,12 +133,12 @@ class HeldOut:
     without_sensor: float | None = None  # mean error of the last fit without its assumed sensor errors [Nm], if much larger
 
 
-def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]], as_file: Sequence[Array]) -> HeldOut:
+def held_out(laps: HeldOutLaps, torques_by_stage: Mapping[str, Sequence[Array]], as_file: Sequence[Array]) -> HeldOut:
     """Compare the three `STAGES`, by their predicted torques of each session [Nm]; `as_file` is that of the re-fitted base
     without assumed sensor errors.
     """
     numbers = np.unique(laps.blocks)
-    error = {stage: laps.measured - laps.samples(expected[stage]) for stage in STAGES}
+    error = {stage: laps.measured - laps.samples(torques_by_stage[stage]) for stage in STAGES}
     lap_masks = [laps.blocks == b for b in numbers]
     by_lap = {
         "mae": {stage: np.array([np.abs(e[lap]).mean() for lap in lap_masks]) for stage, e in error.items()},
@@ -151,8 +151,8 @@ def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]], as_file
         {stage: _r2(laps.measured, e) for stage, e in error.items()},
         {stage: float(e.mean()) for stage, e in error.items()},
         by_lap,
-        laps.improvement(expected["nominal"], as_file),
-        laps.improvement(expected["refitted"], expected["with_effects"]),
+        laps.improvement(torques_by_stage["nominal"], as_file),
+        laps.improvement(torques_by_stage["refitted"], torques_by_stage["with_effects"]),
     )
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import kolmogorov
 
 from trackres_ros.diagnosis.base.base import Predicted
-from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.base.variables import BY_NAME, varying_series
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.text import figures, on_scale
@@ -77,10 +77,10 @@ class RegimeMap:
         return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
 
 
-def regime_map(fit: Fit, rng: np.random.Generator, predicted: Sequence[Predicted] | None = None) -> RegimeMap:
+def regime_map(fit: Fit, rng: np.random.Generator, predictions: Sequence[Predicted] | None = None) -> RegimeMap:
     """Bin the residual of a fit over every variable that varies.
 
-    `predicted`: belt temperatures and the like that divide into bins, if not those of the fit.
+    `predictions`: belt temperatures and the like that divide into bins, if not those of the fit.
 
     Notes
     -----
@@ -91,27 +91,29 @@ def regime_map(fit: Fit, rng: np.random.Generator, predicted: Sequence[Predicted
     sessions = fit.problem.sessions
     rows = fit.white[: len(sessions)]
     turns_back = np.concatenate([np.abs(s.speed) < 0.5 * s.step * np.abs(s.accel) for s in sessions])
-    valid = np.isfinite(np.concatenate(rows)) & ~turns_back
-    e, plain = (np.concatenate(against_travel(sessions, values))[valid] for values in (rows, torque_residuals(fit)))
-    pieces = _pieces(rows)[valid]
+    is_valid = np.isfinite(np.concatenate(rows)) & ~turns_back
+    e, plain_residual = (np.concatenate(against_travel(sessions, values))[is_valid] for values in (rows, torque_residuals(fit)))
+    pieces = _pieces(rows)[is_valid]
     members, bins = [], []
-    for name, series in varying(sessions, predicted or fit.predicted).items():
-        values = series[valid]
+    for name, series in varying_series(sessions, predictions or fit.predicted).items():
+        values = series[is_valid]
         for low, high in _edges(values):
-            inside = (values >= low) & (values <= high)
-            if inside.sum() >= FEWEST_IN_BIN:
-                members.append(inside)
-                bins.append((name, low, high, float(plain[inside].mean()), BY_NAME[name].unit, int(inside.sum())))
+            is_inside = (values >= low) & (values <= high)
+            if is_inside.sum() >= FEWEST_IN_BIN:
+                members.append(is_inside)
+                bins.append((name, low, high, float(plain_residual[is_inside].mean()), BY_NAME[name].unit, int(is_inside.sum())))
     if not bins:
         return RegimeMap((), 1.0, len(e))
     number = np.unique(pieces, return_inverse=True)[1]
-    sums = np.array([np.bincount(number, weights=np.where(inside, e, 0.0), minlength=number.max() + 1) for inside in members])
+    sums = np.array(
+        [np.bincount(number, weights=np.where(is_inside, e, 0.0), minlength=number.max() + 1) for is_inside in members]
+    )
     middle = sums - sums.mean(axis=1, keepdims=True) if sums.shape[1] > 1 else sums
     spread = np.sqrt((middle**2).sum(axis=1)) + 1e-12
     statistics = np.abs(sums.sum(axis=1)) / spread
     flips = (rng.choice((-1.0, 1.0), (AT_ONCE, sums.shape[1])) for _ in range(REPLICATES // AT_ONCE))
-    largest = np.concatenate([np.abs(signs @ middle.T / spread).max(axis=1) for signs in flips])
-    p = (1.0 + (largest[:, np.newaxis] >= statistics).sum(axis=0)) / (REPLICATES + 1.0)
+    largest_scores = np.concatenate([np.abs(signs @ middle.T / spread).max(axis=1) for signs in flips])
+    p = (1.0 + (largest_scores[:, np.newaxis] >= statistics).sum(axis=0)) / (REPLICATES + 1.0)
     return RegimeMap(tuple(Bin(*values, p=float(q)) for values, q in zip(bins, p, strict=True)), float(p.min()), len(e))
 
 
@@ -122,14 +124,14 @@ def cumulative_periodogram(fit: Fit) -> float:
     """
     rows = [white[np.isfinite(white)] for white in fit.white[: len(fit.problem.sessions)]]
     spectra = [(np.fft.rfftfreq(len(e))[1:-1], np.abs(np.fft.rfft(e)[1:-1]) ** 2) for e in rows if len(e)]  # of those fitted on
-    flat = [(f, p / p.mean()) for f, p in spectra if p.sum() > 0.0]
-    frequency, power = np.concatenate(flat, axis=1) if flat else np.empty((2, 0))
-    cumulative = np.cumsum(power[np.argsort(frequency, kind="stable")])[:-1] / max(len(power), 1)
-    count = len(cumulative)
+    flat_spectra = [(f, p / p.mean()) for f, p in spectra if p.sum() > 0.0]
+    frequency, power = np.concatenate(flat_spectra, axis=1) if flat_spectra else np.empty((2, 0))
+    power_sums = np.cumsum(power[np.argsort(frequency, kind="stable")])[:-1] / max(len(power), 1)
+    count = len(power_sums)
     if not count:  # too short to show a shape
         return 1.0
     steps = np.arange(count + 1) / count
-    distance = max(np.max(steps[1:] - cumulative), np.max(cumulative - steps[:-1]))
+    distance = max(np.max(steps[1:] - power_sums), np.max(power_sums - steps[:-1]))
     return float(kolmogorov(distance * (math.sqrt(count) + 0.12 + 0.11 / math.sqrt(count))))  # Stephens (1970), of finite samples
 
 
@@ -140,10 +142,10 @@ def _edges(series: Array) -> list[tuple[float, float]]:
 
 def _pieces(rows: Sequence[Array]) -> NDArray[np.int64]:
     """Number of the piece of each row, whose sign is flipped together."""
-    first, pieces = 0, []
+    begin, pieces = 0, []
     for row in rows:
-        pieces.append(first + np.arange(len(row)) // FLIPPED_TOGETHER)
-        first = int(pieces[-1][-1]) + 1
+        pieces.append(begin + np.arange(len(row)) // FLIPPED_TOGETHER)
+        begin = int(pieces[-1][-1]) + 1
     return np.concatenate(pieces)
 
 
@@ -168,19 +170,19 @@ def changes(fit: Fit) -> list[Change]:
     sessions, masks = fit.problem.sessions, fit.problem.masks
     series = fit.white[: len(sessions)], torque_residuals(fit)
     for session, mask, white, residual in zip(sessions, masks, *series, strict=True):
-        valid = np.isfinite(white)
-        shortest = PIECE_S * session.pace
-        length = shortest * max(1, -(-int(session.time[-1] // shortest + 1) // MOST_PIECES))
+        is_valid = np.isfinite(white)
+        shortest_s = PIECE_S * session.pace
+        length = shortest_s * max(1, -(-int(session.time[-1] // shortest_s + 1) // MOST_PIECES))
         piece = (session.time // length).astype(int)
-        count = np.bincount(piece[valid], minlength=piece[-1] + 1)
-        filled = count > 0
-        if filled.sum() < 2 * SHORTEST_PIECES:
+        count = np.bincount(piece[is_valid], minlength=piece[-1] + 1)
+        is_filled = count > 0
+        if is_filled.sum() < 2 * SHORTEST_PIECES:
             continue
-        influence = white[valid] * fit.noise.weights(white[valid])
-        level = np.bincount(piece[valid], weights=influence, minlength=len(count))[filled] / np.sqrt(count[filled])
+        influence = white[is_valid] * fit.noise.weights(white[is_valid])
+        level = np.bincount(piece[is_valid], weights=influence, minlength=len(count))[is_filled] / np.sqrt(count[is_filled])
         penalty = COST_OF_A_CHANGE * math.log(len(level))
-        starts = np.flatnonzero(filled)
-        edges = [0.0, *(length * starts[first] for first in segments(level, penalty)), np.inf]
+        starts = np.flatnonzero(is_filled)
+        edges = [0.0, *(length * starts[start_index] for start_index in segments(level, penalty)), np.inf]
         means = [float(residual[mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
         points += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
     return points
@@ -193,16 +195,16 @@ def segments(level: Array, penalty: float) -> list[int]:
     Signal Processing Letters 12 (2005) 105, "An algorithm for optimal partitioning of data on an interval").
     """
     sums, squares = (np.concatenate(([0.0], np.cumsum(level**power))) for power in (1, 2))
-    cost, first = np.full(len(sums), np.inf), np.zeros(len(sums), int)
+    cost, first_rows = np.full(len(sums), np.inf), np.zeros(len(sums), int)
     cost[0] = 0.0
     for end in range(SHORTEST_PIECES, len(sums)):
         begin = np.arange(end - SHORTEST_PIECES + 1)
         total = cost[begin] + squares[end] - squares[begin] - (sums[end] - sums[begin]) ** 2 / (end - begin) + penalty
-        first[end] = int(total.argmin())
-        cost[end] = total[first[end]]
-    starts = [int(first[-1])]
+        first_rows[end] = int(total.argmin())
+        cost[end] = total[first_rows[end]]
+    starts = [int(first_rows[-1])]
     while starts[-1]:
-        starts.append(int(first[starts[-1]]))
+        starts.append(int(first_rows[starts[-1]]))
     return starts[-2::-1]
 
 
@@ -214,24 +216,28 @@ CELLS, CELLS_OF_PAIR = 12, 4  # of a channel, alone and with another
 def closest_channel(fit: Fit, torques: Sequence[Array]) -> str:
     """Sentence on the recorded channel, or the two, that explain most of a torque of each session; nan where unknown."""
     sessions, torque = fit.problem.sessions, np.concatenate(torques)
-    used = np.concatenate([s.used for s in sessions]) & np.isfinite(torque)
-    _, laps = np.unique(np.concatenate([s.block for s in sessions])[used], return_inverse=True)
-    known = {name: x for name, x in varying(sessions, fit.predicted).items() if not BY_NAME[name].as_clock}
-    known["driving torque"] = np.concatenate([p.at_sprockets * s.ahead for p, s in zip(fit.predicted, sessions, strict=True)])
+    used_steps = np.concatenate([s.used for s in sessions]) & np.isfinite(torque)
+    _, laps = np.unique(np.concatenate([s.block for s in sessions])[used_steps], return_inverse=True)
+    series_by_name = {name: x for name, x in varying_series(sessions, fit.predicted).items() if not BY_NAME[name].as_clock}
+    series_by_name["driving torque"] = np.concatenate(
+        [p.at_sprockets * s.ahead for p, s in zip(fit.predicted, sessions, strict=True)]
+    )
     if all("grade" in s.given for s in sessions):
-        known["slope"] = np.concatenate([s.grade for s in sessions])
-    channels = {name: x[used] for name, x in known.items() if np.isfinite(x[used]).all() and used.any()}
+        series_by_name["slope"] = np.concatenate([s.grade for s in sessions])
+    channels = {
+        name: x[used_steps] for name, x in series_by_name.items() if np.isfinite(x[used_steps]).all() and used_steps.any()
+    }
     if not channels:
         return "No channel is known throughout"
-    coarse = {name: _cells(x, CELLS_OF_PAIR) for name, x in channels.items()}
+    cells_by_name = {name: _cells(x, CELLS_OF_PAIR) for name, x in channels.items()}
     shares: dict[tuple[str, ...], float] = {}
     for name, x in channels.items():
-        shares[(name,)] = _explained(torque[used], _cells(x, CELLS), laps)
+        shares[(name,)] = _explained_share(torque[used_steps], _cells(x, CELLS), laps)
     for a, b in combinations(channels, 2):
-        shares[a, b] = _explained(torque[used], CELLS_OF_PAIR * coarse[a] + coarse[b], laps)
-    best = max(shares, key=lambda names: shares[names] / (CLEARLY if len(names) > 1 else 1.0))
-    name, share = " with ".join(best), f"{100.0 * shares[best]:.0f} %"
-    if shares[best] < FOLLOWS_LEAST:
+        shares[a, b] = _explained_share(torque[used_steps], CELLS_OF_PAIR * cells_by_name[a] + cells_by_name[b], laps)
+    best_names = max(shares, key=lambda names: shares[names] / (CLEARLY if len(names) > 1 else 1.0))
+    name, share = " with ".join(best_names), f"{100.0 * shares[best_names]:.0f} %"
+    if shares[best_names] < FOLLOWS_LEAST:
         return f"It follows no recorded or simulated channel: the best, {name}, explains {share} of it"
     return f"Of the recorded and simulated channels, {name} comes closest: it explains {share} of it"
 
@@ -246,14 +252,14 @@ def _cells(x: Array, bins: int) -> NDArray[np.int64]:
     return evenly_filled(x, bins)[1]
 
 
-def _explained(torque: Array, cells: NDArray[np.int64], laps: NDArray[np.int64]) -> float:
+def _explained_share(torque: Array, cells: NDArray[np.int64], laps: NDArray[np.int64]) -> float:
     """Share of the variance of a torque that the means of its cells over the other laps explain, at least zero."""
     number, width = int(laps.max()) + 1, int(cells.max()) + 1
     cell = laps * width + cells
     size = number * width
     count, total = (np.bincount(cell, w, size).reshape(number, width) for w in (None, torque))
-    others, sums = (x.sum(axis=0) - x if number > 1 else x for x in (count, total))
-    means = np.where(others > 0.0, sums / np.maximum(others, 1.0), torque.mean()).ravel()
+    other_counts, sums = (x.sum(axis=0) - x if number > 1 else x for x in (count, total))
+    means = np.where(other_counts > 0.0, sums / np.maximum(other_counts, 1.0), torque.mean()).ravel()
     variance = float(np.var(torque))
     return max(0.0, 1.0 - float(np.mean((torque - means[cell]) ** 2)) / variance) if variance > 0.0 else 0.0
 
@@ -293,22 +299,22 @@ class ThermalCheck:
 
 def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]:
     """Times when a series is large: at least `ACTING_SHARE` of its 95th percentile."""
-    used = np.concatenate([np.abs(x[s.used]) for x, s in zip(series, sessions, strict=True)])
-    if not len(used) or not used.max() > 0.0:
+    used_values = np.concatenate([np.abs(x[s.used]) for x, s in zip(series, sessions, strict=True)])
+    if not len(used_values) or not used_values.max() > 0.0:
         return []
-    limit = ACTING_SHARE * float(np.percentile(used, 95.0))
+    limit = ACTING_SHARE * float(np.percentile(used_values, 95.0))
     periods: list[Span] = []
     for session, x in zip(sessions, series, strict=True):
-        acting = (np.abs(x) >= limit) & session.used
-        for begin, end in session.stretches(acting):
+        is_acting = (np.abs(x) >= limit) & session.used
+        for begin, end in session.stretches(is_acting):
             last = periods[-1] if periods and periods[-1].recording == session.name else None
             if last and begin - last.end <= JOINED_S * session.pace:
                 periods[-1] = replace(last, end=end)
             else:
                 periods.append(Span(session.name, begin, end))
-    lasting = [s for s in periods if s.end - s.begin >= SHORTEST_S * sessions[0].pace]
-    longest = sorted(lasting, key=lambda s: s.begin - s.end)[:MOST_SPANS]
-    return [s for s in lasting if s in longest]
+    long_periods = [s for s in periods if s.end - s.begin >= SHORTEST_S * sessions[0].pace]
+    longest_periods = sorted(long_periods, key=lambda s: s.begin - s.end)[:MOST_SPANS]
+    return [s for s in long_periods if s in longest_periods]
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,11 +337,11 @@ class Location:
     @property
     def text(self) -> str:
         """The range in words; empty if it is everywhere, or if the sign changes over the range."""
-        whole = self.most - self.least
+        full_range = self.most - self.least
         from_start, to_end = self.low <= self.least, self.high >= self.most
         if (from_start and to_end) or self.both_ways:
             return ""
-        low, high = (on_scale(edge, whole) for edge in (self.low, self.high))
+        low, high = (on_scale(edge, full_range) for edge in (self.low, self.high))
         if to_end:
             return f"above {low} {self.unit} of {self.variable}"
         if from_start:
@@ -360,8 +366,8 @@ class Location:
             size = f"with a root mean square of {in_nm(self.rms)} Nm"
             return f"the {noun} needs sometimes more and sometimes less than the model, {size}"
         if self.both_ways:
-            between = f"from {in_nm(-self.smallest)} Nm less to {in_nm(self.largest)} Nm more"
-            return f"the {noun} needs {between} than the model, depending on the {self.variable}"
+            range_text = f"from {in_nm(-self.smallest)} Nm less to {in_nm(self.largest)} Nm more"
+            return f"the {noun} needs {range_text} than the model, depending on the {self.variable}"
         return f"the {noun} needs about {in_nm(abs(self.mean))} Nm {'more' if self.mean > 0.0 else 'less'} than the model"
 
 
@@ -370,36 +376,36 @@ def in_nm(torque: float) -> str:
     return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
-def within(variable: str, low: float, high: float, session: DriveSession, predicted: Predicted) -> Mask:
+def steps_within(variable: str, low: float, high: float, session: DriveSession, prediction: Predicted) -> Mask:
     """The compared steps of a session within a range of a variable."""
-    series = BY_NAME[variable].of(session, predicted)
+    series = BY_NAME[variable].of(session, prediction)
     return np.asarray(session.used & (series >= low) & (series <= high))
 
 
 def locate(fit: Fit, adds: Sequence[Array]) -> Location:
     """The variable whose bins explain most of a series, and their range where the series is large."""
     sessions = fit.problem.sessions
-    used = np.concatenate([s.used for s in sessions])
-    series = np.concatenate(adds)[used]
+    used_steps = np.concatenate([s.used for s in sessions])
+    series = np.concatenate(adds)[used_steps]
     square = float(np.mean(series**2))
-    best, result = -1.0, Location("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
+    best_share, result = -1.0, Location("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
     shares: dict[str, float] = {}
     # Time-like variables follow every single change in a drive, so they must explain clearly more.
-    for name, values in sorted(varying(sessions, fit.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
-        x = values[used]
+    for name, values in sorted(varying_series(sessions, fit.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
+        x = values[used_steps]
         if np.ptp(x) == 0.0:
             continue
         edges, place = evenly_filled(x, BINS)
         count = np.maximum(np.bincount(place), 1)
         means = np.bincount(place, weights=series) / count
-        explained = float(np.var(means[place]))
-        shares[name] = explained
-        if explained > best * (CLEARLY if BY_NAME[name].as_clock else TIED) + 1e-9:
-            best = explained
+        explained_variance = float(np.var(means[place]))
+        shares[name] = explained_variance
+        if explained_variance > best_share * (CLEARLY if BY_NAME[name].as_clock else TIED) + 1e-9:
+            best_share = explained_variance
             size = np.bincount(place, weights=np.abs(series)) / count
-            large = np.flatnonzero(size >= ACTING_SHARE * size.max())
-            low, high, near = edges[large[0]], edges[min(large[-1] + 1, len(edges) - 1)], NEAR_END * np.ptp(edges)
-            low, high = edges[0] if low - edges[0] < near else low, edges[-1] if edges[-1] - high < near else high
+            large_bins = np.flatnonzero(size >= ACTING_SHARE * size.max())
+            low, high, end_margin = edges[large_bins[0]], edges[min(large_bins[-1] + 1, len(edges) - 1)], NEAR_END * np.ptp(edges)
+            low, high = edges[0] if low - edges[0] < end_margin else low, edges[-1] if edges[-1] - high < end_margin else high
             result = Location(
                 name, BY_NAME[name].unit, float(low), float(high), float(edges[0]), float(edges[-1]),
                 min(0.0, float(means.min())), max(0.0, float(means.max())),
@@ -407,11 +413,11 @@ def locate(fit: Fit, adds: Sequence[Array]) -> Location:
                 float(np.mean(series[(x >= low) & (x <= high)])), math.sqrt(square),
             )  # fmt: skip
     as_clock = BY_NAME[result.variable].as_clock
-    alike = (name for name, x in shares.items() if name != result.variable and BY_NAME[name].as_clock == as_clock)
-    return replace(result, alike=tuple(name for name in alike if TIED * shares[name] >= best))
+    similar_names = (name for name, x in shares.items() if name != result.variable and BY_NAME[name].as_clock == as_clock)
+    return replace(result, alike=tuple(name for name in similar_names if TIED * shares[name] >= best_share))
 
 
-def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
+def smooth_residual(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
     """Moving averages of a residual over some seconds of a drive, see `session.pace`; nan in gaps."""
 
     def summed(values: Array, over_s: float) -> Array:
@@ -451,8 +457,8 @@ def slow_residual(fit: Fit) -> SlowResidual:
         number = (session.time // slow_s).astype(int)
         count = np.bincount(number[mask])
         sums = np.bincount(number[mask], weights=residual[mask])
-        full = count * session.step > 0.5 * slow_s
-        means.append(sums[full] / count[full])
+        is_full = count * session.step > 0.5 * slow_s
+        means.append(sums[is_full] / count[is_full])
         torques.append(session.torque[mask])
     size = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if sum(map(len, means)) else 0.0
     torque = float(np.sqrt(np.mean(np.concatenate(torques) ** 2)))
@@ -470,21 +476,21 @@ def is_like_slope(fit: Fit) -> bool:
     return math.isfinite(summary.slope) and summary.size**2 - offset**2 > MOSTLY * float(np.nanvar(residual))
 
 
-def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
-    """Mean absolute errors on the fitted and the `unused` hold-out laps [Nm], if the latter is much larger; else None."""
-    torques = [s.torque for s in refitted.problem.sessions]
+def only_later(base_fit: Fit, unused_error: float) -> tuple[float, float] | None:
+    """Mean absolute errors on the fitted and the hold-out laps [Nm], if the latter, `unused_error`, is much larger; else None."""
+    torques = [s.torque for s in base_fit.problem.sessions]
     error, torque = (
-        float(np.nanmean(np.abs(np.concatenate([x[m] for x, m in zip(series, refitted.problem.masks, strict=True)]))))
-        for series in (torque_residuals(refitted), torques)
+        float(np.nanmean(np.abs(np.concatenate([x[m] for x, m in zip(series, base_fit.problem.masks, strict=True)]))))
+        for series in (torque_residuals(base_fit), torques)
     )
-    return (error, unused) if unused > max(LATER * error, error + LATER_SHARE * torque) else None
+    return (error, unused_error) if unused_error > max(LATER * error, error + LATER_SHARE * torque) else None
 
 
-def regime_of(refitted: Fit, final: Fit, at_base: RegimeMap, location: Location) -> tuple[Bin, ...]:
-    """Residual of the base against travel where an effect of the `final` fit acts, and its other significant bins."""
-    sessions, limits = refitted.problem.sessions, (location.variable, location.low, location.high)
-    inside = [within(*limits, s, p) for s, p in zip(sessions, final.predicted, strict=True)]
-    residual = np.concatenate(against_travel(sessions, torque_residuals(refitted)))[np.concatenate(inside)]
+def regime_of(base_fit: Fit, final_fit: Fit, at_base: RegimeMap, location: Location) -> tuple[Bin, ...]:
+    """Residual of the base against travel where an effect of `final_fit` acts, and its other significant bins."""
+    sessions, limits = base_fit.problem.sessions, (location.variable, location.low, location.high)
+    masks_inside = [steps_within(*limits, s, p) for s, p in zip(sessions, final_fit.predicted, strict=True)]
+    residual = np.concatenate(against_travel(sessions, torque_residuals(base_fit)))[np.concatenate(masks_inside)]
     mean = float(residual.mean()) if len(residual) else 0.0
     local_bin = Bin(*limits, mean, location.unit, len(residual), at_base.likeliest(*limits))
     return (local_bin, *(b for b in at_base.significant if b.variable != location.variable))
@@ -537,8 +543,8 @@ def residual_sources(fit: Fit) -> ResidualSources:
         inertia = base.facts.radius * base.rotating_mass_factor * session.weight[mask] / GRAVITY
         torque += session.torque_noise**2 * int(mask.sum()) / count
         speed += float(((inertia * session.accel_noise) ** 2).sum()) / count
-    used = [s for s, mask in zip(sessions, masks, strict=True) if mask.any()]
-    of_torque = float(np.sqrt(torque)) if all(s.torque_noise > 0.0 for s in used) else None
-    of_speed = float(np.sqrt(speed)) if all(s.accel_noise > 0.0 for s in used) else None
+    used_sessions = [s for s, mask in zip(sessions, masks, strict=True) if mask.any()]
+    of_torque = float(np.sqrt(torque)) if all(s.torque_noise > 0.0 for s in used_sessions) else None
+    of_speed = float(np.sqrt(speed)) if all(s.accel_noise > 0.0 for s in used_sessions) else None
     model = float(np.sqrt(max(squares - torque - speed, 0.0)))
     return ResidualSources(float(np.sqrt(squares)), of_torque, of_speed, model, sessions[0].step)

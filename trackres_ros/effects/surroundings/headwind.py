@@ -25,7 +25,7 @@ class Headwind(Effect):
     )
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        against = p.from_ahead * math.cos(at.heading) + p.from_left * math.sin(at.heading)
-        through_air = at.speed + against
-        change = through_air * abs(through_air) - at.speed * abs(at.speed)
+        headwind = p.from_ahead * math.cos(at.heading) + p.from_left * math.sin(at.heading)
+        air_speed = at.speed + headwind
+        change = air_speed * abs(air_speed) - at.speed * abs(at.speed)
         return Terms(torque=0.5 * at.facts.air_density * at.facts.drag_area * change * at.facts.radius)

@@ -29,8 +29,8 @@ class Mullins(Effect):
     )
 
     def values_after(self, values: Mapping[str, float], distance: float) -> dict[str, float]:
-        left = values["excess"] * math.exp(-distance / values["distance"])
-        return {**values, "excess": left if left >= LEAST_EXCESS else 0.0}
+        excess = values["excess"] * math.exp(-distance / values["distance"])
+        return {**values, "excess": excess if excess >= LEAST_EXCESS else 0.0}
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         return Terms(loss_factor=1.0 + p.excess * math.exp(-at.distance / p.distance))

@@ -33,6 +33,6 @@ class Payne(Effect):
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         nominal = p.strain**EXPONENT
-        now = (p.strain * (at.weight / at.facts.weight) ** (2.0 / 3.0)) ** EXPONENT
-        peaks = 2.0 * nominal / (1.0 + nominal * nominal), 2.0 * now / (1.0 + now * now)
-        return Terms(loss_factor=(1.0 + p.height * peaks[1]) / (1.0 + p.height * peaks[0]))
+        present = (p.strain * (at.weight / at.facts.weight) ** (2.0 / 3.0)) ** EXPONENT
+        levels = 2.0 * nominal / (1.0 + nominal * nominal), 2.0 * present / (1.0 + present * present)
+        return Terms(loss_factor=(1.0 + p.height * levels[1]) / (1.0 + p.height * levels[0]))

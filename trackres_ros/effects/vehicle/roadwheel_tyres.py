@@ -32,10 +32,10 @@ class RoadwheelTyres(Effect):
     )
 
     def lag(self, at: Conditions, p: Values) -> Lag:
-        slower = 1.0 if abs(at.speed) > MOVING_MPS else SLOWER_AT_REST
-        return Lag(at.ambient + p.rise * abs(at.speed), slower * p.time_constant, at.ambient)
+        factor = 1.0 if abs(at.speed) > MOVING_MPS else SLOWER_AT_REST
+        return Lag(at.ambient + p.rise * abs(at.speed), factor * p.time_constant, at.ambient)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        softened = math.exp(-p.softening * (at.own - REFERENCE_DEGC))
+        softness = math.exp(-p.softening * (at.own - REFERENCE_DEGC))
         of_load = (at.weight / at.facts.weight) ** (4.0 / 3.0)
-        return Terms(torque=p.torque * of_load * softened * at.direction)
+        return Terms(torque=p.torque * of_load * softness * at.direction)

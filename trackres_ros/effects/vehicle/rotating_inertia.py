@@ -27,10 +27,10 @@ class RotatingInertia(Effect):
 
     def beyond(self, factor: float) -> RotatingInertia:
         """The same effect for a rotating-mass factor of the vehicle file: both together are no less than 1."""
-        found = copy.copy(self)
+        effect = copy.copy(self)
         (q,) = self.parameters
-        found.parameters = (replace(q, low=max(q.low, min(0.0, 1.0 - factor))),)
-        return found
+        effect.parameters = (replace(q, low=max(q.low, min(0.0, 1.0 - factor))),)
+        return effect
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         return Terms(torque=p.factor * at.weight / GRAVITY * at.accel * at.facts.radius)

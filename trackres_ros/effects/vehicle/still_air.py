@@ -21,6 +21,6 @@ class StillAir(Effect):
     parameters = (Parameter("share", "1", 0.0, 0.9, 0.7, "share of the film coefficient that is missing at rest", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        walking = at.speed / WALKING_MPS
-        left = 1.0 - p.share * math.exp(-walking * walking)
-        return Terms(film_offset_factor=left)
+        paces = at.speed / WALKING_MPS
+        share = 1.0 - p.share * math.exp(-paces * paces)
+        return Terms(film_offset_factor=share)

@@ -26,5 +26,5 @@ class Stribeck(Effect):
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         relative = at.speed / p.speed
-        crawling = math.exp(-relative * relative)
-        return Terms(torque=(p.constant + p.breakaway * crawling) * at.direction)
+        slow_share = math.exp(-relative * relative)
+        return Terms(torque=(p.constant + p.breakaway * slow_share) * at.direction)

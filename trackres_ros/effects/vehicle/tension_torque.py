@@ -20,5 +20,5 @@ class TensionTorque(Effect):
     parameters = (Parameter("share", "1", 0.0, 0.3, 0.1, "growth of the loss over growth of the tension", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        pull = abs(at.drive_torque) / (at.facts.assemblies * at.facts.radius)
-        return Terms(loss_factor=1.0 + p.share * pull / at.facts.tension)
+        drive_tension = abs(at.drive_torque) / (at.facts.assemblies * at.facts.radius)
+        return Terms(loss_factor=1.0 + p.share * drive_tension / at.facts.tension)

@@ -21,5 +21,5 @@ class Vibration(Effect):
     )
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        off = (abs(at.speed) - p.speed) / p.width
-        return Terms(torque=p.torque / (1.0 + off * off) * at.direction)
+        detuning = (abs(at.speed) - p.speed) / p.width
+        return Terms(torque=p.torque / (1.0 + detuning * detuning) * at.direction)

@@ -37,12 +37,12 @@ class ViscousBearing(Effect):
     )
 
     def lag(self, at: Conditions, p: Values) -> Lag:
-        slower = 1.0 if abs(at.speed) > MOVING_MPS else SLOWER_AT_REST
-        falls = HEAT_FALLS * p.thinning
-        x = math.log1p(falls * p.rise * abs(at.speed) * math.exp(-falls * (at.ambient - REFERENCE_DEGC)))
+        factor = 1.0 if abs(at.speed) > MOVING_MPS else SLOWER_AT_REST
+        decay_rate = HEAT_FALLS * p.thinning
+        x = math.log1p(decay_rate * p.rise * abs(at.speed) * math.exp(-decay_rate * (at.ambient - REFERENCE_DEGC)))
         w = x * (1.0 - math.log1p(x) / (2.0 + x))  # Lambert's function to 2 % (S. Winitzki 2003): heat and cooling are equal
-        return Lag(at.ambient + w / falls, slower * p.time_constant / (1.0 + w), at.ambient)
+        return Lag(at.ambient + w / decay_rate, factor * p.time_constant / (1.0 + w), at.ambient)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        thinned = math.exp(-p.thinning * (at.own - REFERENCE_DEGC))
-        return Terms(torque=p.coefficient * abs(at.speed) ** (2.0 / 3.0) * thinned * at.direction)
+        viscosity = math.exp(-p.thinning * (at.own - REFERENCE_DEGC))
+        return Terms(torque=p.coefficient * abs(at.speed) ** (2.0 / 3.0) * viscosity * at.direction)

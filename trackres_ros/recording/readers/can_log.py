@@ -34,7 +34,7 @@ class CanLog(CanSignals):
         self._path = path
         super().__init__(name, self._read, topics)
 
-    def _read(self, met: Counter[str]) -> Iterator[Frame]:
+    def _read(self, event_counts: Counter[str]) -> Iterator[Frame]:
         import can
 
         logging.getLogger("can").setLevel(logging.ERROR)  # what it skips is counted
@@ -44,26 +44,26 @@ class CanLog(CanSignals):
         with self._path.open("rb") as file:
             lines = None if suffix == ".blf" else _Lines(file)
             reader = can.BLFReader(file) if lines is None else readers[suffix](lines)
-            first = 0 if suffix == ".log" else 1  # buses of Vector's tools count from 1, python-can from 0
+            first_bus = 0 if suffix == ".log" else 1  # buses of Vector's tools count from 1, python-can from 0
             for message in reader if lines is None else _resuming(reader):
                 if not abs(message.timestamp) < MOST_TIME_S:
                     continue
                 frames += 1
                 if not (message.is_error_frame or message.is_remote_frame):
                     stamp_ns = round(message.timestamp * 1e6) * MICROSECOND_NS
-                    bus = _bus(message.channel, first)
+                    bus = _bus(message.channel, first_bus)
                     yield Frame(stamp_ns, message.arbitration_id, message.is_extended_id, bus, bytes(message.data))
         if lines and lines.entries and not frames:
             remedy = "record it with: candump -L" if suffix == ".log" else ""
             raise InputError(self.name, "no readable frame", "a log with one frame per line", remedy)
-        met["lost"] = max(0, (lines.entries if lines else reader.object_count) - frames)
-        met["cut"] = int(lines is not None and not lines.ended)
+        event_counts["lost"] = max(0, (lines.entries if lines else reader.object_count) - frames)
+        event_counts["cut"] = int(lines is not None and not lines.has_line_end)
 
 
-def _bus(channel: Any, first: int) -> int | None:
+def _bus(channel: Any, first_bus: int) -> int | None:
     """The number of a bus, also of an interface such as can0."""
     if isinstance(channel, int):
-        return channel + first
+        return channel + first_bus
     digits = re.search(r"\d+$", str(channel or ""))
     return int(digits.group()) if digits else None
 
@@ -85,24 +85,24 @@ class _Lines:
     """
 
     def __init__(self, file: io.BufferedReader) -> None:
-        self._file, self.entries, self.ended = file, 0, True
-        self._relative, self._since_ns = False, 0
+        self._file, self.entries, self.has_line_end = file, 0, True
+        self._is_relative, self._since_ns = False, 0
         self.close = file.close  # required by python-can
 
     def __iter__(self) -> Iterator[str]:
         if self.entries:
             yield "\n"  # ends the header for a reader that resumes
         for line in self._file:
-            text, self.ended = line.decode("latin-1"), line.endswith(b"\n")
-            if not self.ended:
+            text, self.has_line_end = line.decode("latin-1"), line.endswith(b"\n")
+            if not self.has_line_end:
                 return
             self.entries += not NO_FRAME.match(text.strip())
-            self._relative |= RELATIVE.match(text.strip()) is not None
-            yield SINCE_LAST.sub(self._from_beginning, text) if self._relative else text
+            self._is_relative |= RELATIVE.match(text.strip()) is not None
+            yield SINCE_LAST.sub(self._from_beginning, text) if self._is_relative else text
 
     def _from_beginning(self, since_last: re.Match[str]) -> str:
-        whole, part = since_last.groups()
-        self._since_ns += int(whole) * 10**9 + int(part.ljust(9, "0"))
+        whole_seconds, part = since_last.groups()
+        self._since_ns += int(whole_seconds) * 10**9 + int(part.ljust(9, "0"))
         return f"{self._since_ns // 10**9}.{self._since_ns % 10**9:09d}"
 
 

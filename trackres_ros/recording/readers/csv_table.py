@@ -3,7 +3,6 @@
 
 """Reads CSV in blocks, as text that shows its own notation, and by pyarrow as far as it understands it."""
 
-import io
 import itertools
 import zlib
 from collections.abc import Iterator, Sequence
@@ -17,7 +16,6 @@ import numpy as np
 from trackres_ros.files.arrow_columns import as_numpy
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.opening import FileKind
-from trackres_ros.recording.samples import Finding
 from trackres_ros.recording.text_table import (
     COMMA,
     NO_VALUE,
@@ -56,30 +54,33 @@ class CsvTable(TableFile):
         ambiguous.
         """
         assert time is not None
-        chosen, separator = (time, *channels), self._table.separator
-        first = self._table.first_cell(time.place)
-        self._dates = dates = DateTimes(first, time.binding.order) if is_date_time(first) else None
-        check_dates(time, self.name, dates is not None, "" if is_number(first) else first)
-        marks = marks_of((column.name, column.binding.decimal) for column in chosen[bool(dates) :])
+        chosen_channels, separator = (time, *channels), self._table.separator
+        first_text = self._table.first_cell(time.place)
+        self._dates = dates = DateTimes(first_text, time.binding.order) if is_date_time(first_text) else None
+        check_dates(time, self.name, dates is not None, "" if is_number(first_text) else first_text)
+        marks = marks_of((column.name, column.binding.decimal) for column in chosen_channels[bool(dates) :])
         if separator != "," or (dates and dates.is_open) or self._has_quotes():
-            looks = [(column.place, marks[column.name].see) for column in chosen if column.name in marks]
+            observers = [(column.place, marks[column.name].see) for column in chosen_channels if column.name in marks]
             if dates and dates.is_open:
-                looks.append((time.place, dates.see))
-            self._table.look(looks)
+                observers.append((time.place, dates.see))
+            self._table.look(observers)
         if dates:
             dates.decide(f"{self.name}: {time.name}")
-        decided = decide(marks, self.name, separator == ",")
+        mark_of_column = decide(marks, self.name, separator == ",")
         self._columns = [
-            Column(one.place, one.name, partial(number_of, mark=decided.get(one.name, POINT))) for one in chosen[bool(dates) :]
+            Column(item.place, item.name, partial(number_of, mark=mark_of_column.get(item.name, POINT)))
+            for item in chosen_channels[bool(dates) :]
         ]
         if dates:
             self._columns.insert(0, Column(time.place, time.name, dates.read))
-        written = {decided[name] for name, one in marks.items() if one.marks}
-        alike = len(written) < 2 and all(one.marks <= {decided[name]} and not one.given for name, one in marks.items())
-        self._fast_mark = next(iter(written), POINT) if alike and separator != " " else None
-        self.notes = tuple(self._assumed(time, [name for name, mark in decided.items() if mark == COMMA]))
+        marks_written = {mark_of_column[name] for name, item in marks.items() if item.marks}
+        is_uniform = len(marks_written) < 2 and all(
+            item.marks <= {mark_of_column[name]} and not item.topics_mark for name, item in marks.items()
+        )
+        self._fast_mark = next(iter(marks_written), POINT) if is_uniform and separator != " " else None
+        self.notes = tuple(self._assumption_notes(time, [name for name, mark in mark_of_column.items() if mark == COMMA]))
 
-    def _assumed(self, time: ChosenChannel, of_comma: Sequence[str]) -> Iterator[str]:
+    def _assumption_notes(self, time: ChosenChannel, of_comma: Sequence[str]) -> Iterator[str]:
         yield from self._table.notes
         if self._table.separator != ",":
             yield f"cells are separated by {SEPARATORS.get(self._table.separator, self._table.separator)}"
@@ -102,11 +103,11 @@ class CsvTable(TableFile):
         """Read the rows: by pyarrow as far as it is installed and understands them, the rest as plain text."""
         progress = Progress()
         for chunks in (self._fast_chunks, self._plain_chunks):
-            if not progress.complete:
+            if not progress.is_complete:
                 for rows in chunks(progress):
                     progress.rows += len(rows.time)
                     yield rows
-        self.findings = tuple(self._look_at_lines(progress))
+        self.findings = tuple(self._table.look_at_lines(progress))
 
     def _fast_chunks(self, progress: Progress) -> Iterator[ChannelRows]:
         """Yield rows until the first block that pyarrow does not take as numbers."""
@@ -117,10 +118,10 @@ class CsvTable(TableFile):
             return
         if self._fast_mark is None:
             return
-        wanted = [f"c{column.place}" for column in self._columns]
-        types = dict.fromkeys(wanted, pa.float64())
+        column_names = [f"c{column.place}" for column in self._columns]
+        types = dict.fromkeys(column_names, pa.float64())
         if self._dates:
-            types[wanted[0]] = pa.string()
+            types[column_names[0]] = pa.string()
         convert = arrow.ConvertOptions(
             column_types=types,
             include_columns=list(types),
@@ -131,7 +132,7 @@ class CsvTable(TableFile):
         )
         table = self._table
         names = [f"c{place}" for place in range(len(table.names))]
-        read = arrow.ReadOptions(use_threads=False, skip_rows=table.first, encoding=table.encoding, column_names=names)
+        read = arrow.ReadOptions(use_threads=False, skip_rows=table.first_row, encoding=table.encoding, column_names=names)
         parse = arrow.ParseOptions(delimiter=table.separator)
         with (
             Tap(table, progress) as file,
@@ -140,53 +141,36 @@ class CsvTable(TableFile):
         ):
             while True:
                 try:
-                    rows = self._rows_of(reader.read_next_batch(), wanted)
+                    rows = self._rows_of(reader.read_next_batch(), column_names)
                 except StopIteration:
-                    progress.complete = True
+                    progress.is_complete = True
                     return
-                if not rows.timed.all():
+                if not rows.has_time.all():
                     return
                 yield rows
 
-    def _rows_of(self, batch: Any, wanted: Sequence[str]) -> ChannelRows:
+    def _rows_of(self, batch: Any, column_names: Sequence[str]) -> ChannelRows:
         """Rows of an Arrow batch, time first."""
-        first, *others = (batch.column(name) for name in wanted)
-        cells, given = zip(*map(as_numpy, others), strict=True)
+        first_column, *other_columns = (batch.column(name) for name in column_names)
+        cells, has_value = zip(*map(as_numpy, other_columns), strict=True)
         if self._dates is None:
-            time, timed = as_numpy(first)
+            time, has_time = as_numpy(first_column)
         else:
-            texts = first.to_pylist()
-            timed = np.array([text is not None for text in texts], np.bool_)
+            texts = first_column.to_pylist()
+            has_time = np.array([text is not None for text in texts], np.bool_)
             time = np.array([0 if text is None else self._dates.ns(text) for text in texts], np.int64)
-        return ChannelRows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
+        return ChannelRows(time, has_time, np.stack(cells, axis=1), np.stack(has_value, axis=1))
 
     def _plain_chunks(self, progress: Progress) -> Iterator[ChannelRows]:
         """Yield the rows after those so far, cell by cell; the same numbers, and an error with its line."""
         rows = itertools.islice(self._table.rows(progress), progress.rows, None)
         numbers = self._table.numbers(rows, self._columns, progress)
         while chunk := list(itertools.islice(numbers, CHUNK_ROWS)):
-            given = np.array([[number is not None for number in row] for row in chunk])
+            has_value = np.array([[number is not None for number in row] for row in chunk])
             time = [0 if row[0] is None else row[0] for row in chunk]
             cells = np.array([row[1:] for row in chunk], np.float64)
             stamps = np.array(time, np.int64) if self._dates else np.array(time, np.float64)
-            yield ChannelRows(stamps, given[:, 0], cells, given[:, 1:])
-
-    def _look_at_lines(self, progress: Progress) -> Iterator[Finding]:
-        """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
-        if progress.aside:
-            text = f"{progress.aside} lines between the rows are skipped: they are comments, or the names again"
-            yield Finding("", "comment", progress.aside, float("nan"), text)
-        if progress.quoted:
-            with io.TextIOWrapper(self._table.binary(), "latin-1") as file:  # whatever ends the lines
-                lines = sum(line != "\n" for line in itertools.islice(file, self._table.first, None))
-            swallowed = lines - progress.rows - progress.left_out - progress.aside
-            if swallowed > 0:
-                text = f"{swallowed} lines are not rows: they are inside a quotation that an earlier line opens"
-                yield Finding("", "quoted", swallowed, float("nan"), text)
-        if progress.last not in (b"\n", b"\r"):
-            what = "it is left out" if progress.left_out else "the file and its last number may be truncated"
-            text = f"the last line is incomplete: {what}"
-            yield Finding("", "cut", 1, float("nan"), text)
+            yield ChannelRows(stamps, has_value[:, 0], cells, has_value[:, 1:])
 
 
 KINDS = (FileKind("CSV", (".csv", ".csv.gz"), lambda path, name, _: [CsvTable(path, name)], checked=True),)

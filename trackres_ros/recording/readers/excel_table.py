@@ -66,8 +66,8 @@ class ExcelTable(TableFile):
         """Whether the first filled cell of a column holds a number."""
         with _workbook(self._path) as book:
             rows = self._below_header(book)
-            first = next((row[place] for row in rows if place < len(row) and _filled(row[place]) is not None), "")
-        return is_number(first) if isinstance(first, str) else isinstance(first, int | float)
+            first_value = next((row[place] for row in rows if place < len(row) and _cell_content(row[place]) is not None), "")
+        return is_number(first_value) if isinstance(first_value, str) else isinstance(first_value, int | float)
 
     def _below_header(self, book: Workbook) -> Iterator[Sequence[Any]]:
         sheet: Any = book[self._sheet]
@@ -81,42 +81,45 @@ class ExcelTable(TableFile):
         self._columns = (time, *channels)
         self._numbers, cells = self._cells()
         values = [value for value in cells[0] if value is not None]
-        first = values[0] if values else 0.0
-        in_text = isinstance(first, str) and is_date_time(first)
-        numeric = is_number(first) if isinstance(first, str) else isinstance(first, int | float)
-        check_dates(time, self.name, in_text or isinstance(first, datetime), "" if numeric else str(first))
+        first_value = values[0] if values else 0.0
+        in_text = isinstance(first_value, str) and is_date_time(first_value)
+        is_numeric = is_number(first_value) if isinstance(first_value, str) else isinstance(first_value, int | float)
+        check_dates(time, self.name, in_text or isinstance(first_value, datetime), "" if is_numeric else str(first_value))
         notes = [f"sheet {one_line(self._sheet)}"]
-        if isinstance(first, datetime):
+        if isinstance(first_value, datetime):
             stamps = [self._stamp(value, number) for value, number in zip(cells[0], self._numbers, strict=True)]
             notes.append(time_note(time.name, f"dates of Excel, {NO_ZONE}"))
         elif in_text:
-            dates = DateTimes(str(first), time.binding.order)
+            dates = DateTimes(str(first_value), time.binding.order)
             dates.see(str(value) for value in values)
             dates.decide(f"{self.name}: {time.name}")
             places = (f"{self.name}: row {row}, {time.name}" for row in self._numbers)
             texts = zip(cells[0], places, strict=True)
             stamps = [None if value is None else dates.ns(str(value), place) for value, place in texts]
             notes.append(time_note(time.name, dates.text))
-        dated = in_text or isinstance(first, datetime)
-        marks = marks_of((column.name, column.binding.decimal) for column in self._columns[dated:])
-        for column, found in zip(self._columns, cells, strict=True):
+        has_dates = in_text or isinstance(first_value, datetime)
+        marks = marks_of((column.name, column.binding.decimal) for column in self._columns[has_dates:])
+        for column, column_cells in zip(self._columns, cells, strict=True):
             if column.name in marks:
-                marks[column.name].see([value for value in found if isinstance(value, str)])
-        decided = decide(marks, self.name)
+                marks[column.name].see([value for value in column_cells if isinstance(value, str)])
+        mark_of_column = decide(marks, self.name)
         numbers = [
-            [self._number(value, decided[column.name], row, column.name) for value, row in zip(found, self._numbers, strict=True)]
-            for column, found in list(zip(self._columns, cells, strict=True))[dated:]
+            [
+                self._number(value, mark_of_column[column.name], row, column.name)
+                for value, row in zip(column_cells, self._numbers, strict=True)
+            ]
+            for column, column_cells in list(zip(self._columns, cells, strict=True))[has_dates:]
         ]
-        of_comma = [column for column, mark in decided.items() if mark == COMMA]
+        of_comma = [column for column, mark in mark_of_column.items() if mark == COMMA]
         notes += [f"decimal comma in {', '.join(of_comma)}"] if of_comma else []
         self.notes = tuple(notes)
-        whole = np.array([[np.nan if value is None else value for value in row] for row in numbers]).reshape(len(numbers), -1).T
-        given = np.array([[value is not None for value in row] for row in numbers], np.bool_).reshape(len(numbers), -1).T
-        if dated:
-            timed = np.array([value is not None for value in stamps], np.bool_)
-            self._rows = ChannelRows(np.array([value or 0 for value in stamps], np.int64), timed, whole, given)
+        matrix = np.array([[np.nan if value is None else value for value in row] for row in numbers]).reshape(len(numbers), -1).T
+        has_value = np.array([[value is not None for value in row] for row in numbers], np.bool_).reshape(len(numbers), -1).T
+        if has_dates:
+            has_time = np.array([value is not None for value in stamps], np.bool_)
+            self._rows = ChannelRows(np.array([value or 0 for value in stamps], np.int64), has_time, matrix, has_value)
         else:
-            self._rows = ChannelRows(whole[:, 0], given[:, 0], whole[:, 1:], given[:, 1:])
+            self._rows = ChannelRows(matrix[:, 0], has_value[:, 0], matrix[:, 1:], has_value[:, 1:])
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """The rows read by `settle`."""
@@ -128,10 +131,10 @@ class ExcelTable(TableFile):
         cells: list[list[Any]] = [[] for _ in self._columns]
         with _workbook(self._path) as book:
             for number, row in enumerate(self._below_header(book), self._header_row + 1):
-                found = [_filled(row[column.place]) if column.place < len(row) else None for column in self._columns]
-                if any(value is not None for value in found):
+                row_cells = [_cell_content(row[column.place]) if column.place < len(row) else None for column in self._columns]
+                if any(value is not None for value in row_cells):
                     numbers.append(number)
-                    for values, value in zip(cells, found, strict=True):
+                    for values, value in zip(cells, row_cells, strict=True):
                         values.append(value)
         return numbers, cells
 
@@ -144,10 +147,10 @@ class ExcelTable(TableFile):
         if value is None:
             return None
         if isinstance(value, datetime):
-            since = value.replace(tzinfo=UTC) - EPOCH
-            seconds = since.days * 86400 + since.seconds
+            interval = value.replace(tzinfo=UTC) - EPOCH
+            seconds = interval.days * 86400 + interval.seconds
             if abs(seconds) <= MOST_S:
-                return seconds * SECOND_NS + since.microseconds * 1000
+                return seconds * SECOND_NS + interval.microseconds * 1000
         where = f"{self.name}: row {row}, {self._columns[0].name}"
         raise InputError(where, str(value), "a date with a time, as in the rows before")
 
@@ -169,19 +172,21 @@ def _workbook(path: Path) -> Iterator[Workbook]:
 def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
     """Number of the last row above the numbers, with the names and the units below them."""
     sheet.reset_dimensions()
-    filled = [list(map(_filled, row)) for row in itertools.islice(sheet.iter_rows(values_only=True), HEADER_WITHIN)]
-    width = max(map(len, filled), default=0)
-    texts = [["" if value is None else str(value).strip() for value in row] + [""] * (width - len(row)) for row in filled]
-    found = header_of([(row, False) for row in texts])
-    if found is None:
+    filled_rows = [list(map(_cell_content, row)) for row in itertools.islice(sheet.iter_rows(values_only=True), HEADER_WITHIN)]
+    width = max(map(len, filled_rows), default=0)
+    texts = [["" if value is None else str(value).strip() for value in row] + [""] * (width - len(row)) for row in filled_rows]
+    header = header_of([(row, False) for row in texts])
+    if header is None:
         return None
-    names = list(itertools.zip_longest(found.names, found.units, fillvalue=""))
+    names = list(itertools.zip_longest(header.names, header.units, fillvalue=""))
     while not names[-1][0]:
         del names[-1]
-    return (found.first if found.rows else found.place + 1 + bool(found.units)), [Channel(*both) for both in names]
+    return (header.first_row if header.rows else header.place + 1 + bool(header.units)), [
+        Channel(*name_and_unit) for name_and_unit in names
+    ]
 
 
-def _filled(value: Any) -> Any:
+def _cell_content(value: Any) -> Any:
     """The value of a cell, None where there is none."""
     return None if isinstance(value, str) and value.strip() in NO_VALUE else value
 

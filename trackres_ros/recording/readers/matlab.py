@@ -40,7 +40,7 @@ class _Content:
 
     vectors: dict[str, _Vector] = field(default_factory=dict)
     numbers: dict[str, _Vector] = field(default_factory=dict)
-    others: list[str] = field(default_factory=list)
+    other_names: list[str] = field(default_factory=list)
 
 
 class MatlabFile(ChannelFile):
@@ -57,53 +57,55 @@ class MatlabFile(ChannelFile):
         self._scale, self._offset = (clock.scale, clock.offset) if clock else (1.0, 0.0)
         times = {name: _time_of(name, vectors, clock.column if clock else "") for name in vectors}
         self.channels = [Channel(name, "", time) for name, time in times.items() if time and time != name]
-        alone = [name for name, time in times.items() if not time]
+        timeless_names = [name for name, time in times.items() if not time]
         unit = "" if clock else ", in seconds"
         constants = _constants(content.numbers, self.channels, topics)
-        self._vectors = {**vectors, **{one: _constant(content.numbers[one]) for one in constants}}
-        unread = [*content.others, *(one for one in content.numbers if one not in constants)]
+        self._vectors = {**vectors, **{item: _constant(content.numbers[item]) for item in constants}}
+        unread_names = [*content.other_names, *(item for item in content.numbers if item not in constants)]
         self.notes = (
-            *(f"time: vector {time}{unit}" for time in dict.fromkeys(one.group for one in self.channels)),
-            *([f"vectors without times: {listed_names(alone)}"] if alone else []),
+            *(f"time: vector {time}{unit}" for time in dict.fromkeys(item.group for item in self.channels)),
+            *([f"vectors without times: {listed_names(timeless_names)}"] if timeless_names else []),
             *([f"one number for the whole recording: {listed_names(list(constants))}"] if constants else []),
-            *([f"not read (no vectors): {listed_names(unread)}"] if unread else []),
+            *([f"not read (no vectors): {listed_names(unread_names)}"] if unread_names else []),
         )
         if not self.channels:
             allowed = f"numeric vectors and one of the same length named {', '.join(TIMES)}"
             remedy = "give the times in a topics file: time: {channel: NAME}"
             raise InputError(name, f"the vectors {listed_names(list(vectors)) or 'none'}", allowed, remedy)
-        self.channels += [Channel(one, "", time) for one, time in constants.items()]
+        self.channels += [Channel(item, "", time) for item, time in constants.items()]
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """The vectors by their times; those of the last one, the speed, last."""
-        times = [self.channels[one.place].group for one in self.wanted]
+        times = [self.channels[channel.place].group for channel in self.wanted]
         return [self._rows(time) for time in sorted(set(times), key=lambda time: (time == times[-1], time))]
 
     def _rows(self, time: str) -> Iterator[ChannelRows]:
-        mine = [(column, self._vectors[self.channels[one.place].name]) for column, one in enumerate(self.wanted)]
-        mine = [pair for pair, one in zip(mine, self.wanted, strict=True) if self.channels[one.place].group == time]
+        columns = [(column, self._vectors[self.channels[channel.place].name]) for column, channel in enumerate(self.wanted)]
+        columns = [pair for pair, channel in zip(columns, self.wanted, strict=True) if self.channels[channel.place].group == time]
         clock = self._vectors[time]
-        at_once = max(vector.at_once for vector in (clock, *(vector for _, vector in mine)))
+        at_once = max(vector.at_once for vector in (clock, *(vector for _, vector in columns)))
         for start in range(0, clock.length, at_once):
             end = min(start + at_once, clock.length)
             seconds = self._scale * clock.part(start, end) + self._offset
             cells = np.full((end - start, len(self.wanted)), np.nan)
-            for column, vector in mine:
+            for column, vector in columns:
                 cells[:, column] = vector.part(start, end)
             yield rows_at(seconds, cells)
 
 
-def _time_of(name: str, vectors: Mapping[str, _Vector], named: str) -> str:
+def _time_of(name: str, vectors: Mapping[str, _Vector], topics_time: str) -> str:
     """The time vector of a channel: the one that the topics file names, its own, or one in the same or a parent group."""
-    if named:
-        return named if vectors[named].length == vectors[name].length else ""
+    if topics_time:
+        return topics_time if vectors[topics_time].length == vectors[name].length else ""
     folder = name
     candidates = [f"{name}_time", f"{name}_t"]
     while folder:
         folder = folder.rpartition(".")[0]
-        within = {one.lower(): one for one in vectors if one.rpartition(".")[0] == folder}
-        candidates += [within[key] for time in TIMES if (key := f"{folder}.{time}".lower().lstrip(".")) in within]
-    return next((one for one in candidates if one in vectors and vectors[one].length == vectors[name].length), "")
+        folder_names = {candidate.lower(): candidate for candidate in vectors if candidate.rpartition(".")[0] == folder}
+        candidates += [folder_names[key] for time in TIMES if (key := f"{folder}.{time}".lower().lstrip(".")) in folder_names]
+    return next(
+        (candidate for candidate in candidates if candidate in vectors and vectors[candidate].length == vectors[name].length), ""
+    )
 
 
 def _constants(numbers: Collection[str], channels: Sequence[Channel], topics: Topics | None) -> dict[str, str]:
@@ -113,16 +115,24 @@ def _constants(numbers: Collection[str], channels: Sequence[Channel], topics: To
     """
     if not channels:
         return {}
-    named = {part.column: base_role(role) for role, line in (topics.bindings if topics else {}).items() for part in line.sources}
-    times = {one.group.rpartition(".")[0]: one.group for one in reversed(channels)}
-    found = {one: channels[0].group for one in numbers if named.get(one) in CONSTANT}
-    known = [one for one in (*numbers, *(one.name for one in channels)) if one.rpartition(".")[2] in COLUMNS]
-    role_of = {one: COLUMNS[one.rpartition(".")[2]][0] for one in known}
-    alone = Counter(role_of.values())
-    for one, role in role_of.items():
-        if one in numbers and one not in found and role in CONSTANT and alone[role] == 1 and one.rpartition(".")[0] in times:
-            found[one] = times[one.rpartition(".")[0]]
-    return found
+    role_of_name = {
+        part.column: base_role(role) for role, line in (topics.bindings if topics else {}).items() for part in line.sources
+    }
+    times = {item.group.rpartition(".")[0]: item.group for item in reversed(channels)}
+    constants = {item: channels[0].group for item in numbers if role_of_name.get(item) in CONSTANT}
+    known_names = [item for item in (*numbers, *(item.name for item in channels)) if item.rpartition(".")[2] in COLUMNS]
+    role_of = {item: COLUMNS[item.rpartition(".")[2]][0] for item in known_names}
+    role_counts = Counter(role_of.values())
+    for item, role in role_of.items():
+        if (
+            item in numbers
+            and item not in constants
+            and role in CONSTANT
+            and role_counts[role] == 1
+            and item.rpartition(".")[0] in times
+        ):
+            constants[item] = times[item.rpartition(".")[0]]
+    return constants
 
 
 def _constant(number: _Vector) -> _Vector:
@@ -131,34 +141,36 @@ def _constant(number: _Vector) -> _Vector:
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[MatlabFile]:
     with path.open("rb") as file:
-        is_old = file.read(10) == b"MATLAB 5.0"
-    return [MatlabFile(name, _of_version_5(path) if is_old else _of_version_7_3(path), topics)]
+        is_hdf5 = file.read(10).startswith((b"MATLAB 7.3", b"\x89HDF"))
+    return [MatlabFile(name, _of_version_7_3(path) if is_hdf5 else _of_version_5(path), topics)]
 
 
 def _of_version_5(path: Path) -> _Content:
-    """Content of a file that is read at once."""
+    """Content of a file of version 4 to 7, which is read at once."""
     from scipy.io import loadmat
 
-    found = _Content()
+    content = _Content()
 
     def visit(name: str, value: Any) -> None:
         if isinstance(value, Mapping):
-            for key, inner in value.items():
-                visit(f"{name}.{key}", inner)
+            for key, child in value.items():
+                visit(f"{name}.{key}", child)
         elif isinstance(value, list):
-            for number, inner in enumerate(value, 1):
-                visit(f"{name}({number})", inner)
+            for number, child in enumerate(value, 1):
+                visit(f"{name}({number})", child)
         elif isinstance(value, int | float):
-            found.numbers[name] = _Vector(1, 1, lambda *_: np.array([value], np.float64))
+            content.numbers[name] = _Vector(1, 1, lambda *_: np.array([value], np.float64))
         elif isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "biuf" and value.size > 1:
-            found.vectors[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: value[start:end].astype(np.float64))
+            numbers = value.astype(np.float64)
+            numbers[np.isnan(numbers)] = np.nan  # damaged ones would raise a warning
+            content.vectors[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: numbers[start:end])
         else:
-            found.others.append(name)
+            content.other_names.append(name)
 
     for name, value in loadmat(path, simplify_cells=True).items():
         if not name.startswith("__"):
             visit(name, value)
-    return found
+    return content
 
 
 def _of_version_7_3(path: Path) -> _Content:
@@ -167,7 +179,7 @@ def _of_version_7_3(path: Path) -> _Content:
         import h5py
     except ImportError:
         raise MissingExtraError("reading MATLAB files of version 7.3", "h5py", "matlab") from None
-    found = _Content()
+    content = _Content()
 
     def visit(place: str | bytes, item: Any) -> None:
         if not isinstance(place, str) or "#refs#" in place:  # a damaged name is no text
@@ -175,25 +187,25 @@ def _of_version_7_3(path: Path) -> _Content:
         if not isinstance(item, h5py.Dataset):
             return
         name = place.replace("/", ".")
-        across = item.ndim == 2 and item.shape[0] == 1  # MATLAB's arrays are transposed there
-        is_vector = item.size not in (None, 0) and (item.ndim == 1 or across or (item.ndim == 2 and item.shape[1] == 1))
-        numeric = item.dtype.kind in "biuf" and item.attrs.get("MATLAB_class", b"double") not in (b"char", b"cell")
-        if not is_vector or not numeric:
+        is_row = item.ndim == 2 and item.shape[0] == 1  # MATLAB's arrays are transposed there
+        is_vector = item.size not in (None, 0) and (item.ndim == 1 or is_row or (item.ndim == 2 and item.shape[1] == 1))
+        is_numeric = item.dtype.kind in "biuf" and item.attrs.get("MATLAB_class", b"double") not in (b"char", b"cell")
+        if not is_vector or not is_numeric:
             if "#" not in place:  # MATLAB's own
-                found.others.append(name)
+                content.other_names.append(name)
             return
         at_once = max(BLOCK_ROWS, *(item.chunks or (0,)))
 
         def part(start: int, end: int) -> FloatArray:
             with h5py.File(path, "r") as file:  # reopened, as the library keeps some kilobytes for each block until it is closed
-                data = file[place][0, start:end] if across else file[place][start:end]
+                data = file[place][0, start:end] if is_row else file[place][start:end]
             return np.asarray(data, np.float64).reshape(end - start)
 
-        (found.numbers if item.size == 1 else found.vectors)[name] = _Vector(item.size, at_once, part)
+        (content.numbers if item.size == 1 else content.vectors)[name] = _Vector(item.size, at_once, part)
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)  # follows no link to another file
-    return found
+    return content
 
 
 KINDS = (FileKind("a MATLAB file", (".mat",), _read, (("scipy.io", ""),), checked=True),)

@@ -13,7 +13,7 @@ import shutil
 import tempfile
 import weakref
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,12 @@ UNFINISHED = b"UnFinMF"
 IDENTIFICATION_BYTES = 64
 FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
-OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
+OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "DLC": 1, "IDE": 1, "BusChannel": 1}
 """Parts of a frame to read, and the dimensions of their samples: ASAM MDF, bus logging."""
+LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64])
+"""Bytes of a frame by its data length code: ISO 11898-1."""
+VIRTUAL = (3, 6)
+"""Types of a master and a channel without bytes in the record; their raw value is the index of the record: ASAM MDF 4."""
 SAME, LINEAR, TABLES_OF_TEXTS, REST = 0, 1, (7, 8), "default_addr"
 """Types of conversions: ASAM MDF 4; and in asammdf the part of a table for all other values."""
 REMOTE_MASTER, OTHER_MASTERS = 1 << 3, {2: "an angle", 3: "a distance", 4: "an index"}
@@ -48,26 +52,26 @@ START_NOTE = f"time: since the start of the measurement, {NO_ZONE}"
 EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 
 
-def _opened(path: Path, name: str) -> tuple[Any, ExitStack]:
+def _open_file(path: Path, name: str) -> tuple[Any, ExitStack]:
     """The file, and its closing function; given as a stream, as asammdf reads a channel of a named file at once."""
     from asammdf import MDF
     from asammdf.blocks.mdf_v4 import MDF4
 
     setattr(MDF4, "__del__", _close_quietly)  # noqa: B010 - a method, which fails for a file that could not be opened
-    with ExitStack() as opened, _silent():
-        file: Any = opened.enter_context(path.open("rb"))
+    with ExitStack() as resources, _silence_log():
+        file: Any = resources.enter_context(path.open("rb"))
         identification = file.read(IDENTIFICATION_BYTES)
         version = identification[8:16].decode("latin-1").strip("\0 ")
         if version < "4":
             raise InputError(name, f"MDF {version}", "MDF 4", "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)")
         file.seek(0)
         if identification.startswith(UNFINISHED):  # it is finished in a copy, as asammdf does with a named file
-            whole, file = file, opened.enter_context(tempfile.TemporaryFile())
-            shutil.copyfileobj(whole, file)
+            packed_file, file = file, resources.enter_context(tempfile.TemporaryFile())
+            shutil.copyfileobj(packed_file, file)
             file.seek(0)
         mdf = MDF(file, process_bus_logging=False)  # all identifiers would be read
-        opened.callback(mdf.close)
-        return mdf, opened.pop_all()
+        resources.callback(mdf.close)
+        return mdf, resources.pop_all()
 
 
 def _close_quietly(mdf: Any) -> None:
@@ -76,7 +80,7 @@ def _close_quietly(mdf: Any) -> None:
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def _silence_log() -> Iterator[None]:
     """Suppress the output and log of asammdf, except for its exceptions."""
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
     with redirect_stdout(io.StringIO()):
@@ -88,8 +92,8 @@ class _Groups:
 
     def __init__(self, path: Path, name: str) -> None:
         self.name = name
-        self.mdf, opened = _opened(path, name)
-        weakref.finalize(self, opened.close)
+        self.mdf, resources = _open_file(path, name)
+        weakref.finalize(self, resources.close)
         self.start_ns = int(self.mdf.header.abs_time)  # without a time zone too: not that of this machine
         self.notes = [START_NOTE] if self.mdf.header.time_flags & LOCAL_TIME else []
         kinds = [{channel.name for channel in group.channels}.intersection(OF_A_BUS) for group in self.mdf.groups]
@@ -102,8 +106,8 @@ class _Groups:
 
     def lacks_times(self, group: int) -> str:
         """Why the records of a group have no times; empty if they have."""
-        described = self.mdf.groups[group].channel_group
-        group = described.cg_master_index if described.flags & REMOTE_MASTER else group
+        channel_group = self.mdf.groups[group].channel_group
+        group = channel_group.cg_master_index if channel_group.flags & REMOTE_MASTER else group
         if group not in self.mdf.masters_db:
             return "its group has no master"
         master = self.mdf.groups[group].channels[self.mdf.masters_db[group]]
@@ -114,16 +118,19 @@ class _Groups:
 
         Raises InputError if the channel or its times lie outside of the records: asammdf would read other data.
         """
-        described = self.mdf.groups[group]
-        sizes = described.channel_group
-        for channel in (described.channels[index], described.channels[self.mdf.masters_db.get(group, index)]):
+        group_description = self.mdf.groups[group]
+        sizes = group_description.channel_group
+        for channel in (group_description.channels[index], group_description.channels[self.mdf.masters_db.get(group, index)]):
             bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
             if bits > 8 * sizes.samples_byte_nr or channel.pos_invalidation_bit > 8 * sizes.invalidation_bytes_nr:
                 where = f"{self.name}: {channel.name}"
                 raise InputError(where, f"{bits} bits", f"a channel within its record of {sizes.samples_byte_nr} bytes")
-        rows = {"record_offset": start, "record_count": BLOCK_ROWS}
-        with _silent():
-            return self.mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True, **rows)
+        rows = {"record_offset": start, "record_count": min(BLOCK_ROWS, self.records(group) - start)}
+        with _silence_log():
+            signal = self.mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True, **rows)
+        if group_description.channels[index].channel_type in VIRTUAL:  # asammdf counts from the beginning of a block
+            signal.samples = np.arange(start, start + len(signal.timestamps))
+        return signal
 
 
 class MdfChannels(ChannelFile):
@@ -138,15 +145,15 @@ class MdfChannels(ChannelFile):
         for number, group in enumerate(groups.mdf.groups):
             label = self._name_of(number)
             label = label if names[label] == 1 else f"{label} {number}"
-            lacks = groups.lacks_times(number)
+            has_no_times = groups.lacks_times(number)
             for index, channel in enumerate(group.channels):
                 if index != groups.mdf.masters_db.get(number) and number not in groups.of_a_bus and _is_numeric(group, index):
-                    one = Channel(channel.name, _unit(channel), label, _named(channel.conversion))
-                    if lacks:
-                        self.left_out[one] = lacks
+                    new_channel = Channel(channel.name, _unit(channel), label, _named_values(channel.conversion))
+                    if has_no_times:
+                        self.left_out[new_channel] = has_no_times
                         continue
                     self._places.append((number, index))
-                    self.channels.append(one)
+                    self.channels.append(new_channel)
 
     def _name_of(self, number: int) -> str:
         group = self._groups.mdf.groups[number].channel_group
@@ -155,33 +162,33 @@ class MdfChannels(ChannelFile):
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """The groups of the chosen channels; that of the last one, the speed, last."""
-        numbers = [self._places[one.place][0] for one in self.wanted]
+        numbers = [self._places[channel.place][0] for channel in self.wanted]
         self.findings = ()
         return [self._rows(number) for number in sorted(set(numbers), key=lambda number: (number == numbers[-1], number))]
 
     def _rows(self, number: int) -> Iterator[ChannelRows]:
-        columns = [(column, self._places[one.place]) for column, one in enumerate(self.wanted)]
-        mine = [(column, index) for column, (group, index) in columns if group == number]
-        described = [self._groups.mdf.groups[number].channels[index] for _, index in mine]
-        conversions = [_without_texts(channel.conversion, _unit(channel)) for channel in described]
-        records, read, absent = self._groups.records(number), 0, 0
+        columns = [(column, self._places[wanted_channel.place]) for column, wanted_channel in enumerate(self.wanted)]
+        group_columns = [(column, index) for column, (group, index) in columns if group == number]
+        descriptions = [self._groups.mdf.groups[number].channels[index] for _, index in group_columns]
+        conversions = [_without_texts(channel.conversion, _unit(channel)) for channel in descriptions]
+        records, read, absent_values = self._groups.records(number), 0, 0
         if not records and self._groups.mdf.groups[number].data_group.data_block_addr:
             text = f"{self._name_of(number)} has no records by its header, but has data"
             self.findings = (*self.findings, Finding("", "structure", 1, float("nan"), text))
         for start in range(0, records, BLOCK_ROWS):
-            signals = [self._groups.part(number, index, start) for _, index in mine]
+            signals = [self._groups.part(number, index, start) for _, index in group_columns]
             seconds = np.asarray(signals[0].timestamps, np.float64)
             cells = np.full((len(seconds), len(self.wanted)), np.nan)
-            for (column, _), signal, conversion in zip(mine, signals, conversions, strict=True):
+            for (column, _), signal, conversion in zip(group_columns, signals, conversions, strict=True):
                 cells[:, column] = _numbers(signal, conversion, len(seconds))
-                absent += int(np.count_nonzero(np.isnan(cells[:, column])))
+                absent_values += int(np.count_nonzero(np.isnan(cells[:, column])))
             read += len(seconds)
             yield rows_at(seconds, cells, self._groups.start_ns)
             if len(seconds) < min(BLOCK_ROWS, records - start):  # a damaged file may state any number of records
                 break
-        if absent:
-            text = f"{absent} values are invalid or not numbers; they give no sample"
-            self.findings = (*self.findings, Finding("", "absent", absent, float("nan"), text))
+        if absent_values:
+            text = f"{absent_values} values are invalid or not numbers; they give no sample"
+            self.findings = (*self.findings, Finding("", "absent", absent_values, float("nan"), text))
         if read < records:
             text = f"{records - read} records fewer than the file declares"
             self.findings = (*self.findings, Finding("", "missing", records - read, float("nan"), text))
@@ -191,7 +198,7 @@ def _unit(channel: Any) -> str:
     return (channel.conversion and channel.conversion.unit) or channel.unit or ""
 
 
-def _named(conversion: Any) -> tuple[tuple[float, str], ...]:
+def _named_values(conversion: Any) -> tuple[tuple[float, str], ...]:
     """Values that an enumeration names, and their names."""
     if conversion is None or conversion.conversion_type != TABLES_OF_TEXTS[0]:
         return ()
@@ -221,12 +228,12 @@ def _without_texts(conversion: Any, unit: str) -> Any:
         return conversion
     parts = dict(conversion.referenced_blocks)
     rest = parts.pop(REST)
-    stays = rest == b"" or (not isinstance(rest, bytes) and _is_identity(rest))  # other values are their raw numbers
-    scaled = any(map(_gives_numbers, parts.values() if stays else (*parts.values(), rest)))
-    cleared = _cleared(conversion, scaled or (stays and is_quantity(unit)))
-    if stays and not scaled:
-        cleared.referenced_blocks[REST] = rest
-    return cleared
+    default_stays = rest == b"" or (not isinstance(rest, bytes) and _is_identity(rest))  # other values are their raw numbers
+    has_scale = any(map(_gives_numbers, parts.values() if default_stays else (*parts.values(), rest)))
+    new_conversion = _clear_texts(conversion, has_scale or (default_stays and is_quantity(unit)))
+    if default_stays and not has_scale:
+        new_conversion.referenced_blocks[REST] = rest
+    return new_conversion
 
 
 def _is_identity(conversion: Any) -> bool:
@@ -241,13 +248,13 @@ def _gives_numbers(part: Any) -> bool:
     return part.conversion_type not in TABLES_OF_TEXTS or any(map(_gives_numbers, part.referenced_blocks.values()))
 
 
-def _cleared(part: Any, all_texts: bool) -> Any:
+def _clear_texts(part: Any, all_texts: bool) -> Any:
     """A part of a table, with a conversion to nan for its texts: for all, or for those that say that there is no value."""
     if isinstance(part, bytes):
         return _to_nan() if all_texts or is_unavailable(part.decode("utf-8", "replace")) else part
     if part.conversion_type in TABLES_OF_TEXTS:
         part = copy.copy(part)
-        part.referenced_blocks = {key: _cleared(one, all_texts) for key, one in part.referenced_blocks.items()}
+        part.referenced_blocks = {key: _clear_texts(block, all_texts) for key, block in part.referenced_blocks.items()}
     return part
 
 
@@ -267,41 +274,53 @@ def _numbers(signal: Any, conversion: Any, count: int) -> FloatArray:
     if samples.dtype.kind not in "biuf" or samples.ndim != 1 or len(samples) != count:
         return np.full(count, np.nan)
     numbers: FloatArray = samples.astype(np.float64)
-    invalid: NDArray[np.bool_] | None = signal.invalidation_bits
-    if invalid is not None:
-        numbers[np.asarray(invalid, np.bool_)] = np.nan
+    invalid_rows: NDArray[np.bool_] | None = signal.invalidation_bits
+    if invalid_rows is not None:
+        numbers[np.asarray(invalid_rows, np.bool_)] = np.nan
     return numbers
 
 
-def _frames(groups: _Groups, met: Counter[str]) -> Iterator[Frame]:
+def _frames(groups: _Groups, event_counts: Counter[str]) -> Iterator[Frame]:
     """Frames of all buses by their times."""
-    yield from heapq.merge(*(_frames_of(groups, number, met) for number in groups.buses), key=lambda frame: frame.stamp_ns)
+    yield from heapq.merge(
+        *(_frames_of(groups, number, event_counts) for number in groups.buses), key=lambda frame: frame.stamp_ns
+    )
 
 
-def _frames_of(groups: _Groups, number: int, met: Counter[str]) -> Iterator[Frame]:
+def _frames_of(groups: _Groups, number: int, event_counts: Counter[str]) -> Iterator[Frame]:
     """Frames of a group. Raises InputError if they do not follow the standard's description."""
-    places = {channel.name: index for index, channel in enumerate(groups.mdf.groups[number].channels)}
+    channels = groups.mdf.groups[number].channels
+    places = {name: index for index, channel in enumerate(channels) for name in OF_A_FRAME if channel.name == f"{FRAMES}.{name}"}
     records = groups.records(number)
     for start in range(0, records, BLOCK_ROWS):
-        parts = {
-            name: groups.part(number, places[f"{FRAMES}.{name}"], start) for name in OF_A_FRAME if f"{FRAMES}.{name}" in places
-        }
-        found = {name: part.samples.ndim for name, part in parts.items() if part.samples.dtype.kind in "biu"}
-        if found != {name: OF_A_FRAME[name] for name in parts} or "ID" not in parts or "DataBytes" not in parts:
+        parts = {name: groups.part(number, index, start) for name, index in places.items()}
+        dimensions = {name: part.samples.ndim for name, part in parts.items() if part.samples.dtype.kind in "biu"}
+        if dimensions != {name: OF_A_FRAME[name] for name in parts} or "ID" not in parts or "DataBytes" not in parts:
             raise InputError(groups.name, f"{FRAMES} of {', '.join(parts)}", f"numbers for {', '.join(OF_A_FRAME)}")
-        ids = parts["ID"].samples.astype(np.int64)
-        rest = {name: part.samples for name, part in parts.items()}
-        wide = (ids & EXTENDED != 0) | (ids > STANDARD) | rest.get("IDE", np.zeros(len(ids))).astype(np.bool_)
-        seconds = parts["ID"].timestamps
+        payloads, seconds = parts.pop("DataBytes").samples, parts["ID"].timestamps
+        numbers = {name: _numbers(part, channels[places[name]].conversion, len(seconds)) for name, part in parts.items()}
+        rows = np.flatnonzero(np.isfinite(numbers["ID"])).tolist()
+        ids = np.nan_to_num(numbers["ID"]).astype(np.int64)
+        has_wide_id = (ids & EXTENDED != 0) | (ids > STANDARD) | (numbers.get("IDE", np.zeros(len(ids))) > 0.0)
         stamps = np.rint(np.where(np.abs(seconds) < MOST_TIME_S, seconds, 0.0) * 1e9).astype(np.int64) + groups.start_ns
-        lengths = rest.get("DataLength", np.full(len(ids), rest["DataBytes"].shape[1]))
-        buses = rest["BusChannel"].tolist() if "BusChannel" in rest else [None] * len(ids)
-        columns = ((ids & IDENTIFIER).tolist(), wide.tolist(), buses, rest["DataBytes"], lengths.tolist())
-        for stamp_ns, identifier, extended, bus, payload, length in zip(stamps.tolist(), *columns, strict=True):
-            yield Frame(stamp_ns, identifier, extended, bus, payload[:length].tobytes())
+        buses = [None if math.isnan(bus) else int(bus) for bus in numbers.get("BusChannel", np.full(len(ids), math.nan))]
+        columns = [column.tolist() for column in (stamps, ids & IDENTIFIER, has_wide_id, _lengths(numbers, payloads))]
+        for row in rows:
+            stamp_ns, identifier, is_extended, length = (column[row] for column in columns)
+            yield Frame(stamp_ns, identifier, is_extended, buses[row], payloads[row, :length].tobytes())
+        event_counts["lost"] += len(ids) - len(rows)
         if len(ids) < min(BLOCK_ROWS, records - start):
-            met["lost"] += records - start - len(ids)
+            event_counts["lost"] += records - start - len(ids)
             return
+
+
+def _lengths(numbers: Mapping[str, FloatArray], payloads: NDArray[Any]) -> NDArray[np.int64]:
+    """Bytes of each frame: its length, else its data length code; without either all that the record has room for."""
+    room = payloads.shape[1]
+    codes = np.nan_to_num(numbers.get("DLC", np.full(len(payloads), math.nan)), nan=len(LENGTHS) - 1.0)
+    by_code = LENGTHS[np.clip(codes, 0, len(LENGTHS) - 1).astype(np.int64)]
+    lengths = numbers.get("DataLength", np.full(len(payloads), math.nan))
+    return np.clip(np.where(np.isnan(lengths), by_code, lengths), 0, room).astype(np.int64)
 
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
@@ -314,7 +333,7 @@ def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
         import cantools as _  # noqa: F401
     except ImportError:
         raise MissingExtraError("reading CAN frames", "cantools", "can") from None
-    signals = CanSignals(name, lambda met: _frames(groups, met), topics)
+    signals = CanSignals(name, lambda event_counts: _frames(groups, event_counts), topics)
     signals.notes = groups.notes
     return [channels, signals] if channels.channels else [signals]
 

@@ -70,13 +70,13 @@ class ParquetTable(TableFile):
     def _rows(self) -> Iterator[ChannelRows]:
         """Read the file."""
         with self._file() as file:
-            count, empty = 0, np.zeros(len(self._read), np.int64)
+            count, empty_counts = 0, np.zeros(len(self._read), np.int64)
             for batch in file.iter_batches(batch_size=CHUNK_ROWS, columns=self._read, use_threads=False):
                 rows = _rows_of(batch, self._read, self._scale)
                 count += len(rows.time)
-                empty += [np.count_nonzero(~rows.timed), *np.count_nonzero(~rows.given, axis=0)]
+                empty_counts += [np.count_nonzero(~rows.has_time), *np.count_nonzero(~rows.has_value, axis=0)]
                 yield rows
-            self.findings = tuple(_look_at_counts(file.metadata, self._read, count, empty))
+            self.findings = tuple(_look_at_counts(file.metadata, self._read, count, empty_counts))
 
 
 def _is_number(kind: Any) -> bool:
@@ -89,9 +89,9 @@ def _rows_of(batch: Any, names: Sequence[str], scale: float) -> ChannelRows:
     """Rows of an Arrow batch, time first."""
     import pyarrow as pa
 
-    first, *others = (batch.column(name) for name in names)
-    cells, given = zip(*(as_numpy(column.cast(pa.float64(), safe=False)) for column in others), strict=True)
-    return ChannelRows(*_times(first, scale), np.stack(cells, axis=1), np.stack(given, axis=1))
+    first_column, *other_columns = (batch.column(name) for name in names)
+    cells, has_value = zip(*(as_numpy(column.cast(pa.float64(), safe=False)) for column in other_columns), strict=True)
+    return ChannelRows(*_times(first_column, scale), np.stack(cells, axis=1), np.stack(has_value, axis=1))
 
 
 def _times(column: Any, scale: float) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -104,25 +104,25 @@ def _times(column: Any, scale: float) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     with suppress(pa.ArrowInvalid):
         if scale == NANOSECOND and pa.types.is_integer(column.type):
             return as_numpy(column.cast(pa.int64()))
-    times, given = as_numpy((column.cast(pa.int64()) if dates else column).cast(pa.float64(), safe=False))
-    return (times * TICKS_S[column.type.unit] if dates else times), given
+    times, has_value = as_numpy((column.cast(pa.int64()) if dates else column).cast(pa.float64(), safe=False))
+    return (times * TICKS_S[column.type.unit] if dates else times), has_value
 
 
-def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
+def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty_counts: NDArray[np.int64]) -> Iterator[Finding]:
     """Compare the read content of a Parquet file with the file's own statement."""
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    stated = max(metadata.num_rows, sum(group.num_rows for group in groups))
-    if stated > rows:
-        yield Finding("", "missing", stated - rows, float("nan"), f"{stated - rows} rows fewer than the file declares")
+    stated_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
+    if stated_rows > rows:
+        yield Finding("", "missing", stated_rows - rows, float("nan"), f"{stated_rows - rows} rows fewer than the file declares")
     places = {metadata.schema.column(place).path: place for place in range(metadata.num_columns)}
-    for name, found in zip(names, empty.tolist(), strict=True):
+    for name, empty_count in zip(names, empty_counts.tolist(), strict=True):
         # Only of chunks that were read: pyarrow ends the process for a damaged description of another one.
         counts = [group.column(places[name]).statistics for group in groups if group.num_rows]
         if all(count is not None and count.has_null_count for count in counts):
-            more = found - sum(count.null_count for count in counts)
-            if more > 0:
-                text = f"{more} cells of {name} are empty although the file declares values"
-                yield Finding("", "missing", more, float("nan"), text)
+            nan_count = empty_count - sum(count.null_count for count in counts)
+            if nan_count > 0:
+                text = f"{nan_count} cells of {name} are empty although the file declares values"
+                yield Finding("", "missing", nan_count, float("nan"), text)
 
 
 KINDS = (

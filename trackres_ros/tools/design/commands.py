@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,13 +55,12 @@ ambient_option = click.option(
 @click.option(
     "--vary",
     multiple=True,
-    required=True,
     metavar="PATH=A:B:N",
     help="PATH=A:B:N varies a value from A to B in N steps; PATH=A,B,C lists values; PATH alone takes the file's range. "
     "A and B may be changes such as +20%. May be repeated, for all combinations.",
 )
 @speed_option
-@ambient_option
+@click.option("--ambient-degc", metavar=A_NUMBER, help="Air temperatures [degC]; default the vehicle file's.")
 @click.option("--cycle", metavar="DRIVE", help="Energy of a drive: a recording, a speed profile, stages or laps; see compare.")
 @click.option("--engine", default="local", help="tcp://HOST:PORT of a running dask scheduler, or local.")
 @click.option("--workers", type=options.WORKERS, help="Processes of a local engine.")
@@ -70,7 +70,7 @@ def sweep_command(
     vehicle: str,
     vary: tuple[str, ...],
     speed_kmh: float | None,
-    ambient_degc: float | None,
+    ambient_degc: str | None,
     cycle: str | None,
     engine: str,
     workers: int | None,
@@ -80,17 +80,17 @@ def sweep_command(
     """Vary values of a vehicle file: resistance cold and warm, belt temperature, energy.
 
     A PATH is a path shown by vehicle check, or enough of its words in order. The same value of several axles,
-    tracks or wheels moves together, for example axles.load.
+    tracks or wheels moves together, for example axles.load. Several air temperatures are varied like a value.
 
     \b
     trackres sweep my.yaml --vary belt.thickness=0.025:0.045:9
-    trackres sweep my.yaml --vary axles.load=+20%
+    trackres sweep my.yaml --vary axles.load=+20% --ambient-degc -10,30
     trackres sweep xgd24d --vary loss_modulus_scale=0.6:1.2:7 --vary road_wheels.radius=0.12,0.13,0.14 -o sweep.csv
     """
     from trackres_ros.files.resources import find_vehicle
     from trackres_ros.output.table import write_table
     from trackres_ros.tools.design.sweep import SweepRequest, draw, sweep
-    from trackres_ros.tools.design.values import variation
+    from trackres_ros.tools.design.values import AIR, AIR_DEGC, ALLOWED, DEGREES, Variation, numbers, variation
     from trackres_ros.vehicle import files_of, load
 
     file = None if output is None else output_file(output, TABLES)
@@ -98,9 +98,16 @@ def sweep_command(
     watch(file, picture)
     machine = load(find_vehicle(vehicle))
     not_an_input(file, [cycle, *files_of(machine)], "output")
-    air = machine.chassis.ambient if ambient_degc is None else ambient_degc
-    variations = tuple(variation(machine, text) for text in vary)
-    request = SweepRequest(vehicle, variations, _cruise_speed(machine, speed_kmh), air, cycle, own_air=ambient_degc is None)
+    variations: list[Variation] = [variation(machine, text) for text in vary]
+    air: tuple[float, ...] = (machine.chassis.ambient,)
+    if ambient_degc is not None:
+        air = numbers("--ambient-degc", ambient_degc, AIR_DEGC)
+    if len(air) > 1:
+        variations.append(Variation((AIR,), DEGREES, (air,)))
+    if not variations:
+        raise InputError("--vary", "nothing", ALLOWED, "or give several --ambient-degc")
+    own_air = ambient_degc is None or len(air) > 1
+    request = SweepRequest(vehicle, tuple(variations), _cruise_speed(machine, speed_kmh), air[0], cycle, own_air)
     with progress("points", len(request.points)) as advance:
         result = sweep(request, engine, workers, advance)
     outputs = []
@@ -184,6 +191,8 @@ def _cruise_speed(vehicle: Vehicle, speed_kmh: float | None) -> float:
     help="Of two designs: a drive. A recording, a speed profile as simulate takes it, or stages or laps; may be repeated. "
     "stages without.",
 )
+@click.option("--draws", type=click.IntRange(8, 1 << 14), default=256, help="Two designs: draws from the ranges of the files.")
+@options.seed(1)
 @click.option("-o", "--output", type=options.FOLDER, metavar="DIR", help="Folder for pictures of both.")
 @options.json
 def compare_command(one: str, other: str, output: Path | None, as_json: bool, **arguments: Any) -> None:
@@ -205,7 +214,7 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
     from trackres_ros.files.output_files import output_folder as usable_folder
     from trackres_ros.tasks.vehicle import differences, differences_text
     from trackres_ros.tools.design.compare import compare_designs, request_of, wheels_compared, wheels_text
-    from trackres_ros.tools.design.compare_text import designs_text, draw_designs
+    from trackres_ros.tools.design.compare_text import designs_text, draw_designs, draw_energy
     from trackres_ros.tools.fleet.compare import compare, compare_text, draw_overlay
 
     if output is not None:
@@ -230,5 +239,61 @@ def compare_command(one: str, other: str, output: Path | None, as_json: bool, **
         with file_set():
             comparison["written"] = str(draw_overlay(comparison, output / "compare.png"))
             if designs is not None:
-                comparison["written"] += f", {draw_designs(designs, output / 'designs.png')}"
+                pictures = draw_designs(designs, output / "designs.png"), draw_energy(designs, output / "energy.png")
+                comparison["written"] += "".join(f", {picture}" for picture in pictures)
     emit(comparison, as_json, lambda: "\n".join([text, *([designs_text(designs)] if designs is not None else [])]))
+
+
+@click.command("road-load", cls=Command)
+@click.argument("vehicle", shell_complete=options.vehicles_to_complete)
+@click.option(
+    "--speed-kmh", metavar=A_NUMBER, help="Four speeds or more; default ten, from a tenth of the maximum to the maximum."
+)
+@ambient_option
+@click.option("--weight-kn", type=options.Number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's.")
+@click.option("--belt-degc", type=options.Number(-60.0, 150.0), help="Belt temperature [degC]; default settled at each speed.")
+@click.option("--coefficients", metavar="A,B,C", help="Coefficients of a coast-down to compare with [N, N/(m/s), N/(m/s)^2].")
+@click.option("--per-kmh", is_flag=True, help="The given coefficients are for a speed in km/h.")
+@click.option("--save-vehicle", type=options.PATH, metavar="NEW.yaml", help="Vehicle file with the given road load.")
+@options.json
+def road_load_command(
+    vehicle: str, coefficients: str | None, per_kmh: bool, save_vehicle: Path | None, as_json: bool, **arguments: Any
+) -> None:
+    """Show the road load of a vehicle as A + B v + C v^2, or compare it with given coefficients.
+
+    The force along a level, straight road at constant speed. --save-vehicle changes three values of the file, in their
+    ranges, so that its force is that of the coefficients; the remaining error is shown.
+
+    \b
+    trackres road-load xgd24d --ambient-degc -10
+    trackres road-load bmw_i3 --coefficients 118,0.55,0.033 --per-kmh --save-vehicle rolled.yaml
+    """
+    from trackres_ros.files.resources import find_vehicle
+    from trackres_ros.tools.design.road_load import (
+        coefficients_of,
+        ends_reached,
+        request_of,
+        road_load,
+        values_for,
+        write_vehicle,
+    )
+    from trackres_ros.vehicle import files_of, load_any
+
+    if save_vehicle is not None and coefficients is None:
+        raise InputError("--save-vehicle", str(save_vehicle), "only with --coefficients")
+    file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
+    watch(file)
+    machine = load_any(find_vehicle(vehicle))
+    not_an_input(file, files_of(machine), "save_vehicle")
+    request, target = request_of(machine, **arguments), coefficients_of(coefficients, per_kmh)
+    result = road_load(request, target)
+    report, text, outputs = result.as_dict(), result.text(), list[str]()
+    if file is not None and target is not None:
+        values = values_for(request, target)
+        with file_set():
+            outputs = [str(path) for path in write_vehicle(machine, file, values, target)]
+        written = road_load(replace(request, vehicle=load_any(file)), target)
+        report |= {"values": values, "at_an_end_of_its_range": ends_reached(machine, values), "saved": written.as_dict()}
+        ends = [f"at an end of its range: {path}" for path in ends_reached(machine, values)]
+        text = "\n".join([text, "", "With the values of the new file", written.text(), *ends])
+    emit({**report, "written": outputs}, as_json, lambda: with_written(text, outputs))

@@ -1,15 +1,15 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Two designs side by side: steady states, drives, resistance over speed and belt temperature, and the uncertainty of the
-difference.
+"""Two designs side by side: steady states, drives, resistance over speed and belt temperature.
+
+How sure a difference is comes from draws of both vehicles, see `draws`.
 """
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +23,19 @@ from trackres_ros.model.coverage import OVERSPEED, beyond, beyond_data
 from trackres_ros.model.operating_point import INACTIVE, explain_road, left_out_at, vehicle_state
 from trackres_ros.model.track import track_models
 from trackres_ros.text import figures, table
-from trackres_ros.tools.design.drives import STAGES, DriveCycle, check_weight, left_out, read_cycle, run_cycle, with_factors
-from trackres_ros.tools.design.steady import J_PER_KWH, WARMEST_K, Array, FileErrors, Steady, remarks_on, solver, steady
-from trackres_ros.tools.design.uncertain import LogDerivatives, difference_std, sensitivities, slopes_of
+from trackres_ros.tools.design.draws import distribution, draws, uncertain_values
+from trackres_ros.tools.design.drives import STAGES, DriveCycle, check_weight, estimator_of, left_out, read_cycle, run_cycle
+from trackres_ros.tools.design.steady import J_PER_KWH, Array, Steady, remarks_on, steady
+from trackres_ros.tools.design.values import AIR_DEGC, POINTS, numbers
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
-from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any
+from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any, variants
 from trackres_ros.vehicle.road import SECTION
 
-POINTS, MOST_VALUES, MOST_CONDITIONS = 5, 25, 200
+MOST_CONDITIONS = 200
+DRAWS = 256
 SLOWEST_SHARE = 0.1  # of the maximum speed, of vehicles without belts, and of slow ones on tracks
 SLOWEST_KMH, USUAL_KMH, COLDEST_DEGC, WARMEST_DEGC = 5.0, 30.0, -20.0, 80.0
-BELTS_DEGC, AIR_DEGC = (-60.0, 150.0), (-60.0, 60.0)  # limits of belt and air temperature
+BELTS_DEGC = (-60.0, 150.0)  # limits of belt temperatures
 STEADY = {
     "cold_nm": ("resistance, cold belts", "Nm"),
     "warm_nm": ("resistance, warm belts", "Nm"),
@@ -46,9 +48,7 @@ DRIVEN = {
     "warmest_belt_degc": ("warmest belt", "degC"),
 }
 OPTIONS = "--speed-kmh", "--belt-degc", "--ambient-degc", "--weight-kn", "--cycle"
-TWO_SIDED_95 = 1.96
 CRAWL_MPS = 1e-6  # with less everywhere, a mean over the way is one over time
-SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss is
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +65,24 @@ class ComparisonRequest:
     weights_n: tuple[float | None, ...]
     cycles: tuple[DriveCycle, ...]
     options: frozenset[str]  # given options of `ambient` and `load`: they replace recorded values
+    draws: int
+    seed: int
 
     @property
     def points(self) -> int:
-        """How many operating points, steady states and drives there are."""
+        """How many operating points, steady states, drives and drawn vehicles there are."""
         grid = len(self.speeds_kmh) * len(self.belts_degc)
-        return 2 * (grid + len(self.ambients_degc) * len(self.weights_n) * (len(self.steady_kmh) + len(self.cycles)))
+        states = len(self.ambients_degc) * len(self.weights_n) * (len(self.steady_kmh) + len(self.cycles))
+        return 2 * (grid + states + 2 * self.draws)
+
+    @property
+    def conditions(self) -> Iterator[tuple[float, float | None]]:
+        """Each pair of air [degC] and weight [N]."""
+        return itertools.product(self.ambients_degc, self.weights_n)
+
+    def air_of(self, cycle: DriveCycle, air: float) -> float | None:
+        """Air of a drive [degC]; None where it is as recorded."""
+        return None if "ambient" in cycle.conditions(self.options) else air
 
 
 def request_of(
@@ -81,6 +93,8 @@ def request_of(
     ambient_degc: str | None = None,
     weight_kn: str | None = None,
     cycle: tuple[str, ...] = (),
+    draws: int = DRAWS,
+    seed: int = 1,
 ) -> ComparisonRequest | None:
     """Conditions to compare two vehicle files with tracks, by the options of `trackres compare`; None for anything else.
 
@@ -113,7 +127,7 @@ def request_of(
     if conditions > MOST_CONDITIONS:
         raise InputError(", ".join(OPTIONS), f"{conditions} conditions", f"at most {MOST_CONDITIONS}")
     chosen = frozenset(role for role, value in options if value is not None)
-    return ComparisonRequest(vehicles, speeds, belts, steady_kmh, air, weights, cycles, chosen)
+    return ComparisonRequest(vehicles, speeds, belts, steady_kmh, air, weights, cycles, chosen, draws, seed)
 
 
 def vehicle_files(names: Sequence[str], section: str) -> list[Path]:
@@ -125,64 +139,44 @@ def vehicle_files(names: Sequence[str], section: str) -> list[Path]:
     return files if all(section in read_yaml(file) for file in files) else []
 
 
-def numbers(option: str, text: str, limits: tuple[float, float]) -> tuple[float, ...]:
-    """The numbers of `A`, `A:B`, `A:B:N` and `A,B,C`; `A:B` is five, evenly spaced.
-
-    Raises InputError on anything else, or beyond the limits.
-    """
-    low, high = limits
-    try:
-        if ":" in text:
-            begin, end, *count_text = text.split(":")
-            (count,) = map(int, count_text or [str(POINTS)])
-            first, last = float(begin), float(end)
-            if not (2 <= count <= MOST_VALUES and first < last):
-                raise ValueError
-            values = [round(first + i * (last - first) / (count - 1), 4) for i in range(count)]
-        else:
-            values = [float(item) for item in text.split(",")]
-        if not (
-            values and len(values) <= MOST_VALUES and all(low <= x <= high for x in values) and len(set(values)) == len(values)
-        ):
-            raise ValueError
-    except ValueError:
-        allowed = f"A, A:B with A < B, A:B:N or A,B,C, at most {MOST_VALUES} numbers from {figures(low)} to {figures(high)}"
-        raise InputError(option, text, allowed) from None
-    return tuple(values)
-
-
 def compare_designs(request: ComparisonRequest, advance: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Two vehicles at the same conditions.
 
-    `advance`: called after each point.
+    `advance`: called after each point and draw, with the number of vehicles.
 
     Returns
     -------
     dict
         Ready for JSON. `designs`: of each vehicle torque [Nm] and coefficient (resistance over weight) by belt temperature and
-        speed, and the totals of the first drive. `steady` and `drives`: a row for each condition and outcome with both values
-        and their difference. Its standard deviations are those by the ranges that both files have in common, and by all.
-        `remarks`: on belts outside the rubber data, loads outside the table, and effects that a drive leaves out.
+        speed, and the totals of the first drive. `steady` and `drives`: a row for each condition and outcome, with both values,
+        their difference, and of the draws 95 % intervals and the probability that the second has less. `remarks`: on belts
+        outside the rubber data, loads outside the table, effects that a drive leaves out, and impossible draws.
     """
     names = display_names(request.vehicles)
-    slopes = _Slopes(request)
     estimators = [Estimator(vehicle) for vehicle in request.vehicles]
-    rows_steady, rows_driven, states, remarks, totals = [], [], [], [], []
-    for air, weight in itertools.product(request.ambients_degc, request.weights_n):
+    rows_steady, rows_driven, rows, states, remarks, totals = [], [], [], [], [], []
+    for air, weight in request.conditions:
         place = {"ambient_degc": air, "weight_kn": [(v.weight if weight is None else weight) / 1e3 for v in request.vehicles]}
         for kmh in request.steady_kmh:
             pair = [steady(vehicle, kmh / KMH_PER_MPS, air, weight) for vehicle in request.vehicles]
             states.append((kmh / KMH_PER_MPS, air, pair))
-            rows_steady += _rows({"speed_kmh": kmh, **place}, STEADY, *_steady(request, slopes, kmh, air, weight, pair))
+            rows_steady += (new := _rows({"speed_kmh": kmh, **place}, STEADY, *(state.outcomes for state in pair)))
+            rows += new
             advance(2)
         for cycle in request.cycles:
-            outcome, remark_lists, drive_totals = _drive_outcomes(request, slopes, estimators, cycle, air, weight)
-            totals.append(drive_totals)
-            remarks += [
-                f"{name} on {cycle.name}: {text}" for name, texts in zip(names, remark_lists, strict=True) for text in texts
-            ]
-            rows_driven += _rows({"cycle": cycle.name, "recorded": cycle.conditions(request.options), **place}, DRIVEN, *outcome)
+            sums, texts = zip(*(_drive(request, estimator, cycle, air, weight) for estimator in estimators), strict=True)
+            totals.append(sums)
+            remarks += [f"{name} on {cycle.name}: {text}" for name, lines in zip(names, texts, strict=True) for text in lines]
+            place |= {"cycle": cycle.name, "recorded": cycle.conditions(request.options)}
+            rows_driven += (new := _rows(place, DRIVEN, *([each[name] for name in DRIVEN] for each in sums)))
+            rows += new
             advance(2)
+    drawn, reasons = _drawn_outcomes(request, estimators, advance)
+    _with_draws(rows, drawn)
+    if reasons:
+        remarks.append(
+            f"{len(reasons)} of {4 * request.draws} drawn vehicles are impossible and dropped, the first: {reasons[0]}"
+        )
     designs = [_grid(request, vehicle, name, advance) for vehicle, name in zip(request.vehicles, names, strict=True)]
     for design, first in zip(designs, totals[0], strict=True):
         tonnes, each_km = first["carried_n"] / GRAVITY / 1000.0, first["kwh_per_km"]
@@ -195,9 +189,18 @@ def compare_designs(request: ComparisonRequest, advance: Callable[[float], None]
             notes.append(f"steady states and table of resistance of {name}: {', '.join(inactive)}: {INACTIVE}")
     return {
         "speeds_kmh": list(request.speeds_kmh), "belts_degc": list(request.belts_degc), "designs": designs, "steady": rows_steady,
-        "drives": rows_driven, "notes": notes,
+        "drives": rows_driven, "draws": request.draws, "notes": notes,
         "remarks": [*_remarks(request, names, states), *dict.fromkeys(remarks)],
     }  # fmt: skip
+
+
+def _drive(
+    request: ComparisonRequest, estimator: Estimator, cycle: DriveCycle, air: float, weight: float | None
+) -> tuple[dict[str, float], list[str]]:
+    """Totals of a drive, with the mean weight over its way [N], and remarks."""
+    sums, columns = run_cycle(estimator, cycle, weight, request.air_of(cycle, air))
+    carried = np.average(columns["weight_n"], weights=np.maximum(np.abs(columns["speed_mps"]), CRAWL_MPS))
+    return {**sums, "carried_n": float(carried)}, [*beyond(estimator.vehicle, columns), *left_out(columns)]
 
 
 def _remarks(
@@ -221,73 +224,66 @@ def display_names(vehicles: Sequence[Vehicle]) -> list[str]:
     return list(next((names for names in (own_names, stems, paths) if len(set(names)) == len(names)), stems))
 
 
-class _Slopes:
-    """Sensitivities of a vehicle over belt temperatures, at the nearest of three speeds."""
+def _drawn_outcomes(
+    request: ComparisonRequest, estimators: Sequence[Estimator], advance: Callable[[float], None]
+) -> tuple[list[Array], list[str]]:
+    """Outcomes of both designs in each draw, shape (2, draws, outcomes) each, and reasons for impossible vehicles.
 
-    def __init__(self, request: ComparisonRequest) -> None:
-        air, speeds = request.ambients_degc, sorted(request.steady_kmh)
-        belts = np.linspace(min(air), max(air) + 0.75 * WARMEST_K, SLOPE_POINTS)
-        self._speeds = {kmh / KMH_PER_MPS for kmh in (speeds[0], speeds[len(speeds) // 2], speeds[-1])}
-        self._by_speed = lru_cache(maxsize=None)(lambda number, speed: slopes_of(request.vehicles[number], speed, belts))
-
-    def __call__(self, number: int, speed: float) -> LogDerivatives:
-        return self._by_speed(number, min(self._speeds, key=lambda nearby: abs(nearby - speed)))
-
-
-def _steady(
-    request: ComparisonRequest, slopes: _Slopes, kmh: float, air: float, weight: float | None, pair: Sequence[Steady]
-) -> tuple[list[Array], Array, Array]:
-    """Outcomes of both vehicles, and how sure the difference is."""
-    speed, values, changes = kmh / KMH_PER_MPS, [], []
-    for number, (vehicle, state) in enumerate(zip(request.vehicles, pair, strict=True)):
-        solve = solver(vehicle, speed, air, weight)
-
-        def outcomes(
-            errors: FileErrors, _capacity: float, solve: Callable[[FileErrors], Steady] = solve, state: Steady = state
-        ) -> Array:
-            return np.array((state if errors == FileErrors(errors.track) else solve(errors)).outcomes)
-
-        warm = state.belt_degc if math.isfinite(state.belt_degc) else air
-        values.append(np.array(state.outcomes))
-        changes.append(sensitivities(slopes(number, speed), outcomes, np.array([air, warm, warm, warm])))
-    return values, *difference_std(request.vehicles, (changes[0], changes[1]))
+    First with the values that differ as the files have them, then with these drawn too. The outcomes are in the order of
+    `_outcomes`; nan for an impossible vehicle.
+    """
+    speed, air = request.steady_kmh[0] / KMH_PER_MPS, request.ambients_degc[0]
+    uncertain = [uncertain_values(vehicle, speed, air) for vehicle in request.vehicles]
+    first, second = (vehicle.parameters for vehicle in request.vehicles)
+    equal = {path for path, quantity in first.items() if path in second and quantity.value == second[path].value}
+    shared = [{path: quantity for path, quantity in quantities.items() if path in equal} for quantities in uncertain]
+    makers = [variants(vehicle) for vehicle in request.vehicles]
+    width = sum(1 for _ in request.conditions) * (len(STEADY) * len(request.steady_kmh) + len(DRIVEN) * len(request.cycles))
+    drawn, reasons = [], []
+    for quantities in (shared, uncertain):
+        outcomes = np.full((2, request.draws, width), np.nan)
+        for number, values in enumerate(draws(quantities, request.draws, request.seed)):
+            for i, (make, like) in enumerate(zip(makers, estimators, strict=True)):
+                try:
+                    outcomes[i, number] = _outcomes(request, estimator_of(make(values[i]), like))
+                except InputError as error:
+                    reasons.append(one_line(str(error)))
+            advance(2)
+        drawn.append(outcomes)
+    return drawn, reasons
 
 
-def _drive_outcomes(
-    request: ComparisonRequest, slopes: _Slopes, estimators: Sequence[Estimator], cycle: DriveCycle, air: float,
-    weight: float | None,
-) -> tuple[tuple[list[Array], Array, Array], list[list[str]], list[dict[str, float]]]:  # fmt: skip
-    """Outcomes of both vehicles and how sure the difference is, their remarks, and their totals."""
-    values, changes, remarks, totals = [], [], [], []
-    ambient = None if "ambient" in cycle.conditions(request.options) else air
-    for number, estimator in enumerate(estimators):
+def _outcomes(request: ComparisonRequest, estimator: Estimator) -> list[float]:
+    """Outcomes of the steady states, then of the drives, one pair of air and weight after the other."""
+    vehicle, outcomes = estimator.vehicle, list[float]()
+    assert isinstance(vehicle, Vehicle)  # designs have tracks
+    for air, weight in request.conditions:
+        for kmh in request.steady_kmh:
+            outcomes += steady(vehicle, kmh / KMH_PER_MPS, air, weight).outcomes
+        for cycle in request.cycles:
+            sums, _ = run_cycle(estimator, cycle, weight, request.air_of(cycle, air))
+            outcomes += [sums[name] for name in DRIVEN]
+    return outcomes
 
-        def outcomes(errors: FileErrors, capacity: float, estimator: Estimator = estimator) -> Array:
-            sums, _ = run_cycle(with_factors(estimator, errors, capacity), cycle, weight, ambient)
-            return np.array([sums[name] for name in DRIVEN])
 
-        sums, columns = run_cycle(estimator, cycle, weight, ambient)
-        carried = np.average(columns["weight_n"], weights=np.maximum(np.abs(columns["speed_mps"]), CRAWL_MPS))
-        totals.append({**sums, "carried_n": float(carried)})
-        remarks.append([*beyond(estimator.vehicle, columns), *left_out(columns)])
-        values.append(np.array([sums[name] for name in DRIVEN]))
-        speed = sums["distance_m"] / max(sums["under_way_s"], 1.0)
-        mean = 0.5 * (sums["coldest_belt_degc"] + sums["warmest_belt_degc"])
-        changes.append(sensitivities(slopes(number, speed), outcomes, np.full(len(DRIVEN), mean)))
-    return (values, *difference_std(request.vehicles, (changes[0], changes[1]))), remarks, totals
+def _with_draws(rows: list[dict[str, Any]], drawn: Sequence[Array]) -> None:
+    """Add intervals and probabilities to the rows of all outcomes, in the order of the draws' columns."""
+    as_files_say, all_ = ([distribution(*pair) for pair in np.moveaxis(outcomes, 2, 0)] for outcomes in drawn)
+    for row, certain, uncertain in zip(rows, as_files_say, all_, strict=True):
+        row |= {
+            "difference_95": certain.difference, "probability_less": certain.less,
+            "difference_95_with_changed": uncertain.difference, "probability_less_with_changed": uncertain.less,
+            "one_95": uncertain.one, "other_95": uncertain.other,
+        }  # fmt: skip
 
 
 def _rows(
-    place: dict[str, Any], names: dict[str, tuple[str, str]], values: list[Array], common: Array, all_: Array
+    place: dict[str, Any], names: dict[str, tuple[str, str]], first: Sequence[float], second: Sequence[float]
 ) -> list[dict[str, Any]]:
-    first, second = values
     return [
-        {
-            **place, "outcome": name, "unit": unit, "one": _plain(first[i]), "other": _plain(second[i]),
-            "difference": _plain(second[i] - first[i]), "std": _plain(common[i]), "std_with_changed": _plain(all_[i]),
-        }
-        for i, (name, (_, unit)) in enumerate(names.items())
-    ]  # fmt: skip
+        {**place, "outcome": name, "unit": unit, "one": _plain(one), "other": _plain(other), "difference": _plain(other - one)}
+        for (name, (_, unit)), one, other in zip(names.items(), first, second, strict=True)
+    ]
 
 
 def _plain(value: float) -> float | None:
@@ -304,11 +300,6 @@ def _grid(request: ComparisonRequest, vehicle: Vehicle, name: str, advance: Call
             torque[i, j], coefficient[i, j] = state.torque["resistance"], state.force / weight
             advance(1)
     return {"vehicle": name, "weight_n": weight, "torque_nm": torque.tolist(), "coefficient": coefficient.tolist()}
-
-
-def interval(row: Mapping[str, Any], key: str) -> float | None:
-    """Half-width of the 95 % interval of a row's difference."""
-    return None if row[key] is None else TWO_SIDED_95 * row[key]
 
 
 def wheels_compared(names: Sequence[str]) -> list[dict[str, Any]] | None:

@@ -12,17 +12,18 @@ import numpy as np
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, make_constants
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, lap_drive, run_drive, through_points
-from trackres_ros.estimator.energy import taken
+from trackres_ros.estimator.energy import sum_drive
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.coverage import check_speed
+from trackres_ros.model.loss_table import quick_table
 from trackres_ros.model.track import vehicle_constants
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.tasks.simulate import along
 from trackres_ros.text import figures
-from trackres_ros.tools.design.steady import Array, FileErrors, with_errors
+from trackres_ros.tools.design.steady import Array
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
 
@@ -115,7 +116,7 @@ def run_cycle(
     series = cycle.recorded(vehicle, [role for role, value in choices.items() if value is not None])
     load, air = (value if value is not None else series.get(role) for role, value in choices.items())
     columns = by_column(estimator, run_drive(estimator, cycle.drive, load, air))
-    return taken(vehicle, cycle.drive.time_s, columns), columns
+    return sum_drive(vehicle, cycle.drive.time_s, columns), columns
 
 
 def left_out(columns: Mapping[str, Array]) -> list[str]:
@@ -124,25 +125,9 @@ def left_out(columns: Mapping[str, Array]) -> list[str]:
     return [at.Reason.EFFECT_LEFT_OUT.text] if has_gaps else []
 
 
-def with_factors(estimator: Estimator, errors: FileErrors, capacity: float = 1.0) -> Estimator:
-    """The same vehicle with losses, cooling, heat capacity or radius off by a factor, or bearings or drag by a sum.
-
-    `capacity`: factor on the heat capacity of the belts of `errors.track`.
-    """
-    variant, k = copy(estimator), estimator.constants
-    assert isinstance(estimator.vehicle, Vehicle)
-    tables = [not errors.track or name == errors.track for name in estimator.vehicle.tracks]
-    factors = np.where(tables, errors.loss, 1.0)[:, np.newaxis, np.newaxis]
-    assembly, rows = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.Assembly.kind]])
-    for column, factor in (
-        (at.Assembly.film_offset, errors.film),
-        (at.Assembly.film_slope, errors.film),
-        (at.Assembly.capacity, capacity),
-        (at.Assembly.radius, errors.radius),
-    ):
-        assembly[rows, column] *= factor
-    variant.vehicle = vehicle = with_errors(estimator.vehicle, errors)
-    variant.facts = facts = vehicle_constants(vehicle)
-    number = k.number._replace(bearing_friction=vehicle.chassis.bearing_friction, drag_area=facts.drag_area)
-    variant.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
-    return variant
+def estimator_of(vehicle: Vehicle, like: Estimator) -> Estimator:
+    """An estimator of a vehicle that differs in its values alone, for a few drives: without standard deviations."""
+    estimator = copy(like)
+    estimator.vehicle, estimator.facts = vehicle, vehicle_constants(vehicle)
+    estimator.constants = make_constants(vehicle, like.settings, with_uncertainty=False, make_table=quick_table)
+    return estimator

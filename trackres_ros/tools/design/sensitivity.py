@@ -18,8 +18,8 @@ from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.model.operating_point import INACTIVE, left_out_at
 from trackres_ros.text import decimals, figures, table
+from trackres_ros.tools.design.draws import CONDITIONS, MOST_LOST, absorbing_fits
 from trackres_ros.tools.design.steady import ALONE, OUTCOMES, WARMEST_K, Array, remarks_on, steady
-from trackres_ros.tools.design.uncertain import absorbing_fits
 from trackres_ros.tools.design.values import scalars, short
 from trackres_ros.tools.engine import LOCAL, results
 from trackres_ros.units import KMH_PER_MPS
@@ -28,13 +28,11 @@ from trackres_ros.vehicle.loading import variants
 
 Model = Callable[[Array], Array]
 
-NOT_OF_THE_VEHICLE = ("chassis.ambient", "chassis.max_speed", "chassis.max_acceleration")
 NAMES = {"cold_nm": "cold resistance", "warm_nm": "warm resistance", "belt_degc": "belt temperature", "kwh_per_km": "warm energy"}
 UNITS = {"cold_nm": "Nm", "warm_nm": "Nm", "belt_degc": "K", "kwh_per_km": "kWh/km"}
 OF_EFFECTS = "the size of an effect is taken as known"
 SURE = 0.95
 RESAMPLES = 200
-MOST_LOST = 0.25  # of the draws: with more of them the ranges do not go together
 MOST_SHOWN = 12
 LEAST_SAMPLES, MOST_SAMPLES = 8, 1 << 16
 LITTLE = 0.01
@@ -173,7 +171,7 @@ def sensitivity(
         pieces = [(i, rows[i : i + PIECE]) for i in range(0, len(rows), PIECE)]
         of_each = partial(outcomes_of, source, paths, speed, air)
         advance, outcomes = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES) + 1))
-        for (i, piece), result in results(of_each, pieces, LOCAL, few=len(rows) <= ALONE):
+        for (i, piece), result in results(of_each, pieces, LOCAL, has_few=len(rows) <= ALONE):
             outcomes[i : i + PIECE] = result
             advance(len(piece))
         bad = ~np.isfinite(outcomes).all(axis=1)
@@ -275,7 +273,7 @@ def _ends(
 ) -> tuple[dict[str, tuple[tuple[float, ...], tuple[float, ...]]], dict[str, str]]:
     """Outcomes with each value at either end of its range; and reasons for fixed values."""
     ends, fixed, make, fits = {}, {}, variants(vehicle), absorbing_fits(vehicle, speed, ambient)
-    paths = [path for path in scalars(vehicle) if path not in NOT_OF_THE_VEHICLE]
+    paths = [path for path in scalars(vehicle) if path not in CONDITIONS]
     advance = progress("each value alone", len(paths))
     for path in paths:
         quantity = vehicle.parameters[path]

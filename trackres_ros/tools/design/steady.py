@@ -4,7 +4,7 @@
 """A vehicle at constant speed: resistance with cold belts, steady belt temperature, and resistance with warm belts."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -15,7 +15,7 @@ from trackres_ros.model import resistance
 from trackres_ros.model.coverage import beyond_data, check_speed
 from trackres_ros.model.operating_point import DRIVE_PASSES, VehicleState, vehicle_state
 from trackres_ros.model.rubber import MonotoneCubic
-from trackres_ros.model.thermal import ThermalNetwork, film_coefficient
+from trackres_ros.model.thermal import film_coefficient
 from trackres_ros.model.track import track_models
 from trackres_ros.vehicle import Vehicle
 
@@ -46,79 +46,6 @@ class Steady:
         return tuple(getattr(self, name) for name in OUTCOMES)
 
 
-@dataclass(frozen=True, eq=False)
-class SteadyAssembly:
-    """Equal assemblies at one speed: name of the track, their names, and the forces of each."""
-
-    track: str
-    names: tuple[str, ...]
-    radius: float
-    course: MonotoneCubic  # logarithm of the loss [N] over the belt temperature
-    # loss with the belt at the air's temperature, bearing friction and air drag [N]
-    cold_loss: float
-    bearing: float
-    wind: float
-    bearing_each: float  # of a bearing friction of 1, and of a drag area of 1 m^2
-    wind_each: float
-    film: float  # heat flow from the surface of the belt to the air [W/K]
-    network: ThermalNetwork
-
-
-@dataclass(frozen=True, slots=True)
-class FileErrors:
-    """Errors of uncertain quantities of a vehicle file: factors on loss, film and radius of one kind of track, or of all if it is
-    empty; bearing friction and drag area [m^2] that are added, as the file's may be 0.
-    """
-
-    track: str = ""
-    loss: float = 1.0
-    film: float = 1.0
-    radius: float = 1.0
-    bearing_friction: float = 0.0
-    drag_area: float = 0.0
-
-
-AS_IT_IS = FileErrors()
-
-
-@dataclass(frozen=True, eq=False)
-class PlainVehicle:
-    """A vehicle without its effects at one speed [m/s] in air of a temperature [degC]."""
-
-    speed: float
-    ambient: float
-    kinds: tuple[SteadyAssembly, ...]
-
-    def solve(self, errors: FileErrors = AS_IT_IS) -> Steady:
-        """Its steady state, with some of it off."""
-        way = float(resistance.direction(self.speed))
-        cold = warm = force = 0.0
-        belts: dict[str, float] = {}
-        for kind in self.kinds:
-            local = errors if errors.track in ("", kind.track) else AS_IT_IS
-            forces = kind.bearing + kind.wind
-            forces += errors.bearing_friction * kind.bearing_each + errors.drag_area * kind.wind_each
-            radius, film = local.radius * kind.radius, local.film * kind.film
-            cooled = kind.network.share_outside(film) * film
-
-            def loss(belt: float, course: MonotoneCubic = kind.course, factor: float = local.loss) -> float:
-                return factor * float(np.exp(course(belt)))
-
-            def excess(belt: float, loss: Callable[[float], float] = loss, cooled: float = cooled) -> float:
-                return loss(belt) * self.speed - cooled * (belt - self.ambient)
-
-            hottest = self.ambient + WARMEST_K
-            belt = float(brentq(excess, self.ambient, hottest)) if excess(hottest) < 0.0 else np.nan
-            at_last = loss(belt) * way + forces
-            count = len(kind.names)
-            cold += count * radius * (local.loss * kind.cold_loss * way + forces)
-            warm += count * radius * at_last
-            force += count * at_last
-            belts |= dict.fromkeys(kind.names, belt)
-        mean = sum(belts.values()) / len(belts)
-        return Steady(float(cold), float(warm), mean, float(force) * 1000.0 / J_PER_KWH, belts)
-
-
 def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Steady:
     """The steady state of a vehicle, by the exact methods.
 
@@ -127,7 +54,9 @@ def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None 
     InputError beyond the speeds of the vehicle.
     """
     check_speed(vehicle, speed)
-    return solver(vehicle, speed, ambient, weight)(AS_IT_IS)
+    if vehicle.active:
+        return _with_effects(vehicle, speed, ambient, weight)
+    return _without_effects(vehicle, speed, ambient, weight)
 
 
 def remarks_on(vehicle: Vehicle, speed: ArrayLike, ambient: ArrayLike, states: Sequence[Steady]) -> list[str]:
@@ -144,62 +73,57 @@ def remarks_on(vehicle: Vehicle, speed: ArrayLike, ambient: ArrayLike, states: S
     return list(dict.fromkeys(text for belts in (cold, warm) for text in beyond_data(vehicle, speed, belts)))
 
 
-def solver(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Callable[[FileErrors], Steady]:
-    """The steady state of a vehicle as a function of errors of its file; see `steady`."""
-    if not vehicle.active:
-        return plain_vehicle(vehicle, speed, ambient, weight).solve
-    return lambda errors: _with_effects(with_errors(vehicle, errors), speed, ambient, weight, errors)
-
-
-def with_errors(vehicle: Vehicle, errors: FileErrors) -> Vehicle:
-    """A vehicle with errors in its values, but for the loss."""
-    tracks = {}
-    for name, track in vehicle.tracks.items():
-        local, belt = errors if errors.track in ("", name) else AS_IT_IS, track.belt
-        belt = replace(belt, film_offset=local.film * belt.film_offset, film_slope=local.film * belt.film_slope)
-        tracks[name] = replace(track, belt=belt, sprocket_radius=local.radius * track.sprocket_radius)
-    chassis, area = vehicle.chassis, vehicle.chassis.drag_coefficient * vehicle.chassis.frontal_area + errors.drag_area
-    friction = chassis.bearing_friction + errors.bearing_friction
-    chassis = replace(chassis, bearing_friction=friction, drag_coefficient=area, frontal_area=1.0)
-    return replace(vehicle, tracks=tracks, chassis=chassis)
-
-
-def plain_vehicle(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> PlainVehicle:
-    """A vehicle without its effects at one speed; see `steady`."""
+def _without_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None) -> Steady:
     chassis, nominal = vehicle.chassis, vehicle.nominal_loads()
     loads = nominal if weight is None else weight * nominal / nominal.sum()
-    drag_each = resistance.wind_force(speed, 1.0, chassis.air_density) / loads.sum()  # for a load of 1 N, as the next
-    bearing_each = resistance.bearing_force(speed, 1.0, 1.0)
-    drag, bearing = drag_each * chassis.drag_coefficient * chassis.frontal_area, bearing_each * chassis.bearing_friction
+    drag_area = chassis.drag_coefficient * chassis.frontal_area
+    forces = resistance.bearing_force(speed, 1.0, chassis.bearing_friction)  # of a load of 1 N, with those of the air
+    forces = float(forces + resistance.wind_force(speed, drag_area, chassis.air_density) / loads.sum())
     way = float(resistance.direction(speed))
     belts = ambient + WARMEST_K * np.linspace(0.0, 1.0, NODES) ** 2  # densest where the loss is steep
     names: dict[tuple[str, float], list[str]] = {}
     for assembly, load in zip(vehicle.assemblies, loads, strict=True):
         names.setdefault((assembly.track, float(load)), []).append(assembly.name)
-    kinds: dict[tuple[str, float], SteadyAssembly] = {}
+    cold = warm = force = 0.0
+    belts_degc: dict[str, float] = {}
     for track, model in track_models(vehicle).items():
         of_track = np.array([load for name, load in names if name == track])
         radius, network = model.track.sprocket_radius, model.network
         by_torque, drive = model.loss.by_torque(speed, belts[:, np.newaxis], of_track), np.zeros((NODES, len(of_track)))
         for _ in range(DRIVE_PASSES):
-            loss = by_torque.at(drive).total
-            drive = radius * (loss * way + (bearing + drag) * of_track)
+            loss = by_torque.loss_at(drive).total
+            drive = radius * (loss * way + forces * of_track)
         film = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
         for load, course in zip(of_track.tolist(), loss.T, strict=True):
-            forces = float(course[0]), load * bearing, load * drag, load * bearing_each, load * drag_each
-            course_log, same_names = MonotoneCubic(belts, np.log(course)), tuple(names[track, load])
-            kinds[track, load] = SteadyAssembly(track, same_names, radius, course_log, *forces, film, network)
-    return PlainVehicle(speed, ambient, tuple(kinds[kind] for kind in names))
+            belt, warm_loss = _settled(MonotoneCubic(belts, np.log(course)), speed, ambient, network.share_outside(film) * film)
+            same_names = names[track, load]
+            cold += len(same_names) * radius * (float(course[0]) * way + forces * load)
+            warm += len(same_names) * radius * (warm_loss * way + forces * load)
+            force += len(same_names) * (warm_loss * way + forces * load)
+            belts_degc |= dict.fromkeys(same_names, belt)
+    belts_degc = {assembly.name: belts_degc[assembly.name] for assembly in vehicle.assemblies}
+    mean = sum(belts_degc.values()) / len(belts_degc)
+    return Steady(cold, warm, mean, force * 1000.0 / J_PER_KWH, belts_degc)
 
 
-def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None, errors: FileErrors) -> Steady:
+def _settled(log_loss: MonotoneCubic, speed: float, ambient: float, cooling: float) -> tuple[float, float]:
+    """Belt temperature [degC] at which a loss [N] heats as much as the air cools [W/K], and that loss; nan without one."""
+
+    def excess(belt: float) -> float:
+        return float(np.exp(log_loss(belt))) * speed - cooling * (belt - ambient)
+
+    hottest = ambient + WARMEST_K
+    belt = float(brentq(excess, ambient, hottest)) if excess(hottest) < 0.0 else np.nan
+    return belt, float(np.exp(log_loss(belt)))
+
+
+def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None) -> Steady:
     kinds = [(assembly.track, float(load)) for assembly, load in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)]
     total_weight = vehicle.weight if weight is None else weight
-    losses = {name: errors.loss for name in vehicle.tracks if errors.track in ("", name)}
     models = track_models(vehicle)
 
     def state(belts: Mapping[tuple[str, float], float]) -> VehicleState:
-        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, total_weight, losses, models)
+        return vehicle_state(vehicle, speed, [belts[kind] for kind in kinds], ambient, total_weight, models)
 
     def excess(kind: tuple[str, float], degc: float) -> float:
         assembly_state = state({**belts, kind: degc}).assemblies[kinds.index(kind)]

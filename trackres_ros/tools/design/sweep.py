@@ -20,12 +20,11 @@ from trackres_ros.model.operating_point import INACTIVE, left_out_at
 from trackres_ros.text import decimals, figures, table
 from trackres_ros.tools.design.drives import left_out, read_cycle, run_cycle
 from trackres_ros.tools.design.steady import ALONE, OUTCOMES, Array, remarks_on, steady
-from trackres_ros.tools.design.values import Variation, short
+from trackres_ros.tools.design.values import AIR, LOADS, Variation, short
 from trackres_ros.tools.engine import LOCAL, results
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import load
 
-AIR, OF_WEIGHT = "chassis.ambient", (".load", ".own_weight")
 MOST_POINTS = 100_000
 MOST_TICKS = 5  # of the first value: more would touch
 MOST_LINES, MANY = 8, 40  # lines of a picture, and points of one that are no longer marked
@@ -197,7 +196,7 @@ def point(request: SweepRequest, numbered: tuple[int, dict[str, float]]) -> Outc
         if request.cycle is None:
             return Outcomes(state.outcomes, remarks, [])
         cycle, estimator = read_cycle(request.cycle, vehicle.chassis.max_speed), Estimator(vehicle)
-        weight = vehicle.weight if any(path.endswith(OF_WEIGHT) for path in values) else None
+        weight = vehicle.weight if any(path.endswith(LOADS) for path in values) else None
         total, columns = run_cycle(estimator, cycle, weight, None if request.own_air and AIR not in values else air)
         notes = [*cycle.notes, *left_out(columns)]
         return Outcomes((*state.outcomes, total["kwh_per_km"]), [*remarks, *beyond(vehicle, columns)], notes)
@@ -207,7 +206,7 @@ def point(request: SweepRequest, numbered: tuple[int, dict[str, float]]) -> Outc
 
 def draw(result: SweepResult, path: Path) -> Path:
     """Outcomes over the first value, a line for each of the others'; of two with many values a map of the warm resistance."""
-    from trackres_ros.output.style import TITLE_LETTERS, legend_beside, picture, shortened
+    from trackres_ros.output.style import TITLE_LETTERS, legend_beside, picture, shorten
 
     first, *rest = result.request.variations
     paths = result.request.paths
@@ -216,7 +215,7 @@ def draw(result: SweepResult, path: Path) -> Path:
     rising = [np.array(variation.values[0])[order] for variation, order in zip(result.request.variations, orders, strict=True)]
     label = _label(first, paths)
     state = f": {result.request.state}"
-    title = shortened(result.request.file, TITLE_LETTERS - len(state)) + state
+    title = shorten(result.request.file, TITLE_LETTERS - len(state)) + state
     if len(rest) == 1 and min(shape) > MOST_LINES:
         with picture(path, 7.5, 5.0) as figure:
             axes = figure.subplots()

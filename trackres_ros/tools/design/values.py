@@ -9,11 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.text import figures
 from trackres_ros.vehicle import Vehicle
 
 USUAL_COUNT, MOST_COUNT = 9, 1000
+POINTS, MOST_VALUES = 5, 25  # of an option with several numbers
+LOADS = (".load", ".own_weight")  # ends of paths
 NAMED = "axles", "tracks", "wrapped_wheels"  # parts of a path that are followed by the name of one of several
 DEGREES = "degC"
+AIR, AIR_DEGC = "chassis.ambient", (-60.0, 60.0)  # path, and limits of an option
 ALLOWED = (
     "PATH=A:B:N, PATH=A:B or PATH=A,B,C with finite numbers, or with changes as +20%, and N from 2 to 1000; or PATH alone for "
     "the file's range"
@@ -134,3 +138,29 @@ def short(path: str, paths: Sequence[str] = ()) -> str:
         if not any(rival != path and rival.endswith(name) for rival in paths):
             return name
     return path
+
+
+def numbers(option: str, text: str, limits: tuple[float, float]) -> tuple[float, ...]:
+    """The numbers of `A`, `A:B`, `A:B:N` and `A,B,C`; `A:B` is five, evenly spaced.
+
+    Raises InputError on anything else, or beyond the limits.
+    """
+    low, high = limits
+    try:
+        if ":" in text:
+            begin, end, *count_text = text.split(":")
+            (count,) = map(int, count_text or [str(POINTS)])
+            first, last = float(begin), float(end)
+            if not (2 <= count <= MOST_VALUES and first < last):
+                raise ValueError
+            values = [round(first + i * (last - first) / (count - 1), 4) for i in range(count)]
+        else:
+            values = [float(item) for item in text.split(",")]
+        if not (
+            values and len(values) <= MOST_VALUES and all(low <= x <= high for x in values) and len(set(values)) == len(values)
+        ):
+            raise ValueError
+    except ValueError:
+        allowed = f"A, A:B with A < B, A:B:N or A,B,C, at most {MOST_VALUES} numbers from {figures(low)} to {figures(high)}"
+        raise InputError(option, text, allowed) from None
+    return tuple(values)

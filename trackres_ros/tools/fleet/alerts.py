@@ -22,7 +22,8 @@ from trackres_ros.version import __version__
 FILE = "alerts.csv"
 TIMEOUT_S = 10.0
 OF_CHANGE = (
-    "parameter", "kind", "since", "known", "recordings_until_known", "before", "size", "size_std", "relative", "gain",
+    "parameter", "kind", "since", "known", "recordings_until_known", "before", "size", "size_std", "unit", "file",
+    "percent_of_file", "percent_of_torque", "gain",
 )  # fmt: skip
 OF_LIMIT = {"limit": "limit", "limit_reached": "reached", "limit_day": "day", "limit_from": "from", "limit_to": "to"}
 COLUMNS = ("vehicle", *OF_CHANGE, "alike", *OF_LIMIT, "text", "ended")

@@ -31,10 +31,11 @@ ROUNDS = 5  # of fitting the beginnings of several changes in turn
 ALIKE = 2.0  # in log-likelihood: parameters that would explain it as well
 TWO_SIDED_95 = 1.96
 YEAR_S, DAY_S = 365.25 * 86400.0, 86400.0
+TORQUE_GAIN, TORQUE_OFFSET = "torque_gain.error", "torque_offset.offset"
 SUFFER_CHANGE = (
-    "bearing_friction", "loss_modulus_scale", "drag_coefficient", "film_scale", "torque_gain.error", "torque_offset.offset",
+    "bearing_friction", "loss_modulus_scale", "drag_coefficient", "film_scale", TORQUE_GAIN, TORQUE_OFFSET,
 )  # fmt: skip
-"""Parameters to check for a change, if the base has them."""
+"""Parameters to check for a change, if the base has them. More of each means more measured torque."""
 
 
 class TrendLine(NamedTuple):
@@ -65,7 +66,6 @@ class VehicleChange:
     level: float
     size: float
     size_std: float
-    relative: float  # its size over the value before; nan for a value of 0 in the vehicle file, such as an error of an instrument
     gain: float  # in log-likelihood, with all the other changes known
     lines: tuple[TrendLine, ...] = ()  # of a lasting ramp: with each plausible beginning, the likeliest first
     ended_s: float | None = None  # begin of the first recording with the value from before again; None if it lasts
@@ -366,7 +366,6 @@ def _vehicle_change(
         level=level,
         size=size,
         size_std=size_std,
-        relative=size / level if nominal and level else float("nan"),
         gain=float(joint.gain[j]),
         lines=lines_of(groups, parameter, nominal, std) if kind == RAMP and end == LASTING else (),
     )

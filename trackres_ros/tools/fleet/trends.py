@@ -17,6 +17,9 @@ from trackres_ros.tools.fleet.changes import (
     DAY_S,
     FALSE_ALARMS,
     RAMP,
+    STEP,
+    TORQUE_GAIN,
+    TORQUE_OFFSET,
     TWO_SIDED_95,
     YEAR_S,
     TrendLine,
@@ -39,6 +42,8 @@ LEFT_OUT = {
 }
 OUTDATED = "its vehicle file has other values than the present one: analyse it again to compare it"
 UNDATED = "its clock gives no day: it is used for the values of vehicle and type, not for changes"
+MOSTLY = 0.5  # of a vehicle's recordings: where so many have no load, its payload may have changed
+PAYLOAD = "payload"
 FARTHEST_YEARS = 20.0  # limit of a forecast
 TEXTS = ("url", "vehicle", "day", "status", "reason", "copy_of", "vehicle_values", "names", "units", "findings")
 NUMBERS = (
@@ -169,7 +174,7 @@ def trends(
         "vehicle_years": sum(v["years"] for v in vehicles.values()),
         "types": [_type(pooled) for pooled in types],
         "vehicles": dict(sorted(vehicles.items())),
-        "months": _months(own(good)),
+        "months": _months(own(good), vehicles),
     }
 
 
@@ -200,7 +205,8 @@ def _vehicle(
         unusual = float((pooled.by_vehicle[name][0][i] - pooled.mean[i]) / max(float(pooled.vehicle_scatter[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
     changes, threshold_gain, allowed = vehicle_changes(pooled, name, rate)
-    in_file = dict(zip(pooled.data.names, pooled.data.nominal.tolist(), strict=True))
+    in_file = {n: (u, float(x)) for n, u, x in zip(pooled.data.names, pooled.data.units, pooled.data.nominal, strict=True)}
+    unloaded, torque = sum(map(without_load, rows)), float(np.mean([row["mean_torque"] for row in rows]))
     starts = [row["start_s"] for row in rows if _has_day(row)]
     years = (max(starts) - min(starts)) / YEAR_S if starts else 0.0
     parameters_shown = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(pooled.data.names)) if starts else []
@@ -210,10 +216,14 @@ def _vehicle(
         "last_day": day_of(max(starts)) if starts else None,
         "years": years,
         "distance_km": sum(row["distance_m"] or 0.0 for row in rows) / 1000.0,
-        "without_load": sum(map(without_load, rows)),
+        "without_load": unloaded,
         "mismatch": _mean_mismatch(rows, False),
         "values": values,
-        "changes": [_change(c, max(starts), limits.get(c.parameter), in_file[c.parameter]) for c in changes],
+        "changes": [
+            _change(c, unloaded >= MOSTLY * len(rows), torque, *in_file[c.parameter])
+            | {"forecast": forecast(c, max(starts), limits.get(c.parameter), in_file[c.parameter][1])}
+            for c in changes
+        ],
         "least_gain": threshold_gain
         if np.isfinite(threshold_gain)
         else None,  # None with too few recordings to look for a change
@@ -225,10 +235,12 @@ def _vehicle(
     }
 
 
-def _change(change: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any]:
-    content = {
+def _change(change: VehicleChange, unloaded: bool, torque: float, unit: str, in_file: float) -> dict[str, Any]:
+    """A change; `torque`: the mean one of the vehicle [Nm], to which an error of its sensor is compared."""
+    over = {TORQUE_GAIN: 1.0, TORQUE_OFFSET: max(torque, 1e-9)}.get(change.parameter)
+    return {
         "parameter": change.parameter,
-        "alike": list(change.rivals),
+        "alike": [*change.rivals, *([PAYLOAD] if unloaded else [])],
         "kind": change.kind,
         "since": day_of(change.since_s),
         "known": day_of(change.known_s),
@@ -240,10 +252,12 @@ def _change(change: VehicleChange, last_s: float, limit: float | None, in_file: 
         "before": change.level,
         "size": change.size,
         "size_std": change.size_std,
-        "relative": change.relative if np.isfinite(change.relative) else None,
+        "unit": unit,
+        "file": in_file,
+        "percent_of_file": 100.0 * change.size / abs(in_file) if in_file else None,
+        "percent_of_torque": 100.0 * change.size / over if over else None,
         "gain": change.gain,
     }
-    return content | {"forecast": forecast(change, last_s, limit, in_file)}
 
 
 def forecast(change: VehicleChange, last_s: float, limit: float | None, in_file: float) -> dict[str, Any] | None:
@@ -287,23 +301,61 @@ def without_load(row: Mapping[str, Any]) -> bool:
     return row[LOAD_RECORDED] is False
 
 
-def _months(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
-    """By vehicle and month: number of recordings, and their mean mismatch; separately for those without a load."""
+def _months(rows: Iterable[Mapping[str, Any]], vehicles: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """By vehicle and month: number of recordings, their strongest change, and their mean mismatch; separately for those without
+    a load.
+    """
     groups: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
     for row in rows:
         groups.setdefault(row["vehicle"], {}).setdefault(row["day"][:7], []).append(row)
-    return {
-        vehicle: {month: _month(group) for month, group in sorted(months.items())} for vehicle, months in sorted(groups.items())
-    }
+    result: dict[str, dict[str, dict[str, Any]]] = {}
+    for vehicle, months in sorted(groups.items()):
+        starts = [row["start_s"] for group in months.values() for row in group]
+        result[vehicle] = {month: _month(group, starts, vehicles[vehicle]["changes"]) for month, group in sorted(months.items())}
+    return result
 
 
-def _month(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _month(rows: Sequence[Mapping[str, Any]], starts: Sequence[float], changes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    parts = [part for c in changes for row in rows if (part := _part(c, starts, row["start_s"])) is not None]
     return {
         "recordings": len(rows),
+        "change": max(parts, key=strength, default=None),
         "mismatch": _mean_mismatch(rows, False),
         "without_load": sum(map(without_load, rows)),
         "mismatch_without_load": _mean_mismatch(rows, True),
     }
+
+
+def _part(change: Mapping[str, Any], starts: Sequence[float], time_s: float) -> dict[str, Any] | None:
+    """The part of a change at one recording of its vehicle, whose recordings begin at `starts`, see `changes.shapes`; None before
+    it and after its end.
+    """
+    end_s = np.inf if change["ended_s"] is None else change["ended_s"]
+    if not change["since_s"] <= time_s < end_s:
+        return None
+    share = 1.0
+    if change["kind"] != STEP:
+        before = max((t for t in starts if FIRST_DAY_S < t < change["since_s"]), default=change["since_s"] - DAY_S)
+        share = (time_s - before) / (max(t for t in starts if t < end_s) - before)
+    sizes = ((key, change[key]) for key in ("size", "percent_of_file", "percent_of_torque"))
+    scaled = {key: None if size is None else share * size for key, size in sizes}
+    return {key: change[key] for key in ("parameter", "unit", "alike")} | scaled
+
+
+def strength(change: Mapping[str, Any]) -> float:
+    """Size of a change in per cent of the file's value, of an error of the torque sensor in per cent of the mean torque."""
+    return abs(float(next((x for key in ("percent_of_torque", "percent_of_file") if (x := change[key]) is not None), 0.0)))
+
+
+def ranked(vehicles: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Names of vehicles: those with a lasting change, the strongest first, then those whose change ended, then the others."""
+
+    def rank(name: str) -> tuple[bool, bool, float, str]:
+        changes = vehicles[name]["changes"]
+        lasting = [c for c in changes if not c["ended"]]
+        return not lasting, not changes, -max(map(strength, lasting or changes), default=0.0), name
+
+    return sorted(vehicles, key=rank)
 
 
 def _mean_mismatch(rows: Sequence[Mapping[str, Any]], unloaded: bool) -> float | None:
@@ -312,16 +364,26 @@ def _mean_mismatch(rows: Sequence[Mapping[str, Any]], unloaded: bool) -> float |
     return float(np.mean(values)) if values else None
 
 
+def amount(change: Mapping[str, Any]) -> tuple[float, str]:
+    """Size of a change as people write it, and its unit: per cent of the file's value; without one the parameter's own unit."""
+    if change["percent_of_file"] is not None:
+        return change["percent_of_file"], "%"
+    if change["parameter"] == TORQUE_GAIN:
+        return change["percent_of_torque"], "% of the reading"
+    return change["size"], "" if change["unit"] == "1" else change["unit"]
+
+
 def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
     """A change in a sentence."""
     past_verb, verb = ("rose", "rises") if c["size"] > 0 else ("fell", "falls")
     phrase = f"{c['parameter']} {past_verb} at once on {c['since']}"
     if c["kind"] == RAMP:
         phrase = f"{c['parameter']} {past_verb if c['ended'] else verb} gradually since {c['since']}"
-    size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)} (95 %)"
-    if c["relative"] is not None:
-        size += f", {100.0 * c['relative']:+.0f} %"
-    text = f"{vehicle}: {phrase}, by {size}, known on {c['known']}"
+    size, unit = amount(c)
+    reach = TWO_SIDED_95 * abs(size / c["size"]) * c["size_std"]
+    of_file = "" if c["percent_of_file"] is None else " of the file's value"
+    text = f"{vehicle}: {phrase}, by {figures(abs(size))} +- {figures(reach, 2)} {unit}".rstrip()
+    text += f"{of_file} (95 %), known on {c['known']}"
     if c["ended"]:
         text += f", and came back by {c['ended']}"
     if c["alike"]:
@@ -337,7 +399,7 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
 
 def sentences(result: Mapping[str, Any]) -> list[str]:
     """Findings as lines of text."""
-    changes = [change_sentence(name, c) for name, v in result["vehicles"].items() for c in v["changes"]]
+    changes = [change_sentence(name, c) for name in ranked(result["vehicles"]) for c in result["vehicles"][name]["changes"]]
     count = len(result["vehicles"])
     head = [f"{result['compared']} of {result['recordings']} recordings of {number_of(count, 'vehicle')} compared"]
     short = sum(v["least_gain"] is None for v in result["vehicles"].values())
@@ -352,7 +414,7 @@ def sentences(result: Mapping[str, Any]) -> list[str]:
     unloaded = sum(v["without_load"] for v in result["vehicles"].values())
     if unloaded:
         have = number_of(unloaded, "recording has", "recordings have")
-        lines.append(f"{have} no load: the mismatch may come from the payload, and has no colour")
+        lines.append(f"{have} no load: their mismatch may come from the payload")
     for kind, reason in LEFT_OUT.items():
         if result[kind]:
             lines.append(f"{number_of(len(result[kind]), 'recording')} {reason}: {result[kind][0]['url']}")

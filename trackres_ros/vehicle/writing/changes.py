@@ -43,24 +43,24 @@ class FileChanges:
     text: str = ""  # accepted changes and the reason, in a sentence
     disturbance: LearnedDisturbance | None = None  # to watch for live; None keeps that of the file
     route: tuple[RouteMap, ...] = ()  # a slope, or a torque, by place; others given with the surroundings stay
-    by: str = DIAGNOSE  # the command that found it
+    command: str = DIAGNOSE  # the command that found it
     amend: Callable[[str], str] = str  # makes the text of the vehicle file that is written, from that with all other changes
 
-    def with_disturbance(self, learned: LearnedDisturbance | None) -> FileChanges:
+    def with_disturbance(self, disturbance: LearnedDisturbance | None) -> FileChanges:
         """The same changes, with a disturbance to watch for."""
-        if learned is None:
+        if disturbance is None:
             return self
-        text = f"{self.text}; and a disturbance to watch with a torque sensor: {learned.disturbance.form}"
-        return replace(self, text=text, disturbance=learned)
+        text = f"{self.text}; and a disturbance to watch with a torque sensor: {disturbance.disturbance.form}"
+        return replace(self, text=text, disturbance=disturbance)
 
-    def of(self, kind: str) -> list[Active]:
+    def effects_of(self, kind: str) -> list[Active]:
         """The effects that belong to `vehicle`, `surroundings` or `sensor`, with their intervals as ranges."""
         return [_with_ranges(active, self.intervals) for active in self.effects if active.effect.belongs_to == kind]
 
     def names_of(self, kind: str) -> list[str]:
         """Names of all changes to `vehicle`, `surroundings` or `sensor`, including those by place."""
         by_place = (BY_PLACE[route_map.kind] for route_map in self.route if kind == "surroundings")
-        return [*by_place, *(active.effect.name for active in self.of(kind))]
+        return [*by_place, *(active.effect.name for active in self.effects_of(kind))]
 
     def range_of(self, parameter: str) -> tuple[float, float] | None:
         """The interval of a parameter of the base."""

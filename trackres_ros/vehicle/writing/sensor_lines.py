@@ -12,7 +12,7 @@ from trackres_ros.effects.effect import Active, VehicleConstants, conditions, to
 from trackres_ros.errors import one_line
 from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.roles import Conversion
-from trackres_ros.recording.topics_files import corrected, line_of
+from trackres_ros.recording.topics_files import correct_bindings, line_of
 
 NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error is independent of the drive
 
@@ -41,8 +41,8 @@ def sensor_lines(
     }
 
 
-def replaced(lines: Mapping[str, str]) -> str:
-    """Where such lines belong; those of several recordings cannot be in one file."""
+def file_phrase(lines: Mapping[str, str]) -> str:
+    """Name the file for the lines. Lines of several recordings cannot be in one file."""
     has_names = any(" of " in role for role in lines)
     return f"in the topics file{' of each recording' if has_names else ''}, replace the line of the role with"
 
@@ -53,9 +53,9 @@ def _lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torq
     of_torque = Conversion(1.0 / gain, -terms.sensor_offset * torque_scale / gain)
     torques = {
         role: replace(torque, delay_s=torque.delay_s + terms.sensor_delay)
-        for role, torque in corrected("torque", of_torque, bindings).items()
+        for role, torque in correct_bindings("torque", of_torque, bindings).items()
     }
-    new_bindings = corrected("speed", Conversion(terms.speed_factor), bindings) | torques
+    new_bindings = correct_bindings("speed", Conversion(terms.speed_factor), bindings) | torques
     return {
         role: line_of(role, binding) for role, binding in new_bindings.items() if binding != bindings.get(role, TopicBinding())
     }

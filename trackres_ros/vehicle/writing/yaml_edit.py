@@ -45,8 +45,8 @@ class Document:
         if node is None:
             self._append("\n  ".join([f"{key}:", *lines]))
         elif node.flow_style:
-            last = node.end_mark.index - 1
-            self._edits[last, last] = (", " if node.value else "") + ", ".join(lines)
+            last_index = node.end_mark.index - 1
+            self._edits[last_index, last_index] = (", " if node.value else "") + ", ".join(lines)
         else:
             end, indent = _end(node), " " * node.start_mark.column
             if self._text[end - 1] == "\n":
@@ -66,8 +66,8 @@ class Document:
     def text(self) -> str | None:
         """The text with all changes; None if they would change anything else."""
         text = self._text
-        for (start, end), new in sorted(self._edits.items(), reverse=True):
-            text = text[:start] + new + text[end:]
+        for (start, end), insert in sorted(self._edits.items(), reverse=True):
+            text = text[:start] + insert + text[end:]
         try:
             return text if yaml.load(text, LOADER) == self._goal else None
         except yaml.YAMLError:
@@ -97,20 +97,20 @@ def flow(value: Any) -> str:
 def _child(node: yaml.Node, key: str) -> yaml.Node | None:
     if not isinstance(node, yaml.MappingNode):
         return None
-    merged: list[yaml.Node] = []
+    mappings: list[yaml.Node] = []
     for name, value in node.value:
         if name.value == key:
             return value  # type: ignore[no-any-return]
         if name.tag == "tag:yaml.org,2002:merge":
-            merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
-    return next((child for mapping in merged if (child := _child(mapping, key)) is not None), None)
+            mappings += value.value if isinstance(value, yaml.SequenceNode) else [value]
+    return next((entry for mapping in mappings if (entry := _child(mapping, key)) is not None), None)
 
 
 def _end(node: yaml.Node) -> int:
     """Index behind a node; a block ends with its last leaf, not with the comments below it."""
     while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
-        last = node.value[-1]
-        node = last[1] if isinstance(node, yaml.MappingNode) else last
+        leaf = node.value[-1]
+        node = leaf[1] if isinstance(node, yaml.MappingNode) else leaf
     return node.end_mark.index
 
 

@@ -3,6 +3,7 @@
 
 """Writes the pages: the fleet at a glance, and one for each vehicle with its recordings and diagnoses."""
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -16,11 +17,11 @@ from trackres_ros.files.own_files import remove, write
 from trackres_ros.text import alike, decimals, figures, templates
 from trackres_ros.tools.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.tools.fleet.periods import verdicts
-from trackres_ros.tools.fleet.task import NO_VEHICLE
-from trackres_ros.tools.fleet.trends import change_sentence, day_of, sentences, without_copies
+from trackres_ros.tools.fleet.task import NO_DAY, NO_VEHICLE
+from trackres_ros.tools.fleet.trends import amount, change_sentence, day_of, ranked, sentences, strength, without_copies
 
 INDEX, VEHICLES = "index.html", "vehicles"
-COLOURS = 6  # of mismatch, from none to the fleet's worst
+EDGES = 5.0, 10.0, 20.0  # between the colours of changes [%]; fixed, so that pages of two days are comparable
 WIDTH, HEIGHT = 720.0, 220.0
 LEFT, RIGHT, TOP, BOTTOM = 105.0, 12.0, 12.0, 28.0
 TICKS = 4
@@ -45,14 +46,14 @@ def write_pages(folder: Path, trends: Mapping[str, Any], dataset: FleetDataset) 
     rows: dict[str, list[Mapping[str, Any]]] = {}
     for row in all_rows:
         rows.setdefault(row["vehicle"], []).append(row)
-    names = sorted(rows.keys() - {NO_VEHICLE})
+    order = ranked(trends["vehicles"])
+    names = [*order, *sorted(rows.keys() - {NO_VEHICLE, *order})]
     pages = {name: f"{VEHICLES}/{quote(name, safe='')}.html" for name in names}
     months = sorted({month for months_of in trends["months"].values() for month in months_of})
-    cells = [cell["mismatch"] for months_of in trends["months"].values() for cell in months_of.values()]
-    worst = max((mismatch for mismatch in cells if mismatch is not None), default=0.0)
     text = environment.get_template("index.html").render(
         style=style, found=trends, months=months, pages=pages, lines=sentences(trends),
-        shade=lambda mismatch: shade(mismatch, worst), worst=worst, colours=COLOURS,
+        shade=shade, signed=signed, undated=NO_DAY, steps=range(1, len(EDGES) + 2),
+        ranges=[*(f"to {edge:g} %" for edge in EDGES), f"above {EDGES[-1]:g} %"],
     )  # fmt: skip
     for page_file in {*(folder / VEHICLES).glob("*.html")} - {folder / page for page in pages.values()}:
         remove(page_file)
@@ -75,11 +76,18 @@ def write_pages(folder: Path, trends: Mapping[str, Any], dataset: FleetDataset) 
     return folder / INDEX
 
 
-def shade(mismatch: float | None, worst: float) -> str:
-    """Class of the colour of a mismatch, `s0` for the least; that of a month without recorded loads is `unloaded`."""
-    if mismatch is None:
-        return "unloaded"
-    return f"s{min(COLOURS - 1, int(COLOURS * mismatch / worst)) if worst > 0.0 else 0}"
+def shade(change: Mapping[str, Any] | None) -> str:
+    """Classes of a change: direction and colour, and `unsure` if another cause would explain it as well; `same` without one."""
+    if change is None:
+        return "same"
+    step = 1 + bisect_left(EDGES, strength(change))
+    return f"{'more' if change['size'] > 0.0 else 'less'}{step}{' unsure' if change['alike'] else ''}"
+
+
+def signed(change: Mapping[str, Any]) -> str:
+    """Size of a change with its sign and unit."""
+    size, unit = amount(change)
+    return f"{'+' if size > 0.0 else '-'}{figures(abs(size), 2)} {unit}".rstrip()
 
 
 def percent(share: float | None) -> str:
