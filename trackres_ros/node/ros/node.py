@@ -101,7 +101,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._inputs: list[Any] = []
         self._group.inputs = self._inputs
         self._record_only: list[Any] = []
-        self._services: list[Any] = []
+        self._triggers: list[Any] = []
         self._jumps: Any = None
         self._refused_ns = 0  # last time of /clock before 0, while there is no later one
         self._ticker: Any = None
@@ -163,7 +163,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             profile = interface.profile_of(parameters.input_quality())  # its own: overrides are written into it
             self._open_input(topic.name, kind, profile)
         self._inbox = application.inbox(self._fetch, self._deliver)
-        self._services = [
+        self._triggers = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
             self.create_service(Trigger, "~/reset_learning", self._server(application.reset_learning)),
             self.create_service(Trigger, "~/save_state", self._server(application.save_state)),
@@ -264,7 +264,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self.destroy_subscription(subscription)
         for output in self._outputs.values():
             self.destroy_lifecycle_publisher(output)
-        for service in self._services:
+        for service in self._triggers:
             self.destroy_service(service)
         self._clear()
 
