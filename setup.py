@@ -96,7 +96,8 @@ EXCEL = ["openpyxl>=3.1"]
 MDF = ["asammdf>=8.0"]
 CAN = ["python-can>=4.3", "cantools>=39.4"]
 MATLAB = ["h5py>=3.10"]
-FORMATS = PARQUET + EXCEL + MDF + CAN + MATLAB
+ULOG = ["pyulog>=1.0"]
+FORMATS = PARQUET + EXCEL + MDF + CAN + MATLAB + ULOG
 PLOTS = ["matplotlib>=3.6"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
@@ -168,6 +169,7 @@ setup(
         "mdf": MDF,
         "can": CAN,
         "matlab": MATLAB,
+        "ulog": ULOG,
         "plots": PLOTS,
         "notebook": NOTEBOOK,
         "dds": DDS,

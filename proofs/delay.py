@@ -67,16 +67,16 @@ class Delayed:
 def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
     """Draw vehicles with their delays and instruments, all from one seed."""
     rng = np.random.default_rng([seed, 17])
-    found = []
+    results = []
     for case in draw_cases(seed, vehicles, hostile):
         delay = float(rng.uniform(0.0, LONGEST_S))
         speed_hz = float(np.exp(rng.uniform(*np.log(RATES_HZ))))
         torque_hz = min(max(speed_hz * float(np.exp(rng.uniform(*np.log(APART)))), RATES_HZ[0]), RATES_HZ[1])
-        found.append(
+        results.append(
             Delayed(case, delay, float(rng.uniform(0.0, min(0.1, delay))), speed_hz, torque_hz,
                     float(rng.uniform(0.0, JITTER_SHARE)), float(rng.uniform(0.0, STAMP_STD_S)), bool(rng.random() < 0.5))
         )  # fmt: skip
-    return found
+    return results
 
 
 class DelayProof(LearningProof):
@@ -174,19 +174,19 @@ def learn(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 def _score(one: Delayed, rows: Array) -> dict[str, Any]:
     """Error at the end, and at how many seconds it was sure of a wrong delay."""
-    off, known = rows[:, 1] - one.delay_s, rows[:, 3] == LEARNED
-    wrong = known & (np.abs(off) > WITHIN_STD * rows[:, 2])
+    deviation, known = rows[:, 1] - one.delay_s, rows[:, 3] == LEARNED
+    wrong = known & (np.abs(deviation) > WITHIN_STD * rows[:, 2])
     return {
         "name": one.case.name, "hostile": one.case.hostile, "delay_s": one.delay_s, "speed_hz": one.speed_hz,
-        "torque_hz": one.torque_hz, "error_s": float(off[-1]), "std_s": float(rows[-1, 2]), "known": bool(known[-1]),
+        "torque_hz": one.torque_hz, "error_s": float(deviation[-1]), "std_s": float(rows[-1, 2]), "known": bool(known[-1]),
         "known_after_s": float(rows[np.argmax(known), 0]) if known.any() else None, "wrong_s": int(wrong.sum()),
     }  # fmt: skip
 
 
 def page(scores: Mapping[str, Any]) -> str:
     """The scores as Markdown."""
-    plain = [one for one in scores["each"] if not one["hostile"]]
-    hostile = [one for one in scores["each"] if one["hostile"]]
+    plain = [item for item in scores["each"] if not item["hostile"]]
+    hostile = [item for item in scores["each"] if item["hostile"]]
     minutes = f"{scores['minutes']:g} minutes"
     lines = [
         f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
@@ -199,15 +199,15 @@ def page(scores: Mapping[str, Any]) -> str:
         _line("all that nothing misleads", plain),
     ]
     for low, high in RATES_OF:
-        lines.append(_line(f"slower sensor at {low:g} to {high:g} Hz", [one for one in plain if low <= _slower(one) < high]))
-    for kind in sorted({one["hostile"] for one in hostile}):
-        lines.append(_line(f"misled: {kind}", [one for one in hostile if one["hostile"] == kind]))
-    good, known = sum(abs(one["error_s"]) < TARGET_S for one in plain), [one for one in plain if one["known"]]
-    wrong = sum(one["wrong_s"] > 0 for one in scores["each"])
+        lines.append(_line(f"slower sensor at {low:g} to {high:g} Hz", [item for item in plain if low <= _slower(item) < high]))
+    for kind in sorted({item["hostile"] for item in hostile}):
+        lines.append(_line(f"misled: {kind}", [item for item in hostile if item["hostile"] == kind]))
+    good, known = sum(abs(item["error_s"]) < TARGET_S for item in plain), [item for item in plain if item["known"]]
+    wrong = sum(item["wrong_s"] > 0 for item in scores["each"])
     lines += [
         "",
         f"An error below 20 ms after {minutes}: {good} of {len(plain)} (target: all); of those whose state is `learned` "
-        f"{sum(abs(one['error_s']) < TARGET_S for one in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
+        f"{sum(abs(item['error_s']) < TARGET_S for item in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
         f"more than {WITHIN_STD:g} standard deviations while `learned`: {wrong} of {len(scores['each'])} vehicles "
         "(target: none).",
     ]
@@ -221,10 +221,10 @@ def _slower(one: dict[str, Any]) -> float:
 def _line(name: str, some: Sequence[dict[str, Any]]) -> str:
     if not some:
         return f"| {name} | 0 | | | | | | |"
-    errors = 1e3 * np.abs([one["error_s"] for one in some])
-    after = [one["known_after_s"] for one in some if one["known_after_s"] is not None]
-    median = f"{np.median(after):.0f}" if after else ""
+    errors = 1e3 * np.abs([item["error_s"] for item in some])
+    result_afters = [item["known_after_s"] for item in some if item["known_after_s"] is not None]
+    median = f"{np.median(result_afters):.0f}" if result_afters else ""
     return (
-        f"| {name} | {len(some)} | {int((errors < 1e3 * TARGET_S).sum())} | {sum(one['known'] for one in some)} | "
-        f"{errors.mean():.1f} | {np.quantile(errors, 0.95):.1f} | {median} | {sum(one['wrong_s'] > 0 for one in some)} |"
+        f"| {name} | {len(some)} | {int((errors < 1e3 * TARGET_S).sum())} | {sum(item['known'] for item in some)} | "
+        f"{errors.mean():.1f} | {np.quantile(errors, 0.95):.1f} | {median} | {sum(item['wrong_s'] > 0 for item in some)} |"
     )

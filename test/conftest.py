@@ -30,8 +30,8 @@ settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
 
 NAMED_ALIKE = (
-    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy rosbags threadpoolctl "
-    "xarray"
+    "SALib asammdf bokeh cantools cyclonedds dask distributed fsspec h5py openpyxl pandas pyarrow pysindy pyulog rosbags "
+    "threadpoolctl xarray"
 )
 EXTRAS = {
     **{name: name for name in NAMED_ALIKE.split()},

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -153,6 +154,62 @@ def _write_mat(drive: Drive, path: Path) -> None:
     savemat(path, {"run": parts}, do_compression=True)
 
 
+def _write_mat_4(drive: Drive, path: Path) -> None:
+    from scipy.io import savemat
+
+    vectors = drive.channels.items()
+    times = {f"{name}_t": seconds for name, (seconds, _, _) in vectors}
+    savemat(path, {name: values for name, (_, values, _) in vectors} | times, format="4")
+
+
+def _write_ulog(drive: Drive, path: Path) -> None:
+    """By the description of the format: docs.px4.io, ULog File Format."""
+    data = bytearray(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
+
+    def add(kind: bytes, content: bytes) -> None:
+        data.extend(struct.pack("<H", len(content)) + kind + content)
+
+    add(b"B", bytes(40))
+    for name in drive.channels:
+        add(b"F", f"{name.lower()}:uint64_t timestamp;double {name};uint8_t[3] spare;".encode())
+    for number, name in enumerate(drive.channels):
+        add(b"A", struct.pack("<BH", 0, number) + name.lower().encode())
+    for number, (seconds, values, _) in enumerate(drive.channels.values()):
+        for second, value in zip(seconds, values, strict=True):
+            add(b"D", struct.pack("<HQd3x", number, round(START_S * 1e6 + second * 1e6), value))
+    path.write_bytes(data)
+
+
+def _write_vbox(drive: Drive, path: Path) -> None:
+    """Over midnight; an empty cell is no cell between spaces."""
+    lines = ["File created on 14/11/2023 at 23:59:55", "", "[header]", "time", "velocity kmh", *list(drive.channels)[1:], ""]
+    lines += ["[channel units]", *(unit for _, _, unit in list(drive.channels.values())[1:]), ""]
+    lines += ["[comments]", "(c) 2001 a logger", "Log Rate (Hz) : 50.00", "", "[laptiming]", "Start +02886.1 -00690.1 +02886.2"]
+    lines += ["", "[column names]", " ".join(["time", *drive.channels]), "", "[data]"]
+    for second, *values in drive.rows():
+        hundredths = (8639500 + round(second * 100)) % 8640000
+        minutes, rest = divmod(hundredths, 6000)
+        clock = f"{minutes // 60:02d}{minutes % 60:02d}{rest // 100:02d}.{rest % 100:02d}"
+        lines.append(" ".join([clock, *("NA" if value is None else f"{value:+.5f}" for value in values)]))
+    path.write_text("\r\n".join([*lines, ""]))
+
+
+def _write_labview(drive: Drive, path: Path) -> None:
+    names, units = [*drive.channels], [unit for _, _, unit in drive.channels.values()]
+    keys = {"Writer_Version": "2", "Separator": "Tab", "Decimal_Separator": ",", "Multi_Headings": "No", "X_Columns": "One"}
+    lines = ["LabVIEW Measurement\t", *(f"{key}\t{value}" for key, value in keys.items()), "***End_of_Header***\t", "\t"]
+    per_channel = {
+        "Channels": ["4"], "Samples": ["1000"] * 4, "Date": ["2023/11/14"] * 4, "Time": ["22:13:20,0000000"] * 4,
+        "Y_Unit_Label": units, "X_Dimension": ["Time"] * 4, "X0": ["0,0000000000000000E+0"] * 4, "Delta_X": ["0,020000"] * 4,
+    }  # fmt: skip
+    lines += ["\t".join([key, *cells, ""]) for key, cells in per_channel.items()]
+    lines += ["***End_of_Header***\t\t\t\t\t", "\t".join(["X_Value", *names, "Comment"])]
+    for row, (second, *values) in enumerate(drive.rows()):
+        cells = [f"{second:.6f}", *("" if value is None else f"{value:.6f}" for value in values)]
+        lines.append("\t".join(cells).replace(".", ",") + "\tthe first row" * (row == 0))
+    path.write_text("\r\n".join([*lines, ""]))
+
+
 @contextmanager
 def mat_73(path: Path) -> Iterator[Any]:
     """An HDF5 file to be filled, with the header of MATLAB."""
@@ -219,10 +276,14 @@ KINDS: dict[str, tuple[str, Callable[[Drive, Path], None]]] = {
     "BLF": ("bus.blf", _write_can),
     "ASC": ("bus.asc", _write_can),
     "candump": ("bus.log", _write_can),
+    "MATLAB 4": ("oldest.mat", _write_mat_4),
     "MATLAB 5": ("old.mat", _write_mat),
     "MATLAB 7.3": ("new.mat", _write_mat_73),
     "Excel": ("drive.xlsx", _write_xlsx),
     "Parquet": ("drive.parquet", _write_parquet),
+    "ULog": ("drive.ulg", _write_ulog),
+    "VBOX": ("drive.vbo", _write_vbox),
+    "LabVIEW": ("drive.lvm", _write_labview),
 }
 """File and writer by kind."""
 
@@ -232,7 +293,7 @@ def topics_of(kind: str) -> dict[str, Any]:
     if kind == "bag":
         message = {"type": "std_msgs/msg/Float64", "field": "data"}
         return {role: {"topic": f"/{line['channel']}", "unit": line["unit"], **message} for role, line in TOPICS.items()}
-    if kind.startswith("MATLAB"):
+    if kind in ("MATLAB 5", "MATLAB 7.3"):
         return {role: {**line, "channel": f"run.{line['channel']}.{line['channel']}"} for role, line in TOPICS.items()}
     return {**TOPICS, "dbc": "bus.dbc"} if KINDS[kind][0].startswith("bus") else TOPICS
 

@@ -11,6 +11,7 @@ import gzip
 import random
 import re
 import shutil
+import struct
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -56,6 +57,14 @@ LINES = {
         "load": rb"^ *\d+\.\d+ 1  100 +Rx   d 8( [0-9A-F]{2}){2} 01( [0-9A-F]{2}){5}$",
         "ambient": rb"^ *\d+\.\d+ 1  CFEF517x +Rx   d 8( FF){3} (?!FF)[0-9A-F]{2}( [0-9A-F]{2}){4}$",
         "torque": rb"^ *\d+\.\d+ 1  1CEB(FF|21)17x +Rx   d 8 03( [0-9A-F]{2}){7}$",
+    },
+    ".vbo": {
+        role: rb"^\d{6}\.\d\d" + b" [^ ]+" * place + rb" [-+\d.]+" + b" [^ ]+" * (3 - place) + b"$"
+        for place, role in enumerate(("speed", "load", "ambient", "torque"))
+    },
+    ".lvm": {
+        role: rb"^\d+,\d+" + b"\t[^\t]*" * place + rb"\t[-+]?\d[\d,]*" + b"\t[^\t]*" * (3 - place) + b"(\t.*)?$"
+        for place, role in enumerate(("speed", "load", "ambient", "torque"))
     },
 }
 """Whole lines of a log of frames that hold a sample."""
@@ -261,6 +270,7 @@ FORMATS = {one.name: one for one in (
     Format("xlsx", _excel, "run.xlsx"),
     Format("parquet", _table(".parquet"), "run.parquet"),
     *map(_of_drive, ("MF4", "MF4 of a bus", "BLF", "ASC", "candump", "MATLAB 5", "MATLAB 7.3")),
+    *map(_of_drive, ("ULog", "VBOX", "LabVIEW")),
 )}  # fmt: skip
 
 
@@ -322,6 +332,18 @@ def _outcome_of_refusal(error: InputError) -> dict[str, Any]:
     return {"outcome": "refused", "text": text}
 
 
+def _messages_of_ulog(data: bytes) -> Counter[str]:
+    """The messages that are there: the format has no counts and no checksums."""
+    found: Counter[str] = Counter()
+    roles, place = ("speed", "load", "ambient", "torque"), 16
+    while place + 5 <= len(data):
+        length, kind, number = struct.unpack_from("<HBH", data, place)
+        if kind == ord("D") and length == 21 and number < len(roles):
+            found[roles[number]] += 1
+        place += 3 + length
+    return found
+
+
 def _expected(one: Damaged) -> Counter[str]:
     """Return the samples that are in a file: of a table in text those of its lines, else those of the whole file."""
     if one.path.suffix in LINES:
@@ -331,6 +353,8 @@ def _expected(one: Damaged) -> Counter[str]:
                 for role, line in LINES[one.path.suffix].items()
             }
         )
+    if one.path.suffix == ".ulg":
+        return _messages_of_ulog(one.data)
     if ".csv" not in one.path.name:
         return one.form.expected
     data = one.data

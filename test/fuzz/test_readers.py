@@ -24,6 +24,7 @@ pytest.importorskip("openpyxl")
 pytest.importorskip("asammdf")
 pytest.importorskip("cantools")
 pytest.importorskip("h5py")
+pytest.importorskip("pyulog")
 
 import run
 from formats import FORMATS, Damaged, damaged, outcome_of

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.cdr import NUMBERS, Encoding, FieldReader, MalformedError, Template, layout_of
-from trackres_ros.recording.message_types import definitions
+from trackres_ros.recording.message_types import Field, definitions
 
 STORE = get_typestore(Stores.LATEST)
 STORE1 = get_typestore(Stores.ROS1_NOETIC)
@@ -91,13 +92,13 @@ def stamp_of(message: Any) -> int:
 @settings(max_examples=15, deadline=None)
 @given(data=st.data())
 def test_equals_decoding_each_message(msgtype: str, data: st.DataObject) -> None:
-    sent = data.draw(st.lists(messages(STORE, msgtype), min_size=1, max_size=12))
-    sent = [message for message in sent for _ in range(data.draw(st.integers(1, 3)))]
-    little = data.draw(st.lists(st.booleans(), min_size=len(sent), max_size=len(sent)))
-    padding = data.draw(st.lists(st.integers(0, 3), min_size=len(sent), max_size=len(sent)))
+    sent_message = data.draw(st.lists(messages(STORE, msgtype), min_size=1, max_size=12))
+    sent_message = [message for message in sent_message for _ in range(data.draw(st.integers(1, 3)))]
+    little = data.draw(st.lists(st.booleans(), min_size=len(sent_message), max_size=len(sent_message)))
+    padding = data.draw(st.lists(st.integers(0, 3), min_size=len(sent_message), max_size=len(sent_message)))
     raws = [
         bytes(STORE.serialize_cdr(message, msgtype, little_endian=side)) + b"\0" * pad
-        for message, side, pad in zip(sent, little, padding, strict=True)
+        for message, side, pad in zip(sent_message, little, padding, strict=True)
     ]
     reader = FieldReader(definitions(STORE.fielddefs, msgtype), msgtype, CASES[msgtype])
     check(reader.decode(raws), [STORE.deserialize_cdr(raw, msgtype) for raw in raws], CASES[msgtype])
@@ -107,10 +108,68 @@ def test_equals_decoding_each_message(msgtype: str, data: st.DataObject) -> None
 @settings(max_examples=10, deadline=None)
 @given(data=st.data())
 def test_equals_decoding_each_ros1_message(msgtype: str, data: st.DataObject) -> None:
-    sent = data.draw(st.lists(messages(STORE1, msgtype), min_size=1, max_size=6))
-    raws = [bytes(STORE1.serialize_ros1(message, msgtype)) for message in sent]
+    sent_message = data.draw(st.lists(messages(STORE1, msgtype), min_size=1, max_size=6))
+    raws = [bytes(STORE1.serialize_ros1(message, msgtype)) for message in sent_message]
     reader = FieldReader(definitions(STORE1.fielddefs, msgtype), msgtype, CASES[msgtype], Encoding.ROS1)
     check(reader.decode(raws), [STORE1.deserialize_ros1(raw, msgtype) for raw in raws], CASES[msgtype])
+
+
+WIDE_TYPES = {
+    "x/msg/Y": (
+        Field("name", "wstring", "one", 1), Field("gear", "uint8", "one", 1), Field("notes", "wstring", "sequence", 1),
+        Field("speed", "float64", "one", 1), Field("both", "wstring", "array", 2), Field("torque", "float32", "one", 1),
+    )
+}  # fmt: skip
+LONG = "a text that is long enough to show the size of its units"
+WIDE_TEXTS = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=4)
+
+
+def wide_message(parts: tuple[Any, ...], unit_bytes: int, counts_bytes: bool, order: str) -> bytes:
+    """A message of `WIDE_TYPES` as CDR, with texts in units of two or four bytes."""
+    raw = bytearray()
+
+    def add(code: str, number: float) -> None:
+        size = struct.calcsize(code)
+        raw.extend(b"\0" * (-len(raw) % size) + struct.pack(order + code, number))
+
+    def add_text(text: str) -> None:
+        units = np.frombuffer(text.encode("utf-16-le"), "<u2")
+        add("I", 2 * len(units) if counts_bytes else len(units))
+        raw.extend(units.astype(f"{order}u{unit_bytes}").tobytes())
+
+    name, gear, notes, speed, both, torque = parts
+    add_text(name)
+    add("B", gear)
+    add("I", len(notes))
+    for text in notes:
+        add_text(text)
+    add("d", speed)
+    for text in both:
+        add_text(text)
+    add("f", torque)
+    return (b"\0\1\0\0" if order == "<" else b"\0\0\0\0") + bytes(raw)
+
+
+@pytest.mark.parametrize("form", [(2, False), (4, False), (2, True)], ids=["two bytes", "four bytes", "counted bytes"])
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_wide_texts_are_read_in_the_units_of_any_writer(form: tuple[int, bool], data: st.DataObject) -> None:
+    pair = st.tuples(WIDE_TEXTS, WIDE_TEXTS)
+    part = st.tuples(WIDE_TEXTS, st.integers(0, 255), st.lists(WIDE_TEXTS, max_size=3), st.floats(), pair, st.floats(width=32))
+    sent = [("", 1, [], 0.5, (LONG, LONG), 0.5), *data.draw(st.lists(part, max_size=8))]
+    order = data.draw(st.sampled_from("<>"))
+    raws = [wide_message(parts, *form, order) for parts in sent]
+    reader = FieldReader(WIDE_TYPES, "x/msg/Y", ["speed", "torque", "gear"])
+    decoded = reader.decode([*raws[1:], raws[0]])
+    assert not decoded.is_malformed.any()
+    np.testing.assert_array_equal(decoded.value, [[parts[3], parts[5], parts[1]] for parts in [*sent[1:], sent[0]]])
+
+
+@pytest.mark.parametrize("first", [6, 7, 8, 9, 10, 11])
+def test_messages_in_xcdr2_say_so(first: int) -> None:
+    reader = FieldReader(WIDE_TYPES, "x/msg/Y", ["speed"])
+    assert reader.decode([bytes([0, first, 0, 0]) + b"\0" * 32]).is_malformed.all()
+    assert reader.representation.startswith("XCDR2")
 
 
 def check(decoded: Any, sent: list[Any], fields: list[str]) -> None:
@@ -156,17 +215,17 @@ def test_more_layouts_than_are_kept() -> None:
 @settings(max_examples=200, deadline=None)
 @given(cut=st.integers(0, 79), extra=st.binary(max_size=6), at=st.integers(0, 30), byte=st.integers(0, 255))
 def test_damaged_messages_are_seen_as_the_full_decoder_sees_them(cut: int, extra: bytes, at: int, byte: int) -> None:
-    whole = twist(5.0)
-    broken = bytearray(whole)
+    total = twist(5.0)
+    broken = bytearray(total)
     broken[at] = byte
-    raws = [whole, whole[:cut], whole + extra, bytes(broken), whole]
+    raws = [total, total[:cut], total + extra, bytes(broken), total]
     decoded = twist_reader().decode(raws)
     for raw, malformed, value in zip(raws, decoded.is_malformed, decoded.value[:, 0], strict=True):
         error, read = "", math.nan
         try:
             read = STORE.deserialize_cdr(raw, TWIST).twist.linear.x  # type: ignore[attr-defined]
-        except Exception as caught:
-            error = str(caught)
+        except Exception as caught_error:
+            error = str(caught_error)
         # numbers do not depend on the text of the frame: text that is not UTF-8 does not cost the message
         assert malformed == (bool(error) and "codec" not in error)
         assert value == read or math.isnan(read)
@@ -195,10 +254,10 @@ def test_no_messages_and_empty_ones() -> None:
     ],
 )
 def test_a_field_that_is_no_number_is_refused(msgtype: str, field: str, says: str) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         FieldReader(definitions(STORE.fielddefs, msgtype), msgtype, [field])
-    assert says in str(caught.value)
-    assert field in str(caught.value)
+    assert says in str(error_info.value)
+    assert field in str(error_info.value)
 
 
 def test_layout_of_another_type() -> None:
@@ -212,11 +271,11 @@ def test_a_template_gives_what_serialising_gives(stamps: list[int], value: float
     types = definitions(STORE.fielddefs, TWIST)
     raw = twist(0.0, "odd")
     template = Template(raw, types, TWIST, ["twist.linear.x", "twist.angular.z"])
-    out = np.full((len(stamps), 3 + len(raw)), 7, np.uint8)
-    template.fill(out, 3, np.array(stamps), np.array([[value, row] for row in range(len(stamps))], np.float64))
-    assert (out[:, :3] == 7).all()
+    output = np.full((len(stamps), 3 + len(raw)), 7, np.uint8)
+    template.fill(output, 3, np.array(stamps), np.array([[value, row] for row in range(len(stamps))], np.float64))
+    assert (output[:, :3] == 7).all()
     for row, stamp in enumerate(stamps):
-        message: Any = STORE.deserialize_cdr(out[row, 3:].tobytes(), TWIST)
+        message: Any = STORE.deserialize_cdr(output[row, 3:].tobytes(), TWIST)
         assert stamp_of(message) == stamp
         assert message.header.frame_id == "odd"
         assert message.twist.linear.x == value or math.isnan(value)

@@ -110,11 +110,11 @@ def test_every_column_by_name(tmp_path: Path, reader: None) -> None:
 )
 def test_refused_with_the_place(tmp_path: Path, reader: None, text: str, says: list[str]) -> None:
     path = table(tmp_path, text)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         read(path)
     for part in [str(path), *says]:
-        assert part in str(caught.value)
-    assert "\n" not in str(caught.value)
+        assert part in str(error_info.value)
+    assert "\n" not in str(error_info.value)
 
 
 def test_a_bad_cell_far_down(tmp_path: Path, reader: None) -> None:
@@ -224,7 +224,7 @@ def test_row_groups_are_full_whatever_the_blocks(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(output_table, "GROUP_ROWS", 10)
         write_table(path, columns, estimates)
-        whole = path.read_bytes()
+        total = path.read_bytes()
         with TableWriter(path, list(columns), estimates) as writer:
             for start, end in itertools.pairwise(np.cumsum([0, *blocks])):
                 block = {name: column[start:end].copy() for name, column in columns.items()}
@@ -232,7 +232,7 @@ def test_row_groups_are_full_whatever_the_blocks(
                 for column in block.values():
                     column[:] = column[:1]  # what was given is the caller's again
     if blocks:
-        assert path.read_bytes() == whole
+        assert path.read_bytes() == total
     metadata = parquet.read_metadata(path)
     sizes = [metadata.row_group(group).num_rows for group in range(metadata.num_row_groups)]
     assert sizes == ([10] * (rows // 10) + [rows % 10] * (rows % 10 > 0) or [0])
@@ -242,8 +242,8 @@ def test_row_groups_are_full_whatever_the_blocks(
     for name, column in columns.items():
         exact = not estimates or name != "x"
         assert got[name].null_count == np.isnan(column).sum() if name == "x" else not got[name].null_count
-        expected = column if exact else column.astype(np.float32)
-        np.testing.assert_array_equal(got[name].to_numpy(), expected)
+        expectation = column if exact else column.astype(np.float32)
+        np.testing.assert_array_equal(got[name].to_numpy(), expectation)
 
 
 def test_the_text_of_a_table(tmp_path: Path) -> None:
@@ -262,8 +262,8 @@ def test_the_text_of_a_table(tmp_path: Path) -> None:
 
 
 def test_columns_of_equal_bytes_keep_their_kinds(tmp_path: Path) -> None:
-    whole, path = np.array([0, 1 << 62]), tmp_path / "out.csv"
-    write_table(path, {"time_s": whole.view(float), "n": whole, "x": whole.view(float)})
+    total, path = np.array([0, 1 << 62]), tmp_path / "out.csv"
+    write_table(path, {"time_s": total.view(float), "n": total, "x": total.view(float)})
     assert path.read_text() == f"time_s,n,x\n0.0,0,0.0\n2.0,{1 << 62},2.0\n"
 
 
@@ -307,8 +307,8 @@ def test_parquet_of_other_types(tmp_path: Path) -> None:
 @given(st.integers(0, 2**50) | st.integers(2**53, 4 * 10**18), st.sampled_from(["int64", "uint64"]))
 def test_nanoseconds_of_parquet_are_exact(tmp_path_factory: pytest.TempPathFactory, start: int, kind: str) -> None:
     stamps, path = [start, start + 1], tmp_path_factory.mktemp("t") / "run.parquet"
-    whole = pa.array(stamps, getattr(pa, kind)())
-    parquet.write_table(pa.table({"t": whole, "speed_mps": whole}), path)
+    total = pa.array(stamps, getattr(pa, kind)())
+    parquet.write_table(pa.table({"t": total, "speed_mps": total}), path)
     (block,) = open_source([path], Topics.parse({"time": {"column": "t", "scale": 1e-9}}, "t.yaml")).blocks()
     assert block.stamp_ns.tolist() == stamps
     assert block.value.tolist() == list(map(float, stamps))

@@ -32,6 +32,7 @@ from trackres_ros.model.resistance import TORQUE_TERMS
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, parting_resistance, thermal_network
 from trackres_ros.model.track import load_range, vehicle_constants
+from trackres_ros.recording.roles import PLAUSIBLE
 from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
 from trackres_ros.route.lookup import CELL_COLUMNS, PLACE_COLUMNS
 from trackres_ros.units import GRAVITY
@@ -162,23 +163,6 @@ def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: A
 
 # Constants
 
-# Limits outside of which a measurement is refused, unless the vehicle file gives others: [low, high] in SI, degC.
-PLAUSIBLE = {
-    "torque": (-1e6, 1e6),
-    "ambient": (-60.0, 60.0),
-    "belt": (-60.0, 180.0),
-    "accel": (-15.0, 15.0),
-    "grade": (-0.6, 0.6),
-    "yaw_rate": (-5.0, 5.0),
-    "heading": (-1e3, 1e3),
-    "distance": (-1e9, 1e9),
-    "passengers": (0.0, 1e3),
-    "latitude": (-0.5 * math.pi, 0.5 * math.pi),
-    "longitude": (-2.0 * math.pi, 2.0 * math.pi),
-    "enable": (0.0, 1.0),
-    "altitude": (-1e3, 1e4),
-    "specific_force": (-30.0, 30.0),
-}
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
 LEAST_AIR_STD_K = 1e-3  # of an assumed air, so that a belt's departure due to it is known

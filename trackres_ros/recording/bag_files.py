@@ -13,7 +13,7 @@ import sqlite3
 import struct
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -105,6 +105,22 @@ def counts_of(reader: Any, path: Path) -> MessageCounts:
     counts.by_topic |= by_topic
     counts.unknown_count = max(counts.unknown_count, counts.check_count(reader.message_count) - counts.by_topic.total())
     return counts
+
+
+def unlisted_files(reader: Any, path: Path, paths: Collection[Path]) -> Iterator[str]:
+    """Report recordings in the folder of a bag that its metadata.yaml does not list.
+
+    They may be the end of the drive, or a copy of a listed one. So they are named and not read. `paths`: what is read anyway.
+    """
+    listed_names = {PurePath(str(storage.path)).name for storage in storages_of(reader)}
+    listed_names |= {other.name for other in paths if other.parent.resolve() == path.resolve()}
+    for file in sorted(path.iterdir()) if path.is_dir() else ():
+        name = file.name.removesuffix(".zstd")
+        if PurePath(name).suffix in STORAGES and not {name, file.name} & listed_names:
+            yield (
+                f"{file.name} is in the folder, and metadata.yaml does not list it: it is not read; if it is part of the drive, "
+                f"name it after the folder, or run: ros2 bag reindex {shlex.quote(str(path))}"
+            )
 
 
 def storages_of(reader: Any) -> Sequence[Any]:

@@ -10,6 +10,7 @@ decoding, message by message.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal, cast
@@ -19,13 +20,23 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import FieldStep, other_names, too_few
-from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, Definitions, check_field, stamp_path
+from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, WIDE, Definitions, check_field, stamp_path
 from trackres_ros.recording.samples import FloatArray, IntArray
 from trackres_ros.units import SECOND_NS
 
 LACKS_SHOWN = 3
 MAX_LAYOUTS = 16
 """Number of layouts of one length tried on all rows; rows that fit none are then decoded one by one."""
+WIDE_BYTES: tuple[int, ...] = (2, 4, 1)
+"""Bytes of a wide text for each unit of its length. Fast DDS counts units of two bytes; before Jazzy they had four, as those of
+Cyclone's layer for ROS have (Fast-CDR 2.0 and 1.1, Cdr::serialize(const wchar_t*); rmw_cyclonedds 3.2, Serialization.cpp).
+Cyclone itself counts bytes, as DDS-XTypes 1.3, 7.4.3.5.3, has it."""
+COMPARED_MESSAGES = 64
+"""Messages from which the bytes of wide texts are found."""
+REPRESENTATIONS = {
+    2: "PL_CDR", 6: "XCDR2 (PLAIN_CDR2)", 8: "XCDR2 (DELIMITED_CDR2)", 10: "XCDR2 (PL_CDR2)",
+}  # fmt: skip
+"""Encapsulations that are not read, by their even number (DDS-XTypes 1.3, 7.6.3.1.2); odd ones are little-endian."""
 
 
 class Encoding(IntEnum):
@@ -69,10 +80,10 @@ class Layout:
 
 
 class _Walk:
-    """A walk through one message by the definition of its type."""
+    """A walk through one message by the definition of its type; wide texts have `wide_bytes` for each unit of their length."""
 
-    def __init__(self, raw: bytes, types: Definitions, encoding: Encoding) -> None:
-        self.raw, self.types, self.cdr = raw, types, encoding is Encoding.CDR
+    def __init__(self, raw: bytes, types: Definitions, encoding: Encoding, wide_bytes: int) -> None:
+        self.raw, self.types, self.cdr, self.wide_bytes = raw, types, encoding is Encoding.CDR, wide_bytes
         self.pos = 0
         self.constants: list[tuple[int, int]] = []
         self.spots: dict[int, tuple[int, str] | None] = {}
@@ -116,6 +127,16 @@ class _Walk:
             self.constants.append((start, end))
         return self.raw[start:end]
 
+    def wide_string(self) -> None:
+        """Step over units of UTF-16; none of them is zero, and one in four bytes has no other than the lower two."""
+        size = self.length() * self.wide_bytes
+        start, unit_bytes = self.take(size), max(self.wide_bytes, 2)
+        if size % unit_bytes:
+            raise MalformedError("wide string")
+        units = np.frombuffer(self.raw, f"{self.order}u{unit_bytes}", size // unit_bytes, start)
+        if not ((units > 0) & (units <= 0xFFFF)).all():
+            raise MalformedError("wide string")
+
     def message(self, msgtype: str, targets: Sequence[tuple[int, Sequence[FieldStep]]]) -> None:
         by_name = [(slot, steps[0]) for slot, steps in targets if steps[0].element is not None]
         names: list[bytes] = []
@@ -141,6 +162,9 @@ class _Walk:
                 keep = bool(by_name) and field.name == "name"
                 elements = [self.string(keep) for _ in range(count)]
                 names = elements if keep else names
+            elif field.type == WIDE:
+                for _ in range(count):
+                    self.wide_string()
             elif field.type in self.types:
                 for slot, steps in field_targets:
                     if (steps[0].index or 0) >= count:
@@ -167,13 +191,33 @@ class _Walk:
 
 
 def layout_of(
-    raw: bytes, types: Definitions, msgtype: str, paths: Sequence[Sequence[FieldStep]], encoding: Encoding = Encoding.CDR
+    raw: bytes,
+    types: Definitions,
+    msgtype: str,
+    paths: Sequence[Sequence[FieldStep]],
+    encoding: Encoding = Encoding.CDR,
+    wide_bytes: Sequence[int] = WIDE_BYTES,
 ) -> Layout:
     """Decode one message to its end and return the offsets of the wanted numbers.
 
-    Raises MalformedError if the bytes are no message of this type.
+    `wide_bytes`: the sizes of wide texts to try, see `WIDE_BYTES`. Raises MalformedError if the bytes are no message of the type.
     """
-    walk = _Walk(raw, types, encoding)
+    first_size, *other_sizes = wide_bytes
+    try:
+        return _layout(_Walk(raw, types, encoding, first_size), msgtype, paths)
+    except MalformedError:
+        if not (other_sizes and has_wide(types)):
+            raise
+    return layout_of(raw, types, msgtype, paths, encoding, other_sizes)
+
+
+def has_wide(types: Definitions) -> bool:
+    """Whether a message type has a wide text."""
+    return any(field.type == WIDE for fields in types.values() for field in fields)
+
+
+def _layout(walk: _Walk, msgtype: str, paths: Sequence[Sequence[FieldStep]]) -> Layout:
+    raw = walk.raw
     walk.message(msgtype, list(enumerate(paths)))
     padding = 3 if walk.cdr else 0
     if len(raw) > walk.pos + padding:
@@ -222,11 +266,15 @@ class FieldReader:
         self.lacks: dict[
             int, list[str]
         ] = {}  # by index of the field: the first `LACKS_SHOWN` reasons why messages do not have it
+        self.representation = ""  # that of messages which are not in CDR, see `REPRESENTATIONS`
+        self._wide_bytes, self._is_wide_open = WIDE_BYTES, has_wide(types)
         self._layouts: dict[int, list[Layout]] = {}
 
     def decode(self, raws: Sequence[bytes]) -> Decoded:
         """Decode n messages."""
         n = len(raws)
+        if self._is_wide_open:
+            self._compare_wide(raws[:COMPARED_MESSAGES])
         output = Decoded(
             np.zeros(n, np.int64), np.full((n, self.count), np.nan), np.zeros((n, self.count), np.bool_), np.zeros(n, np.bool_)
         )
@@ -238,6 +286,18 @@ class FieldReader:
         for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if n else ():
             self._decode_equal(b"".join([raws[row] for row in rows]), int(lengths[rows[0]]), rows, output)
         return output
+
+    def _compare_wide(self, raws: Sequence[bytes]) -> None:
+        """Try first the size of wide texts that decodes most messages; short texts may be readable by several."""
+        counts = {size: sum(self._has_layout(raw, size) for raw in raws) for size in self._wide_bytes}
+        self._wide_bytes = tuple(sorted(self._wide_bytes, key=lambda size: -counts[size]))
+        best, second, *_ = sorted(counts.values(), reverse=True)
+        self._is_wide_open = best == second
+
+    def _has_layout(self, raw: bytes, wide_bytes: int) -> bool:
+        with suppress(MalformedError):
+            return bool(layout_of(raw, self.types, self.msgtype, self.paths, self.encoding, (wide_bytes,)).length)
+        return False
 
     def _decode_equal(self, data: bytes, length: int, rows: NDArray[np.intp], output: Decoded) -> None:
         """Decode messages of one length, joined; `rows` are their places in `output`."""
@@ -252,8 +312,10 @@ class FieldReader:
                 row = int(remaining_rows[0])
                 raw = data[row * length : (row + 1) * length]
                 try:
-                    layout = layout_of(raw, self.types, self.msgtype, self.paths, self.encoding)
+                    layout = layout_of(raw, self.types, self.msgtype, self.paths, self.encoding, self._wide_bytes)
                 except MalformedError:
+                    if self.encoding is Encoding.CDR and not self.representation:
+                        self.representation = REPRESENTATIONS.get(int.from_bytes(raw[:2]) & ~1, "")
                     output.is_malformed[rows[row]] = True
                     remaining_rows = remaining_rows[1:]
                     continue

@@ -24,6 +24,7 @@ NUMBERS = {
 BASIC = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
 """Numbers that the interface definition language calls otherwise than a .msg file."""
 WIDE = "wstring"
+"""A text of UTF-16, which libraries for messages lack, or take for a message of that name."""
 CONTROL_MSGS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
     "control_msgs/msg/DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
@@ -47,7 +48,7 @@ def add_control_msgs(store: Typestore) -> Typestore:
 class Field:
     """One field of a message: a number or string or message, alone, as fixed array, or as sequence."""
 
-    # its name, and the type of an element: a key of `NUMBERS`, ``string``, or a message type
+    # its name, and the type of an element: a key of `NUMBERS`, ``string``, ``wstring``, or a message type
     name: str
     type: str
     multiplicity: Literal["one", "array", "sequence"]  # ``one``, ``array`` or ``sequence``
@@ -79,7 +80,7 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
                 multiplicity = "array" if desc[0] == 3 else "sequence"
                 element, count = desc[1]
             kind = cast("str", element[1]) if element[0] == 2 else cast("tuple[str, int]", element[1])[0]
-            yield Field(field, kind, multiplicity, count)
+            yield Field(field, WIDE if kind.endswith(f"/{WIDE}") else kind, multiplicity, count)
 
     return with_nested(msgtype, lambda name: tuple(fields(name)))
 

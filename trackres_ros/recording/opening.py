@@ -4,6 +4,7 @@
 """Opens a recording by the kind of its suffix."""
 
 import pkgutil
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +17,7 @@ from trackres_ros.recording import readers
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import ChannelFile
 from trackres_ros.recording.channel_source import ChannelSource
-from trackres_ros.recording.reading import check_file, check_there, in_one_line
+from trackres_ros.recording.reading import check_file, check_there, content_of, in_one_line
 from trackres_ros.recording.samples import BoundSource
 from trackres_ros.text import some_of
 
@@ -75,6 +76,48 @@ class BagKind:
     source: Callable[[Sequence[Path], Topics | None], BoundSource]
 
 
+ROWS = "csv.writer(open('drive.csv', 'w')).writerows([['time_s', 'speed_mps']] + "
+OPENPILOT = (
+    f'python -c "import csv, sys; from openpilot.tools.lib.logreader import LogReader; {ROWS}'
+    "[[event.logMonoTime / 1e9, event.carState.vEgo] for event in LogReader(sys.argv[1]) if event.which() == 'carState'])\""
+    " {path}"
+)
+"""With the log reader of openpilot, which defines its messages."""
+AS_TABLE = "if it is a table of text, copy it to a CSV: cp {path} {copy}"
+CONVERSIONS: tuple[tuple[tuple[str, ...], str, str], ...] = (
+    (
+        (".tdms",),
+        "a TDMS file of LabVIEW",
+        'pip install npTDMS pandas && python -c "import sys, nptdms; nptdms.TdmsFile.read(sys.argv[1])'
+        ".as_dataframe(time_index=True).to_csv('drive.csv', index_label='time_s')\" {path}",
+    ),
+    (
+        (".fit",),
+        "a FIT file of a bicycle computer or watch",
+        f'pip install fitdecode && python -c "import csv, sys, fitdecode; {ROWS}'
+        "[[part.get_value('timestamp').timestamp(), part.get_value('enhanced_speed', fallback=part.get_value('speed', "
+        "fallback=''))] for part in fitdecode.FitReader(sys.argv[1]) if isinstance(part, fitdecode.FitDataMessage) "
+        "and part.name == 'record'])\" {path}",
+    ),
+    (
+        ("rlog", "rlog.bz2", "rlog.zst", "qlog", "qlog.bz2", "qlog.zst"),
+        "a log of openpilot",
+        f"in the environment of openpilot: {OPENPILOT}",
+    ),
+    (
+        (".bag.active",),
+        "a ROS 1 bag that its recorder has not closed",
+        "with ROS 1: rosbag reindex {path} && mv {path} {finished}",
+    ),
+    (
+        (".xls", ".ods"),
+        "a workbook of another program",
+        "save it as .xlsx, or run: libreoffice --headless --convert-to xlsx {path}",
+    ),
+    ((".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst"), "an archive", "unpack it first"),
+    ((".txt", ".tsv", ".tab", ".dat", ".prn", ".data"), "a suffix of many formats", AS_TABLE),
+)
+"""Ends of names that are not read: what such a file is, and how to make one that is read."""
 MOST_NAMED = 3
 AMBIGUOUS = (".log", ".part")
 """Suffixes that are not searched for in folders: many programs write such files, and a recording may be in progress."""
@@ -149,8 +192,24 @@ def _kind_of(path: Path) -> FileKind | BagKind:
         raise InputError(str(path), given, _allowed(), remedy)
     match = _by_name(path.name, shipped_kinds()) or _by_name(path.name, further_kinds())
     if match is None:
-        raise InputError(str(path), path.suffix or "no suffix", _allowed())
+        raise _refusal(path)
     return match
+
+
+def _refusal(path: Path) -> InputError:
+    """The error of a file of no kind: what it is by its content or its name, and how to make one that is read."""
+    name = path.name.lower()
+    given, remedy = path.suffix or "no suffix", "export it as a CSV table from the program that wrote it"
+    for ends, description, conversion in CONVERSIONS:
+        if name.endswith(ends):
+            places = {"path": path, "copy": path.with_suffix(".csv"), "finished": path.with_suffix("")}
+            given = f"{path.suffix}, {description}" if path.suffix else description
+            remedy = conversion.format(**{key: shlex.quote(str(place)) for key, place in places.items()})
+            break
+    else:
+        if content := content_of(path):
+            given, remedy = f"{given}, {content[0]} by its content", content[1]
+    return InputError(str(path), given, _allowed(), remedy)
 
 
 def _by_name(name: str, kinds: Iterable[FileKind | BagKind]) -> FileKind | BagKind | None:

@@ -11,6 +11,7 @@ import os
 import resource
 import signal
 import stat
+import struct
 import threading
 import time
 import traceback
@@ -30,6 +31,8 @@ LEAST_S, S_PER_BYTE = 10.0, 60e-6
 bus, takes some seconds for one."""
 OWN_FAULT = "a bug: please report it, with the file"
 HEAD_BYTES = 512
+MATLAB_4_BYTES = 20
+"""Length of the head of a matrix of MATLAB 4, before its name."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"\x89MCAP", "an MCAP bag", (".mcap", ".part"), "name it .mcap"),
@@ -41,8 +44,10 @@ CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
     (b"BZh", "a bzip2 archive", (), "unpack it first: bunzip2"),
     (b"\xfd7zXZ", "an xz archive", (), "unpack it first: unxz"),
     (b"MDF     ", "an MDF file", (".mf4", ".mdf"), "name it .mf4"),
+    (b"TDSm", "a TDMS file of LabVIEW", (), "name it .tdms to see how it is converted"),
     (b"UnFinMF ", "an MDF file that was not finished", (".mf4", ".mdf"), "name it .mf4"),
     (b"LOGG", "a BLF log of CAN frames", (".blf",), "name it .blf"),
+    (b"ULog\x01\x12\x35", "a ULog", (".ulg", ".ulog"), "name it .ulg"),
     (b"MATLAB 5.0 MAT-file", "a MATLAB file", (".mat",), "name it .mat"),
     (b"MATLAB 7.3 MAT-file", "a MATLAB file", (".mat",), "name it .mat"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file", (".mat",), "name it .mat if MATLAB wrote it"),
@@ -94,14 +99,42 @@ def check_file(path: Path) -> None:
     expected_format = next((description for _, description, suffixes, _ in CONTENTS if name.endswith(suffixes)), "text")
     if not head:
         raise InputError(str(path), "an empty file", f"{expected_format}, according to its suffix")
-    content_match = next(
-        ((description, suffixes, remedy) for magic, description, suffixes, remedy in CONTENTS if head.startswith(magic)), None
-    )
+    content_match = _content(head)
     if content_match and not name.endswith(content_match[1]):
         raise InputError(str(path), content_match[0], f"{expected_format}, according to its suffix", content_match[2])
+    if not content_match and name.endswith(".mat") and _is_matlab_4(head):
+        return
     if not content_match and (expected_format != "text" or (b"\0" in head and not head.startswith(UTF_16))):
         given = "binary data" if b"\0" in head else f"a file that begins with {head[:16]!r}"
         raise InputError(str(path), given, f"{expected_format}, according to its suffix")
+
+
+def content_of(path: Path) -> tuple[str, str] | None:
+    """What a file is by its first bytes, and the remedy for its suffix; None if they do not show it."""
+    with reading(path, "a readable file"), path.open("rb") as file:
+        match = _content(file.read(HEAD_BYTES))
+    return (match[0], match[2]) if match else None
+
+
+def _content(head: bytes) -> tuple[str, tuple[str, ...], str] | None:
+    return next(
+        ((description, suffixes, remedy) for magic, description, suffixes, remedy in CONTENTS if head.startswith(magic)), None
+    )
+
+
+def _is_matlab_4(head: bytes) -> bool:
+    """Whether a file begins with a matrix of MATLAB 4: its kind in decimal digits, its size, complex or not, the length of its
+    name, and the name (MAT-File Format, level 4).
+    """
+    for order in "<>":
+        if len(head) < MATLAB_4_BYTES:
+            return False
+        kind, rows, columns, is_complex, length = struct.unpack_from(f"{order}5i", head)
+        name = head[MATLAB_4_BYTES : MATLAB_4_BYTES + max(length, 0)]
+        is_kind = kind // 1000 in (0, 1) and kind // 100 % 10 == 0 and kind // 10 % 10 <= 5 and kind % 10 <= 2
+        if is_kind and min(rows, columns) >= 0 and is_complex in (0, 1) and length > 1 and name[:1].isalpha():
+            return True
+    return False
 
 
 @contextmanager

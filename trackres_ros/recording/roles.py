@@ -3,6 +3,7 @@
 
 """The one table of roles: meaning, unit and known column names of each kind of input; conversions of units; ways of travel."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -122,10 +123,15 @@ KNOWN = {
 }  # fmt: skip
 """Words in the name of a signal or column that is of a standard."""
 SAYS_REVERSE = re.compile(
-    r"\brevers(e|ing)\b|\bdirection (indicator|of travel)\b|\b(machine|driving|travel) direction\b|\bgear\b"
+    r"\brevers(e|ing)\b|\bbackwards?\b|\brueckw|\bdirection (indicator|of travel)\b|"
+    r"\b(machine|driving|travel|drive) direction\b|^(is )?(direction|forward)$|\bgear\b"
 )
 """Words in the name of a column that may say when a vehicle drives backwards."""
-NAMED = {"forward": r"\b(forwards?|drive)\b", "reverse": r"\b(reverse|backwards?)\b", "neutral": r"\b(neutral|park)\b"}
+NAMED = {
+    "forward": r"\b(forwards?|drive|vorwaerts)\b",
+    "reverse": r"\b(revers(e|ing)|backwards?|rueckwaerts)\b",
+    "neutral": r"\b(neutral|park)\b",
+}
 """Words of the names that files give values."""
 
 
@@ -151,6 +157,21 @@ def as_said(ways: Ways) -> str | dict[str, list[float]]:
     """`values` of a topics file for some ways."""
     standard = next((name for name, standard_ways in STANDARDS.items() if standard_ways == ways), "")
     return standard or {way: [float(value) for value in getattr(ways, way)] for way in WAYS if getattr(ways, way)}
+
+
+def likely_values(name: str, value_names: Iterable[tuple[float, str]] = ()) -> str:
+    """`values` of a topics file for a column that may say when a vehicle drives backwards, by its value names and its name."""
+    ways, name_words = named_ways(value_names), words(name)
+    if ways:
+        numbers = {way: ", ".join(f"{number:g}" for number in getattr(ways, way)) for way in WAYS}
+        return f"{{{', '.join(f'{way}: [{text}]' for way, text in numbers.items() if text)}}}"
+    standard = standard_of(name)
+    if "forward" in name_words or standard == "iso_11783":
+        return "{forward: [1], reverse: [0]}"
+    if not standard and "direction" in name_words:
+        return "{forward: [1], reverse: [-1]}"
+    is_gear = standard == "gear" or ("gear" in name_words and "revers" not in name_words)
+    return "gear" if is_gear else "{forward: [0], reverse: [1]}"
 
 
 def may_say_reverse(names: Iterable[str]) -> list[str]:
@@ -236,6 +257,27 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 )  # fmt: skip
 
 
+PLAUSIBLE: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "speed": (-120.0, 120.0),  # the fastest vehicle file, and a fifth
+        "load": (1e2, 1e8),
+        "torque": (-1e6, 1e6),
+        "ambient": (-60.0, 60.0),
+        "belt": (-60.0, 180.0),
+        "accel": (-15.0, 15.0),
+        "grade": (-0.6, 0.6),
+        "yaw_rate": (-5.0, 5.0),
+        "heading": (-1e3, 1e3),
+        "distance": (-1e9, 1e9),
+        "passengers": (0.0, 1e3),
+        "latitude": (-0.5 * math.pi, 0.5 * math.pi),
+        "longitude": (-2.0 * math.pi, 2.0 * math.pi),
+        "enable": (0.0, 1.0),
+        "altitude": (-1e3, 1e4),
+        "specific_force": (-30.0, 30.0),
+    }
+)
+"""Limits outside of which a measurement is refused, and a guess, unless the vehicle file gives others: [low, high]."""
 POSITION = ("latitude", "longitude")
 GROUND = ("altitude", "specific_force")
 """Roles that show the rise of the ground, for learning from a measured torque; the estimate itself needs none of them."""

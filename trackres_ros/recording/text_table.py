@@ -23,6 +23,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple, cast
 from trackres_ros.errors import InputError
 from trackres_ros.recording.reading import UTF_16
 from trackres_ros.recording.roles import is_quantity
+from trackres_ros.recording.samples import Finding
 from trackres_ros.units import SECOND_NS
 
 Mark = Literal[".", ","]
@@ -50,7 +51,9 @@ SURELY = {mark: re.compile(rf"^{_sure_pattern(mark, other)}$", re.MULTILINE) for
 EITHER = {mark: re.compile(rf"^{_either_pattern(mark)}$", re.MULTILINE) for mark, _ in MARKS}
 GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPONENT}", re.ASCII) for mark, other in MARKS}
 """A number with a mark between thousands, by its decimal mark."""
-NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?)", re.IGNORECASE)
+NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?|true|false)", re.IGNORECASE)
+TRUTH = {"true": 1.0, "false": 0.0}
+"""Cells of a switch, in lower case."""
 NO_VALUE = frozenset(("", "-", "--", "---", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "Null", "null", "None", "none"))
 """Cells without a value: no sample."""
 
@@ -143,6 +146,8 @@ def number_of(text: str, mark: Mark, where: str = "") -> float | None:
     except ValueError:
         if number_text in NO_VALUE:
             return None
+        if number_text.lower() in TRUTH:
+            return TRUTH[number_text.lower()]
         raise InputError(where, text, "a number, or an empty cell") from None
 
 
@@ -276,6 +281,10 @@ def _zone_s(zone: str | None) -> int:
 # --- tables
 
 COMMENTS = ("#", "%", "//", "!")
+SECTION = re.compile(r"\[[^\[\]]*\]|\*{3}\w+\*{3}")
+"""A line that begins or ends a part of a file, as VBOX and LabVIEW write it: like a comment it is no row."""
+REMARKS = "X_Value", "Comment"
+"""The first and last name of a LabVIEW table. Rows have a cell for the last one only where they have a comment."""
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces"}
 SEPARATOR_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """As Excel takes it from the first line."""
@@ -308,6 +317,8 @@ def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] =
     filled_rows = [(place, cells) for place, (cells, comment) in enumerate(rows) if any(cells) and not comment]
     best_header: Header | None = None
     for place, (cells, _) in enumerate(rows):
+        if has_remarks(cells):
+            return Header(cells, (), place, place + 1, COMPARED_ROWS, len(cells))
         is_first, has_several = bool(filled_rows) and place == filled_rows[0][0], sum(map(bool, cells)) > 1
         if not (is_first or (has_several and not any(map(is_number_or_time, cells)))):
             continue
@@ -328,6 +339,11 @@ def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] =
         if fitting and all(fitting):
             break
     return best_header
+
+
+def has_remarks(names: Row) -> bool:
+    """Whether the last column holds comments, and most rows end before it."""
+    return len(names) > 1 and (names[0], names[-1]) == REMARKS
 
 
 def fits_width(row: Row, width: int) -> bool:
@@ -380,9 +396,10 @@ class TextTable:
         if not candidates:
             raise InputError(name, "no line with text", "a table with a line of column names")
         _, self.separator, header = max(candidates, key=itemgetter(0))
-        self.names = [cell.strip() for cell in header.names]
+        self.has_remarks = has_remarks(header.names)
+        self.names = [cell.strip() for cell in header.names[: -1 if self.has_remarks else None]]
         self.units = [cell.strip() for cell in header.units]
-        self.line, self.first_row = header.place + 1, header.first_row
+        self.line, self.first_row, self.lines_above = header.place + 1, header.first_row, lines[: header.place]
 
     def _head(self) -> list[str]:
         """The first lines, and so the encoding."""
@@ -427,7 +444,7 @@ class TextTable:
                 for row in csv.reader(lines(), delimiter=self.separator):
                     is_inside = False
                     if row:
-                        yield row
+                        yield row[: len(self.names)] if self.has_remarks else row
             except csv.Error as error:
                 raise InputError(f"{self.name}: line {progress.line}", str(error), "a table to the end of the file") from error
 
@@ -487,11 +504,28 @@ class TextTable:
                 raise InputError(f"{self.name}: line {line}, column {name}", error.given, error.allowed) from None
         return numbers
 
+    def look_at_lines(self, progress: Progress) -> Iterator[Finding]:
+        """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
+        if progress.side_rows:
+            text = f"{progress.side_rows} lines between the rows are skipped: they are comments, or the names again"
+            yield Finding("", "comment", progress.side_rows, float("nan"), text)
+        if progress.has_quotes:
+            with io.TextIOWrapper(self.binary(), "latin-1") as file:  # whatever ends the lines
+                lines = sum(line != "\n" for line in itertools.islice(file, self.first_row, None))
+            swallowed = lines - progress.rows - progress.left_out - progress.side_rows
+            if swallowed > 0:
+                text = f"{swallowed} lines are not rows: they are inside a quotation that an earlier line opens"
+                yield Finding("", "quoted", swallowed, float("nan"), text)
+        if progress.last not in (b"\n", b"\r"):
+            consequence = "it is left out" if progress.left_out else "the file and its last number may be truncated"
+            text = f"the last line is incomplete: {consequence}"
+            yield Finding("", "cut", 1, float("nan"), text)
+
 
 def _cells(line: str, separator: str) -> tuple[Row, bool]:
     """The cells of a line without its mark of a comment, and whether it is one."""
     text = line.strip("\r\n")
-    comment = text.lstrip().startswith(COMMENTS)
+    comment = text.lstrip().startswith(COMMENTS) or SECTION.fullmatch(text.strip()) is not None
     text = text.lstrip("#%!/ ") if comment else text
     if separator == " ":
         return (text.split("\t") if "\t" in text.strip() else text.split()), comment

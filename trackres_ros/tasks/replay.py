@@ -96,7 +96,7 @@ def replay(
     topics
         As in `read`, where paths are given.
     params
-        Parameters of the estimator (docs/settings.md): a file, flat or as the live node reads it, or a mapping of name to value.
+        Parameters of the estimator (config/trackres.yaml): a file, flat or as the live node reads it, or a mapping.
     resume, save_state
         State files: to continue from, and to write at the end. A recording whose times begin before the end of the state
         continues after time off: its standing time, or none.
@@ -532,7 +532,7 @@ def replay_command(
 
     RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read in sequence), or one .csv, .csv.gz,
     .parquet or .xlsx with time_s and speed_mps (or speed_kmh), or with columns that the topics file names; or one .mf4, .blf,
-    .asc, .log (candump) or .mat, whose channels are named there too or guessed by name and unit.
+    .asc, .log (candump), .mat, .ulg, .vbo or .lvm, whose channels are named there too or guessed.
 
     \b
     trackres replay lap.mcap --vehicle xgd24d --topics topics.yaml -o out.mcap

@@ -66,6 +66,27 @@ FORMS = {
         ["log10 Frequency [Hz]", "lg storage modulus [Pa]", *PLAIN, "log tan delta"],
         [np.log10(F), np.log10(E1), T, F, E1 / 1e6, E2 / 1e6, np.log10(E2 / E1)],
     ),
+    "complex modulus, loss angle": text(
+        ["T [degC]", "f [Hz]", "|E*| [MPa]", "\u03b4 [\u00b0]"],
+        [T, F, np.hypot(E1, E2) / 1e6, np.degrees(np.arctan2(E2, E1))],
+    ),
+    "complex modulus in shear, phase angle in rad": text(
+        ["Temp (\u00b0C)", "Frequency (Hz)", "Complex shear modulus (kPa)", "Phase angle (rad)", "Complex viscosity (Pa s)"],
+        [T, F, np.hypot(E1, E2) / 3e3, np.arctan2(E2, E1), E1], ",",
+    ),
+    "complex modulus, tan delta": text(
+        ["Temperatur", "Frequenz", "Komplexer E-Modul", "tan \u03b4"], [T, F, np.hypot(E1, E2) / 1e6, E2 / E1], ";", True, "",
+        ["\u00b0C", "Hz", "MPa", "-"],
+    ),
+    "complex modulus, loss modulus": text(
+        ["T [degC]", "f [Hz]", "E* [MPa]", "E'' [MPa]"], [T, F, np.hypot(E1, E2) / 1e6, E2 / 1e6]
+    ),
+    "storage modulus, loss angle": text(
+        ["T [degC]", "f [Hz]", "E' [MPa]", "Loss angle [deg]"], [T, F, E1 / 1e6, np.degrees(np.arctan2(E2, E1))]
+    ),
+    "complex modulus and phase without units beside others": text(
+        [*PLAIN, "E*", "Phase"], [T, F, E1 / 1e6, E2 / 1e6, np.hypot(E1, E2), E2 / E1]
+    ),
     "a column without numbers": text([*PLAIN, "tan delta"], [T, F, E1 / 1e6, E2 / 1e6, T * np.nan]),
 }  # fmt: skip
 
@@ -90,9 +111,9 @@ def test_every_form_is_the_same_sweep(tmp_path, form):
 @pytest.mark.parametrize("ends", ["\n", "\r\n"])
 def test_every_coding_and_line_end(tmp_path, coding, ends):
     form = FORMS["decimal commas, units below" if coding != "latin-1" else "MPa, commas"]
-    found = read(tmp_path, form.replace("\n", ends), coding)
-    same(found)
-    assert bool(found.notes) == (coding == "latin-1")
+    result = read(tmp_path, form.replace("\n", ends), coding)
+    same(result)
+    assert bool(result.notes) == (coding == "latin-1")
 
 
 def test_a_column_for_each_frequency(tmp_path):
@@ -104,10 +125,10 @@ def test_a_column_for_each_frequency(tmp_path):
 
 def test_blocks_with_their_names_again_and_rows_with_gaps(tmp_path):
     form = FORMS["decimal commas, units below"].splitlines()
-    again = [*form[:6], "", *form[1:3], *form[6:], "10;;;;"]
-    found = read(tmp_path, "\n".join(again))
-    same(found)
-    assert found.notes == ("1 rows with an empty cell were left out",)
+    repetitions = [*form[:6], "", *form[1:3], *form[6:], "10;;;;"]
+    result = read(tmp_path, "\n".join(repetitions))
+    same(result)
+    assert result.notes == ("1 rows with an empty cell were left out",)
 
 
 def test_a_frequency_may_be_given_beside(tmp_path):
@@ -116,6 +137,19 @@ def test_a_frequency_may_be_given_beside(tmp_path):
     same(read(tmp_path, content, frequency_hz=5.0), once)
     with pytest.raises(InputError, match="--frequency-hz"):
         read(tmp_path, content)
+
+
+def test_what_is_computed_from_a_complex_modulus_is_noted(tmp_path):
+    found = read(tmp_path, FORMS["complex modulus, loss angle"])
+    assert found.notes == ("computed: storage modulus from |E*| [MPa], tan delta from \u03b4 [\u00b0]",)
+
+
+def test_each_frequency_has_its_own_complex_modulus(tmp_path):
+    by = [np.isclose(F, f) for f in (0.5, 5.0, 50.0)]
+    head = ["T [degC]", *(f"{name}_{f}Hz [{unit}]" for f in (0.5, 5, 50) for name, unit in (("|E*|", "MPa"), ("delta", "deg")))]
+    both = (np.hypot(E1, E2) / 1e6, np.degrees(np.arctan2(E2, E1)))
+    columns = [T[by[0]], *(values[rows] for rows in by for values in both)]
+    same(read(tmp_path, text(head, columns)), np.concatenate([np.flatnonzero(rows) for rows in by]))
 
 
 GOOD = FORMS["MPa, commas"]
@@ -145,14 +179,20 @@ BAD = {
         for place, name in enumerate(GOOD.splitlines()[0].split(","))
         for log in ("log {}", "log10({})", "lg {}", "LN_{}", "Log{}", "{} (log)")
     },
+    "a loss angle without a unit": (
+        text(["T [degC]", "f [Hz]", "|E*| [MPa]", "delta"], [T, F, E1, E2]), "unit of delta: given 'none'; allowed: deg, rad",
+    ),
+    "a loss angle in degrees under rad": (
+        text(["T [degC]", "f [Hz]", "|E*| [MPa]", "delta [rad]"], [T, F, E1 / 1e6, T * 0 + 95.0]), "column delta .rad.*check its",
+    ),
     "too few": ("\n".join(GOOD.splitlines()[:5]), "4 rows at 2 temperatures over 15 K"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_wrong_is_said_with_its_place(tmp_path, case):
-    content, said = BAD[case]
-    with pytest.raises(InputError, match=said) as error:
+    content, text_here = BAD[case]
+    with pytest.raises(InputError, match=text_here) as error:
         read(tmp_path, content)
     assert str(tmp_path / "sweep.csv") in str(error.value)
     assert str(error.value).isprintable()
@@ -171,9 +211,9 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path, case):
 def test_a_column_that_is_missing_is_named(tmp_path, head, missing, there):
     path = tmp_path / "sweep.csv"
     path.write_text("\n".join([head, *(",".join(str(10 * i + j) for j in range(head.count(",") + 1)) for i in range(9))]))
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         read_sweep(path)
-    told = str(refused.value).partition("missing: ")[2]
-    assert all(part in told for part in missing)
-    assert not any(part in told for part in there)
-    assert "line 1" in str(refused.value)
+    statement = str(error_info.value).partition("missing: ")[2]
+    assert all(part in statement for part in missing)
+    assert not any(part in statement for part in there)
+    assert "line 1" in str(error_info.value)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, nearest, one_line
-from trackres_ros.recording.bag_files import READABLE, RosTopic, counts_of, is_ros1, messages, open_bag, remedy
+from trackres_ros.recording.bag_files import READABLE, RosTopic, counts_of, is_ros1, messages, open_bag, remedy, unlisted_files
 from trackres_ros.recording.bindings import NO_FIX, TopicBinding, Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
 from trackres_ros.recording.choosing import guess, torque_note, torque_topics
 from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
+from trackres_ros.recording.guess_values import faults_of_topics
 from trackres_ros.recording.mcap import SUFFIX as UNFINISHED
 from trackres_ros.recording.message_types import (
     WIDE,
@@ -38,7 +40,7 @@ from trackres_ros.recording.message_types import (
 )
 from trackres_ros.recording.opening import BagKind
 from trackres_ros.recording.reading import read_in_steps, reading
-from trackres_ros.recording.roles import may_say_reverse
+from trackres_ros.recording.roles import likely_values, may_say_reverse
 from trackres_ros.recording.samples import Finding, IntArray, SampleBlock, first_valid
 
 if TYPE_CHECKING:
@@ -49,6 +51,9 @@ if TYPE_CHECKING:
 SEPARATOR = "=" * 80 + "\n"
 EMPTY = (Field("structure_needs_at_least_one_member", "uint8", "one", 1),)
 """Content of a message without fields on the wire."""
+WIDE_FIELD = re.compile(rf"(?m)^[ \t]*{WIDE}<=\d+(?=[ \t\[])")
+WIDE_CONSTANT = re.compile(rf"(?m)^[ \t]*{WIDE}(?:<=\d+)?(?=[ \t]+\w+[ \t]*=)")
+"""Limits and constants of such texts, which rosbags does not read."""
 
 
 def types_of_text(msgtype: str, text: str) -> Definitions:
@@ -76,16 +81,9 @@ def types_of_text(msgtype: str, text: str) -> Definitions:
 def with_installed(own: Definitions, msgtype: str) -> Definitions:
     """Return the fields of a message type and of all nested types, from installed packages where `own` lacks them.
 
-    Raises KeyError if no package has a type, or it has a text of wide characters.
+    Raises KeyError if no package has a type.
     """
-
-    def fields(name: str) -> tuple[Field, ...]:
-        field_tuple = own[name] if name in own else installed_fields(name)
-        if any(field.type == WIDE for field in field_tuple):
-            raise KeyError(WIDE)
-        return field_tuple or EMPTY
-
-    return with_nested(msgtype, fields)
+    return with_nested(msgtype, lambda name: (own[name] if name in own else installed_fields(name)) or EMPTY)
 
 
 def _of_field(field: Any) -> Field:
@@ -112,7 +110,7 @@ def _own_definitions(text: str, msgtype: str) -> Typesdict:
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     if not text.startswith(f"{SEPARATOR}IDL: "):
-        return get_types_from_msg(text, msgtype) if text else {}
+        return get_types_from_msg(WIDE_FIELD.sub(WIDE, WIDE_CONSTANT.sub("string", text)), msgtype) if text else {}
     own: Typesdict = {}
     for part in text.split(SEPARATOR)[1:]:
         own.update(get_types_from_idl(part.partition("\n")[2]))
@@ -154,6 +152,27 @@ def types_of(connection: Connection | RosTopic, path: Path, encoding: Encoding) 
     return types
 
 
+NO_TYPE, SCHEMALESS = "no type", "__schemaless__"
+"""The type of a topic without one: here, and in rosbags."""
+
+
+def typed(connection: Connection, path: Path, topics_type: str, definition: Any) -> Connection:
+    """A connection with the type of the topics file, where the bag has none or does not define it.
+
+    `topics_type`: that type, or empty; `definition`: what a bag says of it, if anything.
+    """
+    is_known = connection.msgtype not in ("", SCHEMALESS)
+    if is_known and topics_type not in ("", connection.msgtype):
+        try:
+            types_of(connection, path, Encoding.ROS1 if is_ros1(path) else Encoding.CDR)
+        except InputError:
+            is_known = False
+    if is_known:
+        return connection
+    changes = {"msgtype": topics_type or NO_TYPE, "msgdef": definition}
+    return replace(connection, **changes) if isinstance(connection, RosTopic) else connection._replace(**changes)
+
+
 BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
 """Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
 MAX_LOG_NS = 2**62
@@ -180,6 +199,7 @@ TEXTS = {
     "unusable": "{count} messages left out: they hold no bytes, or no log time between 1970 and 2116",
 }
 """Events of the messages of a role, by kind."""
+XCDR1 = "have their writer use XCDR1 (data representation XCDR_DATA_REPRESENTATION), as nodes of ROS 2 do, and record again"
 
 
 @dataclass(slots=True)
@@ -223,14 +243,16 @@ class BagSource:
             bags.append((path, list(reader.connections)))
             if path not in self._open_bags:
                 reader.close()
+        topic_notes = topics.unused_notes(of_topics=True) if topics else []
+        topics = self.topics = topics and topics.select(of_topics=True)
+        bags, type_notes = _with_types(bags, topics)
+        topic_notes += type_notes
         self.torque_candidates = tuple(
             torque_topics({item.topic: item.msgtype for _, connections in bags for item in connections})
         )
-        topic_notes = topics.unused_notes(of_topics=True) if topics else []
-        topics = self.topics = topics and topics.select(of_topics=True)
         if not (topics and topics.bindings):
             filled_topics = {item.topic: item.msgtype for _, connections in bags for item in connections if item.msgcount}
-            topics, guesses = guess(filled_topics)
+            topics, guesses = self._guess(filled_topics)
             topic_notes += guesses
         bindings = self.bindings = topics.bindings
         if "speed" not in bindings:
@@ -248,6 +270,16 @@ class BagSource:
         sum_notes = (*Sums(self._readings, bindings).notes, *Companions(self._readings, bindings).notes)
         self._notes = tuple(map(one_line, (*topic_notes, *self._stamp_notes(), *sum_notes, *candidates)))
         self.findings: tuple[Finding, ...] = ()
+
+    def _guess(self, filled_topics: Mapping[str, str]) -> tuple[Topics, list[str]]:
+        """The guesses that their values allow, and notes."""
+        refused: dict[tuple[str, str], str] = {}
+        while True:
+            topics, notes = guess(filled_topics, refused)
+            faults = faults_of_topics(BagSource(self._paths, topics))
+            if not faults:
+                return topics, notes
+            refused |= faults
 
     def _bind_topics(self, bags: Sequence[tuple[Path, list[Connection]]]) -> dict[tuple[Path, str], _Topic]:
         """Return the readings, by path and topic; those of one topic are decoded together."""
@@ -332,7 +364,7 @@ class BagSource:
         if pending_blocks:
             yield finished(pending_blocks)
         lines = (
-            f"direction: {{topic: {topic}, type: {kind}, field: data, values: {{forward: [0], reverse: [1]}}}}"
+            f"direction: {{topic: {topic}, type: {kind}, field: data, values: {likely_values(topic)}}}"
             for topic, kind in self._may_say_reverse.items()
         )
         unsigned = signs.findings(list(self._may_say_reverse), lines)
@@ -341,9 +373,17 @@ class BagSource:
         if not tally.speeds and speed in tally.events["absent"]:
             where, given = f"{self._origin}: speed: field", f"{self._field(speed)}, {self._lack(speed)}"
             raise InputError(where, given, f"an element that the messages of {self.name} have")
+        representation = self._representation(speed)
+        if representation and tally.events["malformed"][speed][0] == tally.speeds:
+            given = f"{tally.speeds} messages in the representation {representation}"
+            raise InputError(f"{self.name}: speed", given, "messages in CDR (XCDR1)", XCDR1)
 
     def _field(self, role: int) -> str:
         return next(topic.bindings[topic.roles.index(role)].field for topic in self._topics.values() if role in topic.roles)
+
+    def _representation(self, role: int) -> str:
+        """The representation of messages for a role that are not in CDR; empty without any."""
+        return next((topic.reader.representation for topic in self._topics.values() if role in topic.roles), "")
 
     def _lack(self, role: int) -> str:
         """Why messages have no element for a role."""
@@ -355,7 +395,7 @@ class BagSource:
         with closing(self._open_bags.pop(path) if path in self._open_bags else open_bag(path)) as reader:
             counts = counts_of(reader, path)
             tally.unknown_count += counts.unknown_count
-            tally.remarks += counts.remarks
+            tally.remarks += [*counts.remarks, *unlisted_files(reader, path, self._paths)]
             connections = [connection for connection in reader.connections if (path, connection.topic) in self._topics]
             if not connections:
                 return
@@ -439,12 +479,36 @@ class BagSource:
         for kind, text in TEXTS.items():
             for role, (count, first_ns) in tally.events[kind].items():
                 shown_text = text.format(count=count, field=self._field(role), lack=self._lack(role))
+                if kind == "malformed" and (representation := self._representation(role)):
+                    shown_text += f"; some are in the representation {representation}: {XCDR1}"
                 yield Finding(self._readings[role].role, kind, count, (first_ns - (tally.begin_ns or 0)) / 1e9, shown_text)
         if tally.unknown_count:
             text = f"{tally.unknown_count} messages of topics that the bag does not describe are left out"
             yield Finding("", "unknown_topic", tally.unknown_count, float("nan"), text)
         for remark in dict.fromkeys(tally.remarks):
             yield Finding("", "structure", 1, float("nan"), remark)
+
+
+def _with_types(
+    bags: Sequence[tuple[Path, list[Connection]]], topics: Topics | None
+) -> tuple[list[tuple[Path, list[Connection]]], list[str]]:
+    """Topics of bags with the types of the topics file where the bags lack them, and notes of these."""
+    bindings = [reading_.binding for reading_ in readings_of(tuple(topics.bindings), topics.bindings)] if topics else []
+    type_of = {name: binding.type for binding in bindings for name in (binding.topic, f"/{binding.topic}")}
+    definition_of = {item.msgtype: item.msgdef for _, connections in bags for item in connections}
+    typed_bags: list[tuple[Path, list[Connection]]] = []
+    notes: dict[str, None] = {}
+    for path, connections in bags:
+        typed_connections: list[Connection] = []
+        typed_bags.append((path, typed_connections))
+        for item in connections:
+            topics_type = type_of.get(item.topic, "")
+            connection = typed(item, path, topics_type, definition_of.get(topics_type, ""))
+            typed_connections.append(connection)
+            if connection.msgtype not in (item.msgtype, NO_TYPE):
+                lack = "names no type" if item.msgtype in ("", SCHEMALESS) else f"does not define {item.msgtype}"
+                notes[f"{item.topic}: {topics_type}, as the topics file says; the bag {lack}"] = None
+    return typed_bags, list(notes)
 
 
 def _times(stamps: Sequence[object]) -> IntArray | None:

@@ -3,7 +3,6 @@
 
 """Reads CSV in blocks, as text that shows its own notation, and by pyarrow as far as it understands it."""
 
-import io
 import itertools
 import zlib
 from collections.abc import Iterator, Sequence
@@ -17,7 +16,6 @@ import numpy as np
 from trackres_ros.files.arrow_columns import as_numpy
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.opening import FileKind
-from trackres_ros.recording.samples import Finding
 from trackres_ros.recording.text_table import (
     COMMA,
     NO_VALUE,
@@ -109,7 +107,7 @@ class CsvTable(TableFile):
                 for rows in chunks(progress):
                     progress.rows += len(rows.time)
                     yield rows
-        self.findings = tuple(self._look_at_lines(progress))
+        self.findings = tuple(self._table.look_at_lines(progress))
 
     def _fast_chunks(self, progress: Progress) -> Iterator[ChannelRows]:
         """Yield rows until the first block that pyarrow does not take as numbers."""
@@ -173,23 +171,6 @@ class CsvTable(TableFile):
             cells = np.array([row[1:] for row in chunk], np.float64)
             stamps = np.array(time, np.int64) if self._dates else np.array(time, np.float64)
             yield ChannelRows(stamps, has_value[:, 0], cells, has_value[:, 1:])
-
-    def _look_at_lines(self, progress: Progress) -> Iterator[Finding]:
-        """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
-        if progress.side_rows:
-            text = f"{progress.side_rows} lines between the rows are skipped: they are comments, or the names again"
-            yield Finding("", "comment", progress.side_rows, float("nan"), text)
-        if progress.has_quotes:
-            with io.TextIOWrapper(self._table.binary(), "latin-1") as file:  # whatever ends the lines
-                lines = sum(line != "\n" for line in itertools.islice(file, self._table.first_row, None))
-            swallowed = lines - progress.rows - progress.left_out - progress.side_rows
-            if swallowed > 0:
-                text = f"{swallowed} lines are not rows: they are inside a quotation that an earlier line opens"
-                yield Finding("", "quoted", swallowed, float("nan"), text)
-        if progress.last not in (b"\n", b"\r"):
-            consequence = "it is left out" if progress.left_out else "the file and its last number may be truncated"
-            text = f"the last line is incomplete: {consequence}"
-            yield Finding("", "cut", 1, float("nan"), text)
 
 
 KINDS = (FileKind("CSV", (".csv", ".csv.gz"), lambda path, name, _: [CsvTable(path, name)], checked=True),)

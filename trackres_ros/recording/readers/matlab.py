@@ -141,12 +141,12 @@ def _constant(number: _Vector) -> _Vector:
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[MatlabFile]:
     with path.open("rb") as file:
-        is_old = file.read(10) == b"MATLAB 5.0"
-    return [MatlabFile(name, _of_version_5(path) if is_old else _of_version_7_3(path), topics)]
+        is_hdf5 = file.read(10).startswith((b"MATLAB 7.3", b"\x89HDF"))
+    return [MatlabFile(name, _of_version_7_3(path) if is_hdf5 else _of_version_5(path), topics)]
 
 
 def _of_version_5(path: Path) -> _Content:
-    """Content of a file that is read at once."""
+    """Content of a file of version 4 to 7, which is read at once."""
     from scipy.io import loadmat
 
     content = _Content()
@@ -161,7 +161,9 @@ def _of_version_5(path: Path) -> _Content:
         elif isinstance(value, int | float):
             content.numbers[name] = _Vector(1, 1, lambda *_: np.array([value], np.float64))
         elif isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "biuf" and value.size > 1:
-            content.vectors[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: value[start:end].astype(np.float64))
+            numbers = value.astype(np.float64)
+            numbers[np.isnan(numbers)] = np.nan  # damaged ones would raise a warning
+            content.vectors[name] = _Vector(len(value), BLOCK_ROWS, lambda start, end: numbers[start:end])
         else:
             content.other_names.append(name)
 
