@@ -256,7 +256,7 @@ class Constants(NamedTuple):
     route_places: Annotated[Array, (None, PLACE_COLUMNS)]
 
 
-TableMaker = Callable[[Vehicle, str, Path | None], LossTable]
+Maker = Callable[[Vehicle, str, Path | None], LossTable]
 """Makes the loss table of a kind of track, by its name, with a folder of the cache."""
 
 
@@ -278,19 +278,15 @@ def check_own_effects(vehicle: AnyVehicle) -> None:
 
 
 def make_constants(
-    vehicle: AnyVehicle,
-    settings: Settings,
-    cache: Path | None = None,
-    with_uncertainty: bool = True,
-    make_table: TableMaker = loss_table,
+    vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, with_uncertainty: bool = True, maker: Maker = loss_table
 ) -> Constants:
     """Gather the constants; builds the loss tables or takes them from the cache.
 
     Not `with_uncertainty`: belts without standard deviations and heat, and without the half second that these take at first.
-    `make_table`: makes the loss table of a kind of track.
+    `maker`: makes the loss table of a kind of track.
     """
     check_own_effects(vehicle)
-    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, make_table)
+    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, maker)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     table = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
@@ -378,10 +374,10 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=2)  # a change of settings must not hold a node's outputs where no file can be cached
-def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool, make_table: TableMaker) -> Running:
+def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool, maker: Maker) -> Running:
     """Assemblies with belts."""
     names = list(vehicle.tracks)
-    tables = [make_table(vehicle, name, cache) for name in names]
+    tables = [maker(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
     ranges = [coverage(vehicle, name) for name in names]
