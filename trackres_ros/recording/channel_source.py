@@ -21,6 +21,7 @@ from trackres_ros.recording.combining import Companions, PositionUnits, Signs, S
 from trackres_ros.recording.reading import read_in_steps, reading
 from trackres_ros.recording.roles import may_say_reverse
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
+from trackres_ros.recording.wrapping import WrappingClock
 
 
 class ChannelSource:
@@ -135,6 +136,11 @@ class ChannelSource:
         in_rows = "" if self._of_sums_apart[role].parts else ", where a row has them all"
         return f"{role}: sum of the columns {', '.join(column.name for column in columns)}{in_rows}"
 
+    @property
+    def time(self) -> TopicBinding | None:
+        """The column of the time of a table; None of a file whose channels have their own times."""
+        return self._time.binding if self._time else None
+
     def _companions(self) -> Companions:
         return Companions(self._readings, self._of_sums_apart, self._is_direction_required)
 
@@ -169,8 +175,9 @@ class ChannelSource:
         modes = {place: binding for place, binding in enumerate(whole_bindings) if binding and binding.has_modes}
         at_once = max(1, max_rows // len(self._readings))
         self._lone_rows = [0] * len(self._readings)
+        clock = WrappingClock(self._time.binding.scale if self._time else 1.0)
         row_count = 0
-        streams = [self._stamp_rows(stream) for stream in self._file.streams()]
+        streams = [self._stamp_rows(stream, clock) for stream in self._file.streams()]
         for stamp_ns, cells, has_value in streams[0] if len(streams) == 1 else _in_order(streams):
             row_count += len(stamp_ns)
             values, is_present = self._values(cells, has_value)
@@ -190,12 +197,15 @@ class ChannelSource:
                 reasons = "; ".join(finding.text for finding in self._file.findings)
                 raise InputError(self._file.name, "no sample of any channel in use", "at least one sample", reasons)
             raise InputError(self._file.name, "no row", "at least one row below the column names")
-        self.findings = (*self._file.findings, *self._of_rows())
+        self.findings = (*self._file.findings, *clock.findings(), *self._of_rows())
 
-    def _stamp_rows(self, stream: Iterator[ChannelRows]) -> Iterator[_Stamped]:
+    def _stamp_rows(self, stream: Iterator[ChannelRows], clock: WrappingClock) -> Iterator[_Stamped]:
+        """The rows of a stream with stamps [ns]. `clock`: of the column of the time; dates and own times need none."""
         row_count = 0
         for time, has_time, cells, has_value in stream:
-            yield self._stamps(time, has_time, row_count), cells, has_value
+            is_clock = self._time is not None and time.dtype == np.float64 and has_time.all()
+            times = clock.continued(time.astype(np.float64)) if is_clock else time
+            yield self._stamps(times, has_time, row_count), cells, has_value
             row_count += len(time)
 
     def _stamps(self, time: FloatArray | IntArray, has_time: NDArray[np.bool_], row_count: int) -> IntArray:
