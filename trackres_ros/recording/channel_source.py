@@ -53,7 +53,7 @@ class ChannelSource:
         topics = self.topics = topics_file and topics_file.select(of_topics=False)
         with reading(path, self._allowed_text):
             files = read(path, self.name, topics)
-        self._file, choice, other_files = _first_that_fits(files, topics)
+            self._file, choice, other_files = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda channel: channel.role == "speed")
         self.roles = tuple(dict.fromkeys(channel.role for channel in channels))
         of_role = {
