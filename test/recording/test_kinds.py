@@ -485,7 +485,7 @@ def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
 
 
 def test_without_a_unit_nothing_is_guessed(files):
-    with pytest.raises(InputError, match=r"speed: \{channel: NAME, unit: km/h\}"):
+    with pytest.raises(InputError, match=r"speed: \{channel: run.VehicleSpeed.VehicleSpeed, unit: km/h\}"):
         open_source([files["MATLAB 5"][0]])
 
 

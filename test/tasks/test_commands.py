@@ -114,7 +114,7 @@ def test_a_profile_sets_weight_weather_and_slope(folder, good):
         ("time_s,speed_mps,accel_mps2\n0,0,1\n10,5,1\n", (), "accel"),
         ("time_s,speed_mps,ambient_degc\n0,0,288\n10,5,288\n", (), "-60 to 60 degC"),
         ("time_s,speed_mps,weight_n\n0,0,27700\n10,5,1\n", (), "load"),
-        ("time_s,speed_mps,grade\n0,0,nan\n10,5,0\n", (), "grade"),
+        ("time_s,speed_mps,grade\n0,0,inf\n10,5,0\n", (), "grade"),
         ("time_s,speed_mps,ambient_degc\n0,0,10\n10,5,10\n", ("--ambient-degc", "5"), "--ambient-degc"),
     ],
 )

@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.documents import in_a_line
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
-from trackres_ros.recording.choosing import Choice, choose, in_a_line, listed_names, torque_columns, torque_note
+from trackres_ros.recording.choosing import Choice, choose, listed_names, torque_columns, torque_note
 from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, parts_without_samples, readings_of
 from trackres_ros.recording.reading import read_in_steps, reading
 from trackres_ros.recording.roles import likely_values, may_say_reverse
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
+from trackres_ros.recording.wrapping import WrappingClock
 
 
 class ChannelSource:
@@ -145,6 +147,11 @@ class ChannelSource:
                 lines[name] = f"direction: {{channel: {in_a_line([name])[1:-1]}, values: {values}}}{numbers}"
         return lines
 
+    @property
+    def time(self) -> TopicBinding | None:
+        """The column of the time of a table; None of a file whose channels have their own times."""
+        return self._time.binding if self._time else None
+
     def _companions(self) -> Companions:
         return Companions(self._readings, self._of_sums_apart, self._is_direction_required)
 
@@ -180,8 +187,9 @@ class ChannelSource:
         at_once = max(1, max_rows // len(self._readings))
         self._lone_rows = [0] * len(self._readings)
         self._seen_parts: list[set[int]] = [set() for _ in self._readings]
+        clock = WrappingClock(self._time.binding.scale if self._time else 1.0)
         row_count = 0
-        streams = [self._stamp_rows(stream) for stream in self._file.streams()]
+        streams = [self._stamp_rows(stream, clock) for stream in self._file.streams()]
         for stamp_ns, cells, has_value in streams[0] if len(streams) == 1 else _in_order(streams):
             row_count += len(stamp_ns)
             values, is_present = self._values(cells, has_value)
@@ -202,12 +210,15 @@ class ChannelSource:
                 in_use = ", ".join(f"{channel.name} ({channel.role})" for channel in self._file.wanted)
                 raise InputError(self._file.name, f"no sample of any channel in use: {in_use}", "at least one sample", reasons)
             raise InputError(self._file.name, "no row", "at least one row below the column names")
-        self.findings = (*self._file.findings, *self._of_rows())
+        self.findings = (*self._file.findings, *clock.findings(), *self._of_rows())
 
-    def _stamp_rows(self, stream: Iterator[ChannelRows]) -> Iterator[_Stamped]:
+    def _stamp_rows(self, stream: Iterator[ChannelRows], clock: WrappingClock) -> Iterator[_Stamped]:
+        """The rows of a stream with stamps [ns]. `clock`: of the column of the time; dates and own times need none."""
         row_count = 0
         for time, has_time, cells, has_value in stream:
-            yield self._stamps(time, has_time, row_count), cells, has_value
+            is_clock = self._time is not None and time.dtype == np.float64 and has_time.all()
+            times = clock.continued(time.astype(np.float64)) if is_clock else time
+            yield self._stamps(times, has_time, row_count), cells, has_value
             row_count += len(time)
 
     def _stamps(self, time: FloatArray | IntArray, has_time: NDArray[np.bool_], row_count: int) -> IntArray:

@@ -19,6 +19,8 @@ from trackres_ros.units import DEGREE, GRAVITY, KMH_PER_MPS, ZERO_DEGC_K
 # NIST SP 811, appendix B
 POUND_FORCE_N, FOOT_M, MILE_M, SEA_MILE_M, PSI_PA = 4.4482216152605, 0.3048, 1609.344, 1852.0, 6894.757293168361
 
+DAY_S = 86400.0
+
 
 class Conversion(NamedTuple):
     """A value in the unit of the role is ``scale * value + offset``."""
@@ -27,6 +29,7 @@ class Conversion(NamedTuple):
     offset: float = 0.0
 
 
+# datenum counts days as MATLAB does, excel_days as Excel does on Windows; both become seconds since 1970.
 _NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {
     "m/s": {
         "m/s": (1.0,), "km/h": (1.0 / KMH_PER_MPS,), "mph": (MILE_M / 3600.0,), "knots": (SEA_MILE_M / 3600.0,),
@@ -40,7 +43,8 @@ _NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {
     "rad/s": {"rad/s": (1.0,), "deg/s": (DEGREE,)},
     "rad": {"rad": (1.0,), "deg": (DEGREE,)},
     "m": {"m": (1.0,), "km": (1e3,), "cm": (1e-2,), "mm": (1e-3,), "ft": (FOOT_M,), "mi": (MILE_M,)},
-    "s": {"s": (1.0,), "ms": (1e-3,), "us": (1e-6,), "ns": (1e-9,), "min": (60.0,), "h": (3600.0,)},
+    "s": {"s": (1.0,), "ms": (1e-3,), "us": (1e-6,), "ns": (1e-9,), "min": (60.0,), "h": (3600.0,), "d": (DAY_S,),
+          "datenum": (DAY_S, -719529.0 * DAY_S), "excel_days": (DAY_S, -25569.0 * DAY_S)},
     "Pa": {"Pa": (1.0,), "kPa": (1e3,), "MPa": (1e6,), "bar": (1e5,), "mbar": (1e2,), "psi": (PSI_PA,)},
 }  # fmt: skip
 UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
@@ -53,7 +57,23 @@ SPELLINGS = {
     "degrees": "deg", "kgf": "kg", "ton": "t", "lb": "lbf", "lbs": "lbf", "percent": "%", "hpa": "mbar", "knot": "knots",
     "kt": "knots", "kts": "knots", "kn": "knots", "mile": "mi", "miles": "mi",
 }  # fmt: skip
-"""Other spellings, as `_plain` simplifies them, in lower case."""
+"""Other spellings, as `_plain_form` simplifies them, in lower case."""
+UNIT_WORDS = {
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "sekunde": "s", "sekunden": "s", "seconde": "s",
+    "secondes": "s", "segundos": "s", "msec": "ms", "millisecond": "ms", "milliseconds": "ms", "millisekunden": "ms",
+    "usec": "us", "microseconds": "us", "minute": "min", "minutes": "min", "hr": "h", "hour": "h", "hours": "h", "hrs": "h",
+    "day": "d", "days": "d", "tage": "d",
+    **dict.fromkeys(("m/sec", "meter/s", "meters/s", "meter/second", "meters/second", "metres/second", "meter/sec", "meters/sec",
+                     "meterspersecond", "metrespersecond", "meterpersecond"), "m/s"),
+    **dict.fromkeys(("km/hr", "km/hour", "kilometer/hour", "kilometers/hour", "kilometres/hour", "kilometersperhour",
+                     "kilometresperhour", "kmperhour", "kmhr"), "km/h"),
+    **dict.fromkeys(("mi/h", "miles/hour", "mile/hour", "milesperhour"), "mph"), "ft/sec": "ft/s", "feet/second": "ft/s",
+    **dict.fromkeys(("newtonmeter", "newtonmeters", "newtonmetre", "newtonmetres"), "Nm"), "newton": "N", "newtons": "N",
+    "kilonewton": "kN", "tonne": "t", "tonnes": "t", "tons": "t", "kilogram": "kg", "kilograms": "kg", "kilogramm": "kg",
+    "poundfoot": "lbfft", "footpounds": "lbfft", "fahrenheit": "degF", "gradc": "degC",
+    "meter": "m", "meters": "m", "metre": "m", "metres": "m", "kilometers": "km", "feet": "ft", "foot": "ft",
+}  # fmt: skip
+"""Units in words. The name of a channel may end with such a word without a meaning as a unit: ``torque_meter``."""
 
 
 def _plain_form(text: str) -> str:
@@ -73,7 +93,7 @@ def conversion(text: str, si_unit: str) -> Conversion | None:
     names = {_plain_form(name): factor for name, factor in UNITS[si_unit].items()}
     for spelt in (
         plain_text,
-        _plain_form(SPELLINGS.get(plain_text.lower(), plain_text)),
+        _plain_form((SPELLINGS | UNIT_WORDS).get(plain_text.lower(), plain_text)),
     ):  # kn is kN of a load, and knots of a speed
         matches = [factor for name, factor in names.items() if name.lower() == spelt.lower()]
         result = names.get(spelt) or (matches[0] if len(matches) == 1 else None)
@@ -194,17 +214,19 @@ class Role:
 
 
 NOT_VEHICLE = (
-    r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b|"
+    r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu|moteur|motore|vent|viento|vento)\b|\bmotor(dreh)?mom|\bwindg|"
     r"^(?!.*\bveh(icle)? ?(speed|velocity|spd)\b).*\b(eng|e?mot)\d*\b"  # which may send the vehicle's speed too
 )
 """Words for a speed, load or torque that is not that of the vehicle at its tracks."""
-AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
+AMBIENT = r"\b(ambient|outside|outdoor|air|ambiante|exterieure?|ambiente|esterna)\b|\b(umgebung|aussen|luft)"
 NOT_AMBIENT = (
     r"inlet|intake|outlet|manifold|charge|compress|cooler|exhaust|condition(er|ing|ed)|\bair ?cond(ition)?\b|\bac\b|"
-    r"interior|inside|indoor|cargo|surface|\beng(ine)?\d*\b|^(?!.*\b(outside|outdoor)\b).*\bcab(in)?\d*\b"
+    r"ansaug|innen|interior|inside|indoor|cargo|surface|\beng(ine)?\d*\b|^(?!.*\b(outside|outdoor)\b).*\bcab(in)?\d*\b"
 )
 """Words for the air in a part of the vehicle, or the ground; ambient conditions are a group of J1939 that has both."""
 OF_VEHICLE = r"veh(icle)? ?(speed|velocity|spd)"
+SPEED = r"speed|velocity|\bspd\b|geschw|\bvitesse\b|\bvelocid|\bvelocit|\bsnelheid|\bhastighe|\bpredkosc"
+"""Words for a speed in English, German, French, Spanish, Italian, Dutch, Swedish and Polish."""
 CRUISE = (
     r"^(?=.*\bset\b).*\bcruise\b|"
     rf"^(?!.*(?<!cruise control )(?<!cruise ctrl )\b{OF_VEHICLE}).*"
@@ -215,18 +237,20 @@ CRUISE = (
 ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "speed": Role("m/s", "forward speed of the vehicle",
-            is_lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
-            not_words=NOT_VEHICLE + "|" + CRUISE + r"|\bset ?(speed|spd)\b|\bforward veh|\bpreceding\b|"
+            is_lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=SPEED,
+            not_words=NOT_VEHICLE + "|" + CRUISE + r"|\bsollgeschw|\bset ?(speed|spd)\b|\bforward veh|\bpreceding\b|"
             r"\brelative\b(?! to ground)"),
         "direction": Role("1", "the way a speed without a sign is driven: 1 forward, -1 backwards, 0 neutral",
             columns={"reverse": "1", "travel_direction": "1"}),
         "load": Role("N", "weight carried by the tracks, total or of an axle or assembly",
-            parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight",
-            not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|^(?!.*\bpowered veh).*combination|"
+            parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight|gewicht|\b(poids|peso)\b",
+            not_words=NOT_VEHICLE + r"|leergew|nutzlast|zuladung|\bvide\b|pay ?load|cargo|trailer|"
+            r"^(?!.*\bpowered veh).*combination|"
             r"\b(empty|tare|unladen|kerb|curb)\b"),
         "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly; or at the motor",
-            parts=True, is_lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b",
-            not_words=NOT_VEHICLE + r"|brak|brems|steer|lenk|retard|clutch|\bpto\b"),
+            parts=True, is_lively=True, columns={"torque_nm": "Nm"},
+            words=r"torque|\btrq\b|drehmoment|antriebsmoment|\b(couple|coppia|koppel)\b",
+            not_words=NOT_VEHICLE + r"|brak|brems|frein|kupplung|steer|lenk|retard|clutch|\bpto\b"),
         "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT, not_words=NOT_AMBIENT),
         "belt": Role("degC", "measured temperature of the rubber belt",
             parts=True, columns={"belt_degc": "degC"}, words=r"\b(belt|track|rubber)\b", not_words=AMBIENT),
@@ -240,9 +264,9 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "distance": Role("m", "distance travelled", columns={"distance_m": "m"}),
         "stood": Role("s", "standing time before the recording began; one value", columns={"stood_s": "s"}),
         "latitude": Role("rad", "latitude, positive north",
-            columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b"),
+            columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b|^(gps )?lat( deg)?$"),
         "longitude": Role("rad", "longitude, positive east",
-            columns={"longitude_deg": "deg", "longitude_rad": "rad"}, words=r"\blongitude\b"),
+            columns={"longitude_deg": "deg", "longitude_rad": "rad"}, words=r"\blongitude\b|^(gps )?(lon|long|lng)( deg)?$"),
         "altitude": Role("m", "height above a fixed level", columns={"altitude_m": "m"}, words=r"\baltitude\b"),
         "steering_angle": Role("rad", "angle of the steered wheels, positive to the left",
             columns={"steering_angle_rad": "rad"}, words=r"steering angle\b", not_words=r"\bwheel\b|ratio"),

@@ -28,7 +28,7 @@ from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFil
 from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.roles import is_quantity
 from trackres_ros.recording.samples import Finding, FloatArray
-from trackres_ros.recording.text_table import NO_ZONE
+from trackres_ros.recording.text_times import NO_ZONE
 
 BLOCK_ROWS = 2**16
 """Records read at once: usually some megabytes, so that a packed block is unpacked a few times at most."""
