@@ -26,6 +26,7 @@ from proofs.learning import (
 from proofs.sealed.drives import SealedDrive, drive, trapezoids
 from proofs.sealed.recordings import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from proofs.sealed.truth import HEAVY_TAILS, Build, Sensors, drawn_sensors, lagging, road_slopes, simulate_truth
+from proofs.tables import FOLDER, Rows, number, write_tables
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import Steps
@@ -123,6 +124,7 @@ class DelayProof(LearningProof):
     def report(self, scores: list[dict[str, Any]], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
         content = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scores}
+        write_tables(self.folder / FOLDER, {"delay": rows_of(scores)})
         return content, page(content)
 
 
@@ -186,25 +188,13 @@ def _score(one: Delayed, rows: Array) -> dict[str, Any]:
 def page(scores: Mapping[str, Any]) -> str:
     """The scores as Markdown."""
     plain = [one for one in scores["each"] if not one["hostile"]]
-    hostile = [one for one in scores["each"] if one["hostile"]]
     minutes = f"{scores['minutes']:g} minutes"
-    lines = [
-        f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
-        f"{len(hostile)}. Seed {scores['seed']}, SHA-256 of what is concealed",
-        f"`{scores['seal']}`.",
-        "",
-        "| | Vehicles | Error below 20 ms | Known at the end | Mean size of the error [ms] | 95 % below [ms] "
-        "| Known after, median [s] | Sure of a wrong delay |",
-        "|---|---|---|---|---|---|---|---|",
-        _line("all that nothing misleads", plain),
-    ]
-    for low, high in RATES_OF:
-        lines.append(_line(f"slower sensor at {low:g} to {high:g} Hz", [one for one in plain if low <= _slower(one) < high]))
-    for kind in sorted({one["hostile"] for one in hostile}):
-        lines.append(_line(f"misled: {kind}", [one for one in hostile if one["hostile"] == kind]))
     good, known = sum(abs(one["error_s"]) < TARGET_S for one in plain), [one for one in plain if one["known"]]
     wrong = sum(one["wrong_s"] > 0 for one in scores["each"])
-    lines += [
+    lines = [
+        f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
+        f"{len(scores['each']) - len(plain)}. Seed {scores['seed']}, SHA-256 of what is concealed",
+        f"`{scores['seal']}`.",
         "",
         f"An error below 20 ms after {minutes}: {good} of {len(plain)} (target: all); of those whose state is `learned` "
         f"{sum(abs(one['error_s']) < TARGET_S for one in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
@@ -214,17 +204,34 @@ def page(scores: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def rows_of(each: Sequence[dict[str, Any]]) -> Rows:
+    """Errors of the delay by the rate of the slower sensor [Hz], and by what misleads."""
+    plain = [one for one in each if not one["hostile"]]
+    kinds = sorted({one["hostile"] for one in each if one["hostile"]})
+    return [
+        _row("all that nothing misleads", plain),
+        *(
+            _row(f"slower sensor at {low:g} to {high:g} Hz", [one for one in plain if low <= _slower(one) < high])
+            for low, high in RATES_OF
+        ),
+        *(_row(f"misled: {kind}", [one for one in each if one["hostile"] == kind]) for kind in kinds),
+    ]
+
+
 def _slower(one: dict[str, Any]) -> float:
     return float(min(one["speed_hz"], one["torque_hz"]))
 
 
-def _line(name: str, some: Sequence[dict[str, Any]]) -> str:
-    if not some:
-        return f"| {name} | 0 | | | | | | |"
+def _row(name: str, some: Sequence[dict[str, Any]]) -> dict[str, str]:
     errors = 1e3 * np.abs([one["error_s"] for one in some])
     after = [one["known_after_s"] for one in some if one["known_after_s"] is not None]
-    median = f"{np.median(after):.0f}" if after else ""
-    return (
-        f"| {name} | {len(some)} | {int((errors < 1e3 * TARGET_S).sum())} | {sum(one['known'] for one in some)} | "
-        f"{errors.mean():.1f} | {np.quantile(errors, 0.95):.1f} | {median} | {sum(one['wrong_s'] > 0 for one in some)} |"
-    )
+    return {
+        "group": name,
+        "vehicles": str(len(some)),
+        "error_below_20_ms": str(int((errors < 1e3 * TARGET_S).sum())),
+        "known_at_the_end": str(sum(one["known"] for one in some)),
+        "mean_error_ms": number(errors.mean(), 1) if some else "",
+        "error_95_percent_below_ms": number(np.quantile(errors, 0.95), 1) if some else "",
+        "known_after_median_s": number(np.median(after), 0) if after else "",
+        "sure_of_a_wrong_delay": str(sum(one["wrong_s"] > 0 for one in some)),
+    }
