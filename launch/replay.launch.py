@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Replay: ros2 launch trackres_ros replay.launch.py recording:=lap.mcap vehicle:=xgd24d output:=out.mcap [...]."""
+"""Replay: ros2 launch trackres_ros replay.launch.py recording:=lap.mcap vehicle:=xgd24d output:=out.csv [...]."""
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction

@@ -68,16 +68,16 @@ class Delayed:
 def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
     """Draw vehicles with their delays and instruments, all from one seed."""
     rng = np.random.default_rng([seed, 17])
-    found = []
+    results = []
     for case in draw_cases(seed, vehicles, hostile):
         delay = float(rng.uniform(0.0, LONGEST_S))
         speed_hz = float(np.exp(rng.uniform(*np.log(RATES_HZ))))
         torque_hz = min(max(speed_hz * float(np.exp(rng.uniform(*np.log(APART)))), RATES_HZ[0]), RATES_HZ[1])
-        found.append(
+        results.append(
             Delayed(case, delay, float(rng.uniform(0.0, min(0.1, delay))), speed_hz, torque_hz,
                     float(rng.uniform(0.0, JITTER_SHARE)), float(rng.uniform(0.0, STAMP_STD_S)), bool(rng.random() < 0.5))
         )  # fmt: skip
-    return found
+    return results
 
 
 class DelayProof(LearningProof):
@@ -176,28 +176,28 @@ def learn(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 def _score(one: Delayed, rows: Array) -> dict[str, Any]:
     """Error at the end, and at how many seconds it was sure of a wrong delay."""
-    off, known = rows[:, 1] - one.delay_s, rows[:, 3] == LEARNED
-    wrong = known & (np.abs(off) > WITHIN_STD * rows[:, 2])
+    deviation, known = rows[:, 1] - one.delay_s, rows[:, 3] == LEARNED
+    wrong = known & (np.abs(deviation) > WITHIN_STD * rows[:, 2])
     return {
         "name": one.case.name, "hostile": one.case.hostile, "delay_s": one.delay_s, "speed_hz": one.speed_hz,
-        "torque_hz": one.torque_hz, "error_s": float(off[-1]), "std_s": float(rows[-1, 2]), "known": bool(known[-1]),
+        "torque_hz": one.torque_hz, "error_s": float(deviation[-1]), "std_s": float(rows[-1, 2]), "known": bool(known[-1]),
         "known_after_s": float(rows[np.argmax(known), 0]) if known.any() else None, "wrong_s": int(wrong.sum()),
     }  # fmt: skip
 
 
 def page(scores: Mapping[str, Any]) -> str:
     """The scores as Markdown."""
-    plain = [one for one in scores["each"] if not one["hostile"]]
+    plain = [item for item in scores["each"] if not item["hostile"]]
     minutes = f"{scores['minutes']:g} minutes"
-    good, known = sum(abs(one["error_s"]) < TARGET_S for one in plain), [one for one in plain if one["known"]]
-    wrong = sum(one["wrong_s"] > 0 for one in scores["each"])
+    good, known = sum(abs(item["error_s"]) < TARGET_S for item in plain), [item for item in plain if item["known"]]
+    wrong = sum(item["wrong_s"] > 0 for item in scores["each"])
     lines = [
         f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
         f"{len(scores['each']) - len(plain)}. Seed {scores['seed']}, SHA-256 of what is concealed",
         f"`{scores['seal']}`.",
         "",
         f"An error below 20 ms after {minutes}: {good} of {len(plain)} (target: all); of those whose state is `learned` "
-        f"{sum(abs(one['error_s']) < TARGET_S for one in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
+        f"{sum(abs(item['error_s']) < TARGET_S for item in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
         f"more than {WITHIN_STD:g} standard deviations while `learned`: {wrong} of {len(scores['each'])} vehicles "
         "(target: none).",
     ]
@@ -206,32 +206,32 @@ def page(scores: Mapping[str, Any]) -> str:
 
 def rows_of(each: Sequence[dict[str, Any]]) -> Rows:
     """Errors of the delay by the rate of the slower sensor [Hz], and by what misleads."""
-    plain = [one for one in each if not one["hostile"]]
-    kinds = sorted({one["hostile"] for one in each if one["hostile"]})
+    plain = [item for item in each if not item["hostile"]]
+    kinds = sorted({item["hostile"] for item in each if item["hostile"]})
     return [
         _row("all that nothing misleads", plain),
         *(
-            _row(f"slower sensor at {low:g} to {high:g} Hz", [one for one in plain if low <= _slower(one) < high])
+            _row(f"slower sensor at {low:g} to {high:g} Hz", [item for item in plain if low <= _slower(item) < high])
             for low, high in RATES_OF
         ),
-        *(_row(f"misled: {kind}", [one for one in each if one["hostile"] == kind]) for kind in kinds),
+        *(_row(f"misled: {kind}", [item for item in each if item["hostile"] == kind]) for kind in kinds),
     ]
 
 
-def _slower(one: dict[str, Any]) -> float:
-    return float(min(one["speed_hz"], one["torque_hz"]))
+def _slower(item: dict[str, Any]) -> float:
+    return float(min(item["speed_hz"], item["torque_hz"]))
 
 
 def _row(name: str, some: Sequence[dict[str, Any]]) -> dict[str, str]:
-    errors = 1e3 * np.abs([one["error_s"] for one in some])
-    after = [one["known_after_s"] for one in some if one["known_after_s"] is not None]
+    errors = 1e3 * np.abs([item["error_s"] for item in some])
+    after = [item["known_after_s"] for item in some if item["known_after_s"] is not None]
     return {
         "group": name,
         "vehicles": str(len(some)),
         "error_below_20_ms": str(int((errors < 1e3 * TARGET_S).sum())),
-        "known_at_the_end": str(sum(one["known"] for one in some)),
+        "known_at_the_end": str(sum(item["known"] for item in some)),
         "mean_error_ms": number(errors.mean(), 1) if some else "",
         "error_95_percent_below_ms": number(np.quantile(errors, 0.95), 1) if some else "",
         "known_after_median_s": number(np.median(after), 0) if after else "",
-        "sure_of_a_wrong_delay": str(sum(one["wrong_s"] > 0 for one in some)),
+        "sure_of_a_wrong_delay": str(sum(item["wrong_s"] > 0 for item in some)),
     }

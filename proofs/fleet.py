@@ -67,9 +67,9 @@ def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: f
     rng = np.random.default_rng([vehicle.seed, number])
     air = air_at(vehicle.days[number], rng)
     weight = float(rng.choice(LOADS)) * numbers["weight"]
-    one = drive(minutes, weight, air, FASTEST_MPS, rng)
-    while _moves_s(one) < MOVES_S:  # the driver stood nearly all the time
-        one = drive(minutes, weight, air, FASTEST_MPS, rng)
+    item = drive(minutes, weight, air, FASTEST_MPS, rng)
+    while _moves_s(item) < MOVES_S:  # the driver stood nearly all the time
+        item = drive(minutes, weight, air, FASTEST_MPS, rng)
     weather = {"headwind": {"wind": rng.uniform(0.0, WIND_MPS), "towards": rng.uniform(0.0, 2.0 * np.pi)}}
     if rng.random() < RAIN_SHARE:
         weather["rain"] = {"factor": 1.0 + rng.uniform(*RAIN)}
@@ -81,9 +81,9 @@ def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: f
         else:
             name = "bearing" if vehicle.hidden.parameter == BEARING else "loss"
             build = replace(build, **{name: getattr(build, name) * share})
-    (run,) = simulate_truth(sheet, build, weather, [one])
+    (run,) = simulate_truth(sheet, build, weather, [item])
     part = path.with_name(path.name + PART)
-    record(part, one, run, sensors, numbers["track.sprocket_radius"], begin, rng)
+    record(part, item, run, sensors, numbers["track.sprocket_radius"], begin, rng)
     return part.rename(path)
 
 
@@ -182,22 +182,22 @@ def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:
     over those of the vehicle file, and how many are below half of it; means over draws of the vehicles.
     """
     rows = [row for row in dataset.rows([*TEXTS, *NUMBERS]) if row["status"] == "good"]
-    whole = max(Vehicles.by_type(rows), key=len)
-    begins = np.concatenate(([0], np.flatnonzero(whole.vehicle[1:] != whole.vehicle[:-1]) + 1, [len(whole)]))
+    total = max(Vehicles.by_type(rows), key=len)
+    begins = np.concatenate(([0], np.flatnonzero(total.vehicle[1:] != total.vehicle[:-1]) + 1, [len(total)]))
     some = np.concatenate([np.arange(a, min(a + RECORDINGS_OF_EACH, b)) for a, b in pairwise(begins)])
-    few, rng = whole.subset(some), np.random.default_rng(1)
+    few, rng = total.subset(some), np.random.default_rng(1)
     names = np.unique(few.vehicle)
     counts = [2**i for i in range(len(names).bit_length()) if 2**i < len(names)] + [len(names)]
-    found = []
+    results = []
     for count in counts:
         stds = []
         for _ in range(DRAWS if count < len(names) else 1):
-            chosen = rng.choice(names, count, replace=False)
-            stds.append(np.sqrt(np.diag(pool(few.subset(np.isin(few.vehicle, chosen))).covariance)))
+            choice = rng.choice(names, count, replace=False)
+            stds.append(np.sqrt(np.diag(pool(few.subset(np.isin(few.vehicle, choice))).covariance)))
         mean = dict(zip(few.names, np.mean(stds, axis=0).tolist(), strict=True))
         settled = float((np.array(stds) < SETTLED_STD).sum(axis=1).mean())
-        found.append({"vehicles": count, "settled": settled, "std": mean})
-    return found
+        results.append({"vehicles": count, "settled": settled, "std": mean})
+    return results
 
 
 def score_vehicle(vehicle: DrawnVehicle, found: Mapping[str, Any]) -> ScoredVehicle:
@@ -207,10 +207,10 @@ def score_vehicle(vehicle: DrawnVehicle, found: Mapping[str, Any]) -> ScoredVehi
     if hidden is None:
         return ScoredVehicle(vehicle.name, None, False, None, False, False, len(changes), months)
     begun = START_S + vehicle.days[hidden.first] * DAY_S
-    after = [c for c in changes if c["known_s"] >= begun]
-    if not after:
+    result_afters = [c for c in changes if c["known_s"] >= begun]
+    if not result_afters:
         return ScoredVehicle(vehicle.name, hidden, False, None, False, False, len(changes), months)
-    first = min(after, key=lambda c: c["known_s"])
+    first = min(result_afters, key=lambda c: c["known_s"])
     passed = sum(begun <= START_S + day * DAY_S <= first["known_s"] + 1.0 for day in vehicle.days)
     named = first["parameter"] == hidden.parameter
     of_these = named or hidden.parameter in first["alike"]
@@ -266,14 +266,14 @@ def tables_of(found: Mapping[str, Any]) -> Tables:
     vehicles = []
     for s in found["each"]:
         h = s["hidden"]
-        named = "" if not h or not s["found"] else "yes" if s["named"] else "among others" if s["one_of"] else "no"
+        name = "" if not h or not s["found"] else "yes" if s["named"] else "among others" if s["one_of"] else "no"
         vehicles.append(
             {
                 "vehicle": s["name"],
                 "hidden": f"{h['parameter']} {h['kind']} {100.0 * h['size']:+.0f} %" if h else "",
                 "from_recording": str(h["first"] + 1) if h else "",
                 "detected_within": str(s["recordings"] or "not found") if h else "",
-                "right_name": named,
+                "right_name": name,
                 "false_alarms": str(s["false"]),
             }
         )

@@ -66,29 +66,29 @@ def draw_cases(seed: int, vehicles: int, hostile: int) -> list[LearningCase]:
     rng = np.random.default_rng([seed, 16])
     names = rng.permutation(10 * (vehicles + hostile))[: vehicles + hostile]
     kinds = [NONE] * vehicles + [KINDS[i % len(KINDS)] for i in range(hostile)]
-    found = []
+    results = []
     for number, kind in zip(names, kinds, strict=True):
         build = {part: float(1.0 + rng.uniform(-OTHERS_OFF, OTHERS_OFF)) for part in ("bearing", "drag", "film", "capacity")}
         build["loss"] = float(1.0 / (1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*LOSS_ERRORS)))
         case = LearningCase(
             f"v{number:05d}", build, bool(rng.random() < 0.5), kind, float(rng.random()), int(rng.integers(1 << 31))
         )
-        found.append(case)
-    return sorted(found, key=lambda case: case.name)
+        results.append(case)
+    return sorted(results, key=lambda case: case.name)
 
 
 def added_torque(case: LearningCase, one: SealedDrive, nominal: float, radius: float) -> Array:
     """Torque of the ground or the vehicle on a drive [Nm], shape of the speed; the nominal weight is in newtons."""
     speed, distance, rolling = one.speed, np.cumsum(one.speed) * one.step, ROLLING_SHARE * nominal * radius
-    time, ahead = np.arange(len(speed)) * one.step, np.tanh(speed / 0.05)
+    time, forecast = np.arange(len(speed)) * one.step, np.tanh(speed / 0.05)
     if case.hostile == "mud":  # stretches of a kilometre that come again
-        return np.asarray((0.15 + 0.25 * case.size) * rolling * (np.sin(2.0 * np.pi * distance / 2500.0) > 0.5) * ahead)
+        return np.asarray((0.15 + 0.25 * case.size) * rolling * (np.sin(2.0 * np.pi * distance / 2500.0) > 0.5) * forecast)
     if case.hostile == "pump":
         runs = np.sin(2.0 * np.pi * time / (300.0 + 200.0 * case.size)) > 0.3
-        return np.asarray((0.07 + 0.05 * case.size) * rolling * runs * ahead)
+        return np.asarray((0.07 + 0.05 * case.size) * rolling * runs * forecast)
     if case.hostile == "brake":  # drags from the middle on, and lets go three quarters of the way
         drags = (time > 0.5 * time[-1]) & (time < 0.75 * time[-1])
-        return np.asarray((0.08 + 0.12 * case.size) * rolling * drags * ahead)
+        return np.asarray((0.08 + 0.12 * case.size) * rolling * drags * forecast)
     if case.hostile == "hill":
         slope = (0.006 + 0.01 * case.size) * np.sin(2.0 * np.pi * distance / (600.0 + 1500.0 * case.size))
         return np.asarray(one.weight * radius * slope)
@@ -97,12 +97,12 @@ def added_torque(case: LearningCase, one: SealedDrive, nominal: float, radius: f
 
 def weight_shares(case: LearningCase, speed: Array) -> Array:
     """Weight over recorded weight, shape of the speed: another load from the first stop after a third of it on."""
-    found = np.ones(len(speed))
+    result = np.ones(len(speed))
     if case.hostile == "payload":
-        after = np.flatnonzero((np.arange(len(speed)) > len(speed) // 3) & (speed < 0.05))
-        begin = int(after[0]) if len(after) else len(speed) // 2
-        found[begin:] = 1.0 + (0.06 + 0.12 * case.size) * (1.0 if round(case.size * 100) % 2 else -1.0)
-    return found
+        result_after = np.flatnonzero((np.arange(len(speed)) > len(speed) // 3) & (speed < 0.05))
+        begin = int(result_after[0]) if len(result_after) else len(speed) // 2
+        result[begin:] = 1.0 + (0.06 + 0.12 * case.size) * (1.0 if round(case.size * 100) % 2 else -1.0)
+    return result
 
 
 def misled(case: LearningCase, torque: Array, step: float, rng: np.random.Generator) -> Array:
@@ -165,7 +165,7 @@ def learn_and_fit(case: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     rows: dict[str, Array] = {}
     for i, path in enumerate(drives):
         rows[f"file_{i + 1}"] = _plain(path, vehicle)
-    said = _learned(case, drives, vehicle, rows, "learned")
+    text = _learned(case, drives, vehicle, rows, "learned")
     _learned(case, [drives[0], drives[-1]], vehicle, rows, "after_one")
     ways = (("refit_one", drives[:1]), ("refit", drives[:-1]), ("oracle", drives)) if (case / REFIT).exists() else ()
     for name, which in ways:
@@ -173,8 +173,8 @@ def learn_and_fit(case: Path) -> tuple[dict[str, Any], dict[str, Array]]:
             rows[f"{name}_{len(drives)}"] = _plain(drives[-1], refit(which, vehicle, case / f"{name}.yaml", "re-fitted"))
         except InputError as error:  # of a recording that a re-fit refuses nothing is learned
             rows[f"{name}_{len(drives)}"] = rows[f"file_{len(drives)}"]
-            said[f"{name} refused"] = str(error)[:200]
-    return said, rows
+            text[f"{name} refused"] = str(error)[:200]
+    return text, rows
 
 
 def _plain(path: Path, vehicle: Path) -> Array:
@@ -193,18 +193,18 @@ def _shown(kept: Sequence[Steps]) -> Array:
 def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, Array], name: str) -> dict[str, Any]:
     """With learning on: learned values come from the state file of the drive before, two weeks later."""
     estimator, state = Estimator(load(vehicle)), case / f"{name}.state"
-    said: dict[str, Any] = {}
+    texts: dict[str, Any] = {}
     for path in drives:
         learner = Listening(estimator, "on")
         if path is not drives[0]:  # belts begin soaked at the measured air's temperature, as with every other file
             take_content(learner, read_learning(estimator, state))
             learner.age_values(APART_S)
         kept: list[Steps] = []
-        done = replay(open_source([path], None), estimator, kept.append, learner=learner)
-        save(done.session, state, 0.0, learner_content(learner))
+        outcome = replay(open_source([path], None), estimator, kept.append, learner=learner)
+        save(outcome.session, state, 0.0, learner_content(learner))
         number = path.stem.rpartition("_")[2]
         rows[f"{name}_{number}"] = _shown(kept)
-        said[number] = {
+        texts[number] = {
             "text": learner.text,
             "said_s": learner.said,
             "outside": learner.outside,
@@ -213,7 +213,7 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
             "std": np.sqrt(np.diag(learner.learned.covariance)).tolist(),
             "counts": [state for state in VEHICLES_OWN if learner.has_evidence[state]],
         }
-    return said
+    return texts
 
 
 ROLLS_MPS = 1.0
@@ -253,19 +253,19 @@ class LearningProof(Proof):
         rng = np.random.default_rng([case.seed, 1])
         airs = rng.permutation(AIRS_DEGC)
         planned = [drive(minutes, share * weight, air, FASTEST_MPS, rng) for share, air in zip(LOADS, airs, strict=True)]
-        driven = [replace(one, weight=one.weight * weight_shares(case, one.speed)) for one in planned]
+        driven = [replace(value, weight=value.weight * weight_shares(case, value.speed)) for value in planned]
         runs = simulate_truth(sheet, Build(**case.build), {}, driven)
         sensors = drawn_sensors(rng)
         kept: dict[str, Any] = {}
-        for i, (plan, one, run) in enumerate(zip(planned, driven, runs, strict=True)):
-            added = added_torque(case, one, weight, radius)
-            path, off = into / f"drive_{i + 1}.csv", float(rng.normal(0.0, AIR_OFF_K))
+        for i, (plan, value, run) in enumerate(zip(planned, driven, runs, strict=True)):
+            added = added_torque(case, value, weight, radius)
+            path, deviation = into / f"drive_{i + 1}.csv", float(rng.normal(0.0, AIR_OFF_K))
             with_added = replace(run, torque=run.torque + added, shown=run.shown + added)
-            record(path, plan, with_added, replace(sensors, ambient_off_k=off), radius, START_S + i * APART_S, rng)
+            record(path, plan, with_added, replace(sensors, ambient_off_k=deviation), radius, START_S + i * APART_S, rng)
             if case.hostile in SENSORS:
-                _mislead(path, case, one.step, rng)
-            inertia = radius * numbers["chassis.rotating_mass_factor"] * one.weight / G * one.accel
-            kept[f"torque_{i + 1}"], kept[f"speed_{i + 1}"] = run.torque + added - inertia, one.speed
+                _mislead(path, case, value.step, rng)
+            inertia = radius * numbers["chassis.rotating_mass_factor"] * value.weight / G * value.accel
+            kept[f"torque_{i + 1}"], kept[f"speed_{i + 1}"] = run.torque + added - inertia, value.speed
             # Disturbances are outside of any model: on a hill without a recorded slope they cannot be known.
             kept[f"known_{i + 1}"] = run.torque - inertia + (added if case.hostile in REAL and case.hostile != "hill" else 0.0)
         np.savez_compressed(self.folder / "sealed" / f"{case.name}.npz", **kept)
@@ -311,7 +311,7 @@ def age(seed: int, hours: float) -> list[dict[str, float]]:
     true.learned[at.Learned.on], at.Learned(true.learned).departures[at.OF_LOSS] = 1.0, TRUE_LOSS
     rng = np.random.default_rng([seed, 200])
     keep = np.exp(-0.5 / WANDERS_S)
-    slow, found = 0.0, []
+    slow, result = 0.0, []
     per_hour = int(3600.0 / (STEP_NS * 1e-9))
     for hour in range(max(1, round(hours))):
         shocks = rng.normal(0.0, WANDERS_NM * np.sqrt(1.0 - keep * keep), per_hour).tolist()
@@ -333,23 +333,23 @@ def age(seed: int, hours: float) -> list[dict[str, float]]:
                 errors.append((estimate.resistance_torque_nm - torque.resistance_torque_nm) / torque.resistance_torque_nm)
         size = float(len(json.dumps(learner_content(learner))))
         own = [float(learner.learned.applied[state]) for state in VEHICLES_OWN]
-        found.append({"hour": hour + 1.0, "error": float(np.mean(np.abs(errors))), "bias": float(np.mean(errors)), "bytes": size,
+        result.append({"hour": hour + 1.0, "error": float(np.mean(np.abs(errors))), "bias": float(np.mean(errors)), "bytes": size,
                       "largest_departure": max(map(abs, own))})  # fmt: skip
-    return found
+    return result
 
 
 def score_case(proof: Proof, case: LearningCase) -> dict[str, Any]:
     """Errors of one vehicle, over the torque that rolling takes."""
-    said, name = proof.result(case.name), f"{case.name}.npz"
+    text, name = proof.result(case.name), f"{case.name}.npz"
     with np.load(proof.folder / "results" / name) as rows, np.load(proof.folder / "sealed" / name) as truth:
-        found = {key: _error(rows[key], truth, int(key.rpartition("_")[2])) for key in rows}
-    errors = {key: error for key, (error, _, _) in found.items()}
-    inside, mean_inside = ([found[f"learned_{i + 1}"][part] for i in range(DRIVES)] for part in (1, 2))
+        results = {key: _error(rows[key], truth, int(key.rpartition("_")[2])) for key in rows}
+    errors = {key: error for key, (error, _, _) in results.items()}
+    inside, mean_inside = ([results[f"learned_{i + 1}"][part] for i in range(DRIVES)] for part in (1, 2))
     return {
         "name": case.name, "hostile": case.hostile, "size": case.size, "build": case.build, "lumped": case.lumped,
-        "errors": errors, "inside": inside, "mean_inside": mean_inside, "said": said,
+        "errors": errors, "inside": inside, "mean_inside": mean_inside, "said": text,
         "worse": [errors[f"learned_{i + 1}"] - errors[f"file_{i + 1}"] for i in range(DRIVES)],
-        "outside": any(said[str(i + 1)]["outside"] for i in range(DRIVES)),
+        "outside": any(text[str(i + 1)]["outside"] for i in range(DRIVES)),
     }  # fmt: skip
 
 
@@ -397,9 +397,11 @@ def page(folder: Path, scores: Mapping[str, Any]) -> str:
 
 
 def _head(scores: Mapping[str, Any], plain: list[Any], hostile: list[Any]) -> list[str]:
-    sealed, scored = scores["sealed"], len(scores["cases"])
+    sealed, score_result = scores["sealed"], len(scores["cases"])
     first = (
-        f"Of {sealed} sealed vehicles the first {scored} by their drawn names" if scored < sealed else f"{sealed} sealed vehicles"
+        f"Of {sealed} sealed vehicles the first {score_result} by their drawn names"
+        if score_result < sealed
+        else f"{sealed} sealed vehicles"
     )
     return [
         f"{first}: {len(plain)} whose files are off, {len(hostile)} on whose drives something misleads. {DRIVES} drives of "
@@ -424,7 +426,7 @@ def _of_vehicles(plain: list[Any]) -> list[str]:
         errors = np.array([case["errors"][key] for case in plain])
         better = f"{int((errors < file).sum())} of {len(plain)}" if key != WAYS[0][0] else ""
         lines.append(f"| {name} | {100.0 * np.median(errors):.2f} | {100.0 * np.quantile(errors, 0.9):.2f} | {better} |")
-    one = _ratio(plain, f"after_one_{LAST}", f"refit_one_{LAST}")
+    item = _ratio(plain, f"after_one_{LAST}", f"refit_one_{LAST}")
     two = _ratio(plain, f"learned_{LAST}", f"refit_{LAST}")
     seconds = [float(case["inside"][LAST - 1]) for case in plain]
     means = [bool(case["mean_inside"][LAST - 1]) for case in plain]
@@ -432,7 +434,7 @@ def _of_vehicles(plain: list[Any]) -> list[str]:
     return [
         *lines,
         "",
-        f"Learned over re-fitted, median of the vehicles: {one:.2f} after one drive, {two:.2f} after two (target: at most 1.3). "
+        f"Learned over re-fitted, median of the vehicles: {item:.2f} after one drive, {two:.2f} after two (target: at most 1.3). "
         f"Intervals of 95 % cover the torque in {100.0 * np.mean(seconds):.1f} % of all seconds of the third drive. They "
         f"cover its mean in {sum(means)} of {len(means)} drives. The target is 90 to 98 %. At worst, learning changed the error "
         f"of a drive by {100.0 * max(worse):+.1f} % of the torque. {_of_mass(plain)}",
@@ -442,12 +444,14 @@ def _of_vehicles(plain: list[Any]) -> list[str]:
 
 def _of_mass(plain: list[Any]) -> str:
     """Learned error of a mass that is right in the file."""
-    off = [case["said"][str(LAST)]["applied"][at.OF_MASS] for case in plain if at.OF_MASS in case["said"][str(LAST)]["counts"]]
-    if not off:
+    deviations = [
+        case["said"][str(LAST)]["applied"][at.OF_MASS] for case in plain if at.OF_MASS in case["said"][str(LAST)]["counts"]
+    ]
+    if not deviations:
         return "No mass counts as learned."
     return (
-        f"The rotating-mass factor is right in all files. It is learned on drives of {len(off)} vehicles and is then off by "
-        f"{100.0 * float(np.median(off)):+.1f} % in the median, {100.0 * max(map(abs, off)):.1f} % at worst."
+        f"The rotating-mass factor is right in all files. It is learned on drives of {len(deviations)} vehicles and is then "
+        f"off by {100.0 * float(np.median(deviations)):+.1f} % in the median, {100.0 * max(map(abs, deviations)):.1f} % at worst."
     )
 
 
@@ -459,20 +463,20 @@ def misled_rows(hostile: list[Any]) -> Rows:
     """What misleads, a row for each: the worst error over the file [% of the torque], and the statuses [s a drive]."""
     rows = []
     for kind in KINDS:
-        of = [case for case in hostile if case["hostile"] == kind]
-        if not of:
+        cases = [case for case in hostile if case["hostile"] == kind]
+        if not cases:
             continue
-        worse = [float(x) for case in of for x in case["worse"]]
+        worse = [float(x) for case in cases for x in case["worse"]]
         rows.append(
             {
                 "misled_by": kind,
                 "part": "sensor" if kind in SENSORS else "vehicle or ground",
-                "vehicles": str(len(of)),
+                "vehicles": str(len(cases)),
                 "worst_over_file_percent": f"{100.0 * max(worse):.1f}",
                 "drives": str(len(worse)),
                 "drives_worse_by_2_percent": str(sum(x > MOST_WORSE for x in worse)),
-                "outside_the_ranges": str(sum(case["outside"] for case in of)),
-                "status_s_a_drive": _said(of),
+                "outside_the_ranges": str(sum(case["outside"] for case in cases)),
+                "status_s_a_drive": _said(cases),
             }
         )
     return rows
@@ -498,11 +502,11 @@ def _said(cases: list[Any]) -> str:
     for case in cases:
         for i in range(DRIVES):
             for text, s in case["said"][str(i + 1)]["said_s"].items():
-                short = next((said for words, said in SHORT.items() if words in text), text)
+                short = next((text_here for words, text_here in SHORT.items() if words in text), text)
                 seconds[short] = seconds.get(short, 0.0) + s
-    found = sorted(((s, text) for text, s in seconds.items()), reverse=True)
+    result = sorted(((s, text) for text, s in seconds.items()), reverse=True)
     drives = len(cases) * DRIVES
-    return "; ".join(f"{text}: {s / len(cases) / DRIVES:.0f}" for s, text in found[:3] if s >= 0.5 * drives) or "nothing"
+    return "; ".join(f"{text}: {s / len(cases) / DRIVES:.0f}" for s, text in result[:3] if s >= 0.5 * drives) or "nothing"
 
 
 def _of_age(aged: list[dict[str, float]] | None) -> list[str]:

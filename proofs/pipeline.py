@@ -165,7 +165,7 @@ def run_process(name: str, **how: Any) -> None:
     `name`: for messages; `how`: for `subprocess.Popen`.
     """
     running = subprocess.Popen(**how, process_group=0)
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    result_before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         code = running.wait()
     except BaseException:
@@ -174,7 +174,7 @@ def run_process(name: str, **how: Any) -> None:
         running.wait()
         raise
     finally:
-        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, result_before)
     if code:
         raise click.ClickException(f"{name} ended with exit code {code}; finished results are kept")
 
@@ -273,8 +273,8 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], done: str = "") 
         for count, result in enumerate(as_completed(results), start=1):
             result.result()
             if done:
-                left = (time.monotonic() - began) / count * (len(tasks) - count)
-                show_count(done, count, len(tasks), f", {left / 60.0:.0f} min to go")
+                remainder = (time.monotonic() - began) / count * (len(tasks) - count)
+                show_count(done, count, len(tasks), f", {remainder / 60.0:.0f} min to go")
     return [result.result() for result in results]
 
 
@@ -289,9 +289,9 @@ def show_count(what: str, done: int, total: int, rest: str = "") -> None:
 
 def run_command(*words: str | Path) -> None:
     """Run a command of `trackres`; RuntimeError with what it printed if it fails."""
-    done = subprocess.run(**python("trackres_ros", *words), check=False, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"trackres {' '.join(map(str, words))} ended with {done.returncode}: {done.stderr}")
+    process = subprocess.run(**python("trackres_ros", *words), check=False, capture_output=True, text=True)
+    if process.returncode:
+        raise RuntimeError(f"trackres {' '.join(map(str, words))} ended with {process.returncode}: {process.stderr}")
 
 
 def _member(name: str) -> Any:

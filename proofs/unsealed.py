@@ -53,20 +53,22 @@ class ClosedLoop:
 def close_loop(folder: Path) -> ClosedLoop:
     """Drive three times with effects hidden; replay the last, with the vehicle file before and after the others' diagnosis."""
     make_case(folder, MINUTES, Case("loop", "single", LOOP_HIDDEN, {}, False, False, False, True, LOOP_SEED))
-    before, after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
-    *paths, last = sorted(before.parent.glob("drive_*.csv"))
-    loaded = load_base(before)
-    found = diagnose(read_recordings(paths, None), loaded)
-    loaded.base.write(after, found.kept, found.verdict.sentence)
+    result_before, result_after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
+    *paths, last = sorted(result_before.parent.glob("drive_*.csv"))
+    loaded = load_base(result_before)
+    result = diagnose(read_recordings(paths, None), loaded)
+    loaded.base.write(result_after, result.kept, result.verdict.sentence)
     drive = np.genfromtxt(last, delimiter=",", names=True)
-    rows = [_replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", before), ("after", after))]
+    rows = [
+        _replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", result_before), ("after", result_after))
+    ]
     time = drive["time_s"] - drive["time_s"][0]
     without, with_found = (np.interp(time, row["time_s"] - row["time_s"][0], row["feedforward_torque_nm"]) for row in rows)
     inertia = np.interp(time, rows[0]["time_s"] - rows[0]["time_s"][0], rows[0]["inertia_nm"])
-    moving = drive["speed_mps"] > 0.5
-    torque = np.where(moving, drive["torque_nm"] - inertia, np.nan)
+    is_moving = drive["speed_mps"] > 0.5
+    torque = np.where(is_moving, drive["torque_nm"] - inertia, np.nan)
     turning = np.abs(drive["yaw_rate_radps"]) > TURNS_M * np.maximum(drive["speed_mps"], 0.5)
-    return ClosedLoop(found.verdict.sentence, time, torque, without, with_found, turning)
+    return ClosedLoop(result.verdict.sentence, time, torque, without, with_found, turning)
 
 
 def _replayed(recording: Path, vehicle: Path, out: Path) -> NDArray[np.void]:
@@ -102,8 +104,12 @@ def loop_tables(loop: ClosedLoop) -> Tables:
     everywhere, cold = np.isfinite(loop.torque), loop.time < 300.0
     parts = {"the whole drive": everywhere, "the first five minutes": cold, "bends": loop.turning, "straights": ~loop.turning}
     errors = [
-        {"part": part, "before_nm": number(loop.error(loop.before, at), 0), "after_nm": number(loop.error(loop.after, at), 0)}
-        for part, at in parts.items()
+        {
+            "part": part,
+            "before_nm": number(loop.error(loop.before, place), 0),
+            "after_nm": number(loop.error(loop.after, place), 0),
+        }
+        for part, place in parts.items()
     ]
     return {"loop": errors, "loop_verdict": [{"verdict": loop.sentence}]}
 
@@ -149,7 +155,7 @@ def _diagnosed(folder: Path, drives: list[SealedDrive], rng: np.random.Generator
 
 def paper_tables(cases: Mapping[str, Diagnosis]) -> Tables:
     """Findings by the way to drive."""
-    return {"paper": [paper_row(driven, found) for driven, found in cases.items()]}
+    return {"paper": [paper_row(driven, result) for driven, result in cases.items()]}
 
 
 def paper_row(driven: str, found: Diagnosis) -> dict[str, str]:

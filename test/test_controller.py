@@ -1,9 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The controller of docs/controller.md is the example that runs, and takes the feed-forward only when it may."""
+"""The controller of examples/07_controller.py takes the feed-forward only when it may, by the limits of docs/node.md."""
 
 import itertools
+import re
 
 import pytest
 
@@ -13,10 +14,11 @@ def example(imported):
     return imported("examples/07_controller.py")
 
 
-def test_the_page_shows_the_example(repository):
-    source = (repository / "examples" / "07_controller.py").read_text()
-    shown = (repository / "docs" / "controller.md").read_text().split("```python\n")[1].split("```")[0]
-    assert shown.strip() == source[source.index("import math") : source.index("if __name__")].strip()
+def test_the_page_has_the_limits_of_the_example(example, repository):
+    page = (repository / "docs" / "node.md").read_text(encoding="utf-8")
+    rule = page.partition("### What to do on each status")[2].partition("\n### ")[0]
+    for limit_s in (example.SILENCE_S, example.OLDEST_S, example.FARTHEST_AHEAD_S):
+        assert re.search(rf"(?<![\d.]){limit_s:g} s\b", rule)
 
 
 def run(drive, seconds, stamp_age_s, level, start_s=1000.0, torque=3000.0):

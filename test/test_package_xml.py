@@ -17,6 +17,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from trackres_ros.errors import MissingExtraError
+from trackres_ros.files.output_files import WRITTEN_WITH
 
 KEYS = {"yaml": "python3-yaml"}
 """Keys that are neither the module nor ``python3-`` before it."""
@@ -85,6 +86,13 @@ def test_tests_load_where_only_the_keys_of_package_xml_are(repository, package, 
     command = [sys.executable, "-m", "pytest", "-p", "only_package_xml", "-p", "no:cacheprovider", "--collect-only", "-qq"]
     done = subprocess.run([*command, "test"], cwd=repository, env=given, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+
+
+def test_outputs_of_the_launch_examples_need_no_extra(repository):
+    texts = [(repository / path).read_text(encoding="utf-8") for path in ("README.md", "launch/replay.launch.py")]
+    outputs = [name for text in texts for name in re.findall(r"output:=([\w.]+)", text)]
+    assert len(outputs) == 2
+    assert not [name for name in outputs if name.endswith(tuple(WRITTEN_WITH))]
 
 
 def test_what_an_error_says_to_install_brings_the_module(extras):

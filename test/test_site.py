@@ -37,6 +37,16 @@ def test_it_begins_with_the_readme(site, repository):
     assert re.search(rf"<h1[^>]*>{first}", (site / "index.html").read_text(encoding="utf-8"))
 
 
+def test_it_has_the_tables_of_the_program(site):
+    for page, entry in (
+        ("api", "load_vehicle"),
+        ("effects", "viscous_bearing"),
+        ("node", "mismatch_hold_s"),
+        ("robustness", "OFF_ROUTE"),
+    ):
+        assert re.search(rf"<(td|h3)[^>]*><code>{entry}</code>", (site / f"{page}.html").read_text(encoding="utf-8"))
+
+
 def test_equations_are_drawn_without_a_script(site):
     page = (site / "model.html").read_text(encoding="utf-8")
     assert page.count("<math") > 50

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the site has besides docs/: pages of the root as they are, files that pages link to, and equations without a script.
+"""What the site has besides docs/: tables of the program, pages of the root, linked files, equations without a script.
 
 mkdocs calls these functions; mkdocs.yml names this file.
 """
@@ -17,6 +17,7 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
+from reference_pages import PAGES as REFERENCE
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {name: name for name in ("CONTRIBUTING.md", "QUALITY_DECLARATION.md", "SECURITY.md")} | {"index.md": "README.md"}
@@ -53,9 +54,11 @@ def examples() -> str:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links as they lead on the site, where the root and docs/ are one folder."""
+    """Tables of the program, and links as they lead on the site, where the root and docs/ are one folder."""
     if "/" in page.file.src_uri:
         return markdown
+    if f"docs/{page.file.src_uri}" in REFERENCE:
+        markdown = REFERENCE[f"docs/{page.file.src_uri}"]()
     markdown = markdown.replace("](docs/", "](").replace("](../", "](")
     return markdown.replace("](examples)", f"]({EXAMPLES})").replace("](decisions/)", "](decisions/README.md)")
 

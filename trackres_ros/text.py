@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from itertools import pairwise
@@ -116,8 +117,9 @@ def told_apart(paths: Sequence[str]) -> list[str]:
 
 
 def words(topic: str) -> str:
-    """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
-    spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
+    """Return the words of a name, lower case with spaces, without accents: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
+    plain_text = "".join(char for char in unicodedata.normalize("NFD", topic) if not unicodedata.combining(char))
+    spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", plain_text).casefold()
     return " ".join(re.split(r"[^a-z0-9]+", spaced))
 
 

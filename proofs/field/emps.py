@@ -57,9 +57,9 @@ def try_slide(recording: Path, folder: Path) -> SlideTrial:
 def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:
     """Relative error: norm of measured less expected force over that of the measured one, in compared or hold-out steps."""
     errors, forces = [], []
-    for session, predicted in zip(d.sessions, found.predicted, strict=True):
+    for session, prediction in zip(d.sessions, found.predicted, strict=True):
         steps: Mask = d.split.held_out_mask(session) if held_out else session.used
-        errors.append((session.torque - predicted.torque)[steps])
+        errors.append((session.torque - prediction.torque)[steps])
         forces.append(session.torque[steps])
     return float(np.linalg.norm(np.concatenate(errors)) / np.linalg.norm(np.concatenate(forces)))
 
@@ -72,11 +72,11 @@ def only(d: Diagnosis, names: Sequence[str]) -> Fit:
 def tables_of(tried: SlideTrial) -> Tables:
     """Errors of the force and values, next to the published ones, and the verdicts."""
     first, second = tried.lacking, tried.with_friction
-    dry, both = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
+    dry, pair = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
     models = [
         ("mass, viscous friction, offset: the file re-fitted", "viscous", first, first.refitted),
         ("and Coulomb friction", "coulomb", first, dry),
-        ("and friction by direction", "direction", first, both),
+        ("and friction by direction", "direction", first, pair),
         ("all that the diagnosis found", "", first, first.final),
         ("Coulomb friction in the file: re-fitted", "coulomb", second, second.refitted),
         ("Coulomb friction in the file: all that was found", "direction", second, second.final),
@@ -89,7 +89,7 @@ def tables_of(tried: SlideTrial) -> Tables:
         }
         for what, key, d, fit in models
     ]  # fmt: skip
-    values = [dict(zip(("value", "published", "here_95"), row, strict=True)) for row in (*_of_dry(dry), *_of_both(both))]
+    values = [dict(zip(("value", "published", "here_95"), row, strict=True)) for row in (*_of_dry(dry), *_of_both(pair))]
     verdicts = [_verdict(what, d) for what, d in (("without dry friction", first), ("with it", second))]
     return {"emps_errors": errors, "emps_values": values, "emps_verdicts": verdicts}
 
@@ -106,7 +106,7 @@ def _verdict(file: str, d: Diagnosis) -> dict[str, str]:
 
 def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
     """The values with Coulomb friction alike both ways."""
-    at = {
+    places = {
         "mass": (("", "mass"), "kg"),
         "viscous": (("", "viscous_friction"), "N s/m"),
         "coulomb": ((COULOMB, "friction"), "N"),
@@ -114,8 +114,12 @@ def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
     }
     bounds, values = intervals(dry), dry.estimates
     return [
-        (f"{key}, alike both ways", PUBLISHED[key], f"{values[of]:.3g} [{bounds[of].low:.3g}, {bounds[of].high:.3g}] {unit}")
-        for key, (of, unit) in at.items()
+        (
+            f"{key}, alike both ways",
+            PUBLISHED[key],
+            f"{values[value]:.3g} [{bounds[value].low:.3g}, {bounds[value].high:.3g}] {unit}",
+        )
+        for key, (value, unit) in places.items()
     ]
 
 
@@ -125,15 +129,15 @@ def _of_both(both: Fit) -> list[tuple[str, str, str]]:
     viscous, forward = ("", "viscous_friction"), (DIRECTION, "forward")
     keys = [f.key for f in both.free]
     i, j = keys.index(viscous), keys.index(forward)
-    found = []
+    results = []
     for what, sign in (("forward", 1.0), ("reverse", -1.0)):
         value = values[viscous] + sign * values[forward]
         half = bounds[forward].high - bounds[forward].low, bounds[viscous].high - bounds[viscous].low
         by_curvature = both.covariance[i, i] + both.covariance[j, j] + 2.0 * sign * both.covariance[i, j]
         wide = max(0.5 * float(np.hypot(*half)), NORMAL_95 * float(np.sqrt(by_curvature)))
         here = f"{value:.3g} [{value - wide:.3g}, {value + wide:.3g}] N s/m"
-        found.append((f"viscous {what}", PUBLISHED_BY_DIRECTION[what], here))
+        results.append((f"viscous {what}", PUBLISHED_BY_DIRECTION[what], here))
     friction, offset = (COULOMB, "friction"), ("", "torque_offset")
     sides = " and ".join(f"{values[friction] + sign * values[offset]:.3g}" for sign in (1.0, -1.0))
     here = f"{sides} N; half of their sum {values[friction]:.3g} [{bounds[friction].low:.3g}, {bounds[friction].high:.3g}] N"
-    return [*found, ("coulomb forward and reverse", PUBLISHED_BY_DIRECTION["coulomb"], here)]
+    return [*results, ("coulomb forward and reverse", PUBLISHED_BY_DIRECTION["coulomb"], here)]

@@ -103,11 +103,11 @@ def live_errors(drives: Drives, folder: Path) -> list[LiveError]:
             (f"{what}, with estimator.yaml", [*files, "--params", settings]),
             (f"{what}, with `--both-sides` (offline)", [*files, "--both-sides"]),
         ]
-    found = []
+    results = []
     for what, files in runs:
-        left = np.concatenate([_left(drives, rest, files, folder / "replay.csv") for rest in drives.rest])
-        found.append(LiveError(what, float(np.abs(left).mean()), MEAN_S * len(left) / 60.0))
-    return found
+        remainder = np.concatenate([_left(drives, rest, files, folder / "replay.csv") for rest in drives.rest])
+        results.append(LiveError(what, float(np.abs(remainder).mean()), MEAN_S * len(remainder) / 60.0))
+    return results
 
 
 def _left(drives: Drives, recording: Path, vehicle: Sequence[str | Path], out: Path) -> Array:
@@ -122,8 +122,8 @@ def means(time_s: Array, speed: Array, residual: Array, braked: NDArray[np.bool_
     counts = (np.abs(speed) > SLOWEST_MPS) & ~braked & np.isfinite(residual)
     block = (time_s / MEAN_S).astype(int)
     number, used = np.bincount(block), np.bincount(block, counts)
-    whole = (used == number) & (number > 0)
-    return np.asarray(np.bincount(block, np.where(counts, residual, 0.0))[whole] / number[whole])
+    total = (used == number) & (number > 0)
+    return np.asarray(np.bincount(block, np.where(counts, residual, 0.0))[total] / number[total])
 
 
 def _braked(drives: Drives, recording: Path, rows: Any) -> NDArray[np.bool_]:
@@ -187,7 +187,7 @@ def taught(what: str, vehicle: AnyVehicle, topics_name: str, first: Sequence[Pat
     for path in first:
         _left_learning(path, topics, estimator, learner)
     without, with_it = (
-        np.concatenate([_left_learning(path, topics, estimator, one) for path in other]) for one in (None, learner)
+        np.concatenate([_left_learning(path, topics, estimator, item) for path in other]) for item in (None, learner)
     )
     return Taught(what, float(np.abs(without).mean()), float(np.abs(with_it).mean()))
 
@@ -208,7 +208,7 @@ def _left_learning(path: Path, topics: Topics, estimator: Estimator, learner: Le
 def learned_rows(data: Path) -> Rows:
     """The residual in other drives, with the vehicle file and with values learned while driving."""
     with tempfile.TemporaryDirectory() as folder:
-        return [learned_row(one) for one in (*of_car(data, Path(folder)), *of_bus(data, Path(folder)))]
+        return [learned_row(item) for item in (*of_car(data, Path(folder)), *of_bus(data, Path(folder)))]
 
 
 def learned_row(one: Taught) -> dict[str, str]:

@@ -98,15 +98,15 @@ def robot(data: Path, name: str, folder: Path) -> Path:
         power += current * (speed if signed else np.abs(speed))
         mean += 0.5 * speed
         rims[side] = speed
-    moving = np.abs(mean) > SLOWEST_MPS
+    is_moving = np.abs(mean) > SLOWEST_MPS
     yaw = np.unwrap(2.0 * np.arctan2(column("icp_quat_z"), column("icp_quat_w"))[there])
-    at = time[there]
-    after, before = (np.interp(at + side * 0.5 * YAW_OVER_S, at, yaw) for side in (1.0, -1.0))
+    place = time[there]
+    result_after, result_before = (np.interp(place + side * 0.5 * YAW_OVER_S, place, yaw) for side in (1.0, -1.0))
     columns = {
-        "time_s": at,
+        "time_s": place,
         "speed_mps": mean[there],
-        "torque_nm": np.where(moving, NM_PER_A * power / np.where(moving, mean, 1.0), np.nan)[there],
-        "yaw_rate_radps": (after - before) / YAW_OVER_S,
+        "torque_nm": np.where(is_moving, NM_PER_A * power / np.where(is_moving, mean, 1.0), np.nan)[there],
+        "yaw_rate_radps": (result_after - result_before) / YAW_OVER_S,
         "heading_rad": yaw,
         **{name: np.degrees(column(f"icp_pos_{axis}")[there] / EARTH_M) for name, axis in POSITION.items()},
         **{f"wheel_speed_mps/{side}": rim[there] for side, rim in rims.items()},
@@ -221,13 +221,13 @@ class Start:
 
 def starts(data: Path, tried: FieldTrial) -> list[Start]:
     """Unsealed standing time and ambient temperature, with each trip's missing torque at its beginning."""
-    rows, found = trips(data), []
+    rows, result = trips(data), []
     for i, session in enumerate(tried.found.sessions):
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
         stood = float(row["hours_since_previous_trip_ended"] or "nan")
         lacks = float(tried.found.refitted.residuals[i][early].mean()) if early.any() else float("nan")
-        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks))
-    return found
+        result.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks))
+    return result
 
 
 def acts_early(tried: FieldTrial, index: int) -> float:
@@ -257,8 +257,10 @@ def twice(tried: FieldTrial) -> RepeatedRoute:
         grade = np.interp(session.time, table["time_s"] - table["time_s"][0], table["grade"])
         slopes.append(_smooth(np.interp(grid, far, grade)))
     n = min(map(len, residuals))
-    both, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
-    return RepeatedRoute(*(float(np.corrcoef(*pair)[0, 1]) for pair in ((both[0], both[1]), (both.mean(axis=0), mean))))
+    pair_here, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
+    return RepeatedRoute(
+        *(float(np.corrcoef(*pair)[0, 1]) for pair in ((pair_here[0], pair_here[1]), (pair_here.mean(axis=0), mean)))
+    )
 
 
 def _smooth(series: Array) -> Array:
@@ -324,13 +326,13 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> tuple[float, float] | N
         return None
     named = next(name for name in final.effect_names if name in UPHILL)
     radius = tried.found.base.facts.radius
-    found, true = [], []
+    result, true = [], []
     for session, adds in zip(given.found.sessions, final.contribution(named), strict=True):
         surveyed = slope_by_all_passes(session.latitude, session.longitude, session.altitude, session.distance)
         there = session.used & np.isfinite(surveyed) & (np.abs(adds) > 0.0)
-        found.append((adds / (session.weight * radius))[there])
+        result.append((adds / (session.weight * radius))[there])
         true.append(surveyed[there])
-    x, y = np.concatenate(true), np.concatenate(found)
+    x, y = np.concatenate(true), np.concatenate(result)
     return float(np.corrcoef(x, y)[0, 1]), float(np.polyfit(x, y, 1)[0])
 
 
@@ -338,13 +340,13 @@ def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, dist
     """Slope of the altitude averaged over all passes of each place, over 300 m; nan where unknown."""
     x, y = Frame.of_positions(latitude, longitude).metres(latitude, longitude)
     known = np.isfinite(x) & np.isfinite(altitude)
-    at = np.column_stack([x, y])[known]
-    near = cKDTree(at).query_ball_point(at, SAME_PLACE_M)
+    place = np.column_stack([x, y])[known]
+    near = cKDTree(place).query_ball_point(place, SAME_PLACE_M)
     mean = np.array([altitude[known][rows].mean() for rows in near])
-    ahead, behind = (np.interp(distance + side * 0.5 * SLOPE_OVER_M, distance[known], mean) for side in (1.0, -1.0))
+    forecast, behind = (np.interp(distance + side * 0.5 * SLOPE_OVER_M, distance[known], mean) for side in (1.0, -1.0))
     slope = np.full(len(distance), np.nan)
-    inside = (distance - 0.5 * SLOPE_OVER_M > distance[known][0]) & (distance + 0.5 * SLOPE_OVER_M < distance[known][-1])
-    slope[inside & known] = ((ahead - behind) / SLOPE_OVER_M)[inside & known]
+    is_inside = (distance - 0.5 * SLOPE_OVER_M > distance[known][0]) & (distance + 0.5 * SLOPE_OVER_M < distance[known][-1])
+    slope[is_inside & known] = ((forecast - behind) / SLOPE_OVER_M)[is_inside & known]
     return slope
 
 
@@ -367,9 +369,9 @@ def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
     mass, people = mass - np.average(mass, weights=weight), true - np.average(true, weights=weight)
     covariance = np.cov(np.stack([mass, people]), aweights=weight)
     correlation = float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
-    off, carried = (mass_of_joined(x, weight) for x in (mass - people, true))
-    close = int((np.abs(off) < CLOSE * carried).sum())
-    return PayloadFound(mass, std, people, correlation, close, len(off), float(weight.max()))
+    deviation, carried = (mass_of_joined(x, weight) for x in (mass - people, true))
+    close = int((np.abs(deviation) < CLOSE * carried).sum())
+    return PayloadFound(mass, std, people, correlation, close, len(deviation), float(weight.max()))
 
 
 def mass_of_joined(mass: Array, driven: Array) -> Array:
@@ -386,11 +388,11 @@ def mass_of_joined(mass: Array, driven: Array) -> Array:
 
 def against_given(tried: Sequence[FieldTrial]) -> tuple[Rows, PayloadFound | None]:
     """Of `try_bus`: the found slopes against that of the altitude, and the found payload; nothing without a mission."""
-    given = next((t for t in tried if t.hidden == "nothing"), None)
-    if given is None:
+    given_values = next((t for t in tried if t.hidden == "nothing"), None)
+    if given_values is None:
         return [], None
-    slopes = [slope_row(t.hidden, *slope) for t in tried if (slope := slope_found(t, given)) is not None]
-    return slopes, payload_found(next(t for t in tried if t.hidden == "passengers"), given)
+    slopes = [slope_row(t.hidden, *slope) for t in tried if (slope := slope_found(t, given_values)) is not None]
+    return slopes, payload_found(next(t for t in tried if t.hidden == "passengers"), given_values)
 
 
 def slope_row(hidden: str, correlation: float, coefficient: float) -> dict[str, str]:

@@ -60,8 +60,8 @@ class Claim:
 
     def summary(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
-        found: dict[str, Any] = rounded(asdict(self))
-        return found | {"verdict": self.verdict, "why": self.why.get(self.verdict, UNEXPLAINED)}
+        result: dict[str, Any] = rounded(asdict(self))
+        return result | {"verdict": self.verdict, "why": self.why.get(self.verdict, UNEXPLAINED)}
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,8 @@ class Section:
 
     def summary(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
-        found: dict[str, Any] = rounded(asdict(self))
-        return found | {"claims": [claim.summary() for claim in self.claims]}
+        result: dict[str, Any] = rounded(asdict(self))
+        return result | {"claims": [claim.summary() for claim in self.claims]}
 
 
 def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
@@ -271,16 +271,16 @@ def write_family(out: Path, family: Family) -> str:
 def mark_time(axes: Axes, time_s: float, text: str) -> None:
     """A dotted line at a time with a remark at its top."""
     axes.axvline(time_s, color=INK, linewidth=0.8, linestyle=":")
-    at = (time_s, 0.98), (4, 0), ("data", "axes fraction"), "offset points"
-    axes.annotate(text, *at, ha="left", va="top", fontsize=8, color=INK)
+    places = (time_s, 0.98), (4, 0), ("data", "axes fraction"), "offset points"
+    axes.annotate(text, *places, ha="left", va="top", fontsize=8, color=INK)
 
 
 def draw_family(out: Path, family: Family, combination: str, caption: str, title: str, marks: Mapping[float, str]) -> Figure:
     """Torque over temperature of one combination, which caption and title then name, one line a value."""
     methods = combination.replace("/", ", ")
     figure = Figure(f"{family.name}.png", (write_family(out, family),), f"{caption}; {methods}.")
-    with picture(out / figure.png, 8.5, 5.6) as drawn:
-        torque, belt = drawn.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
+    with picture(out / figure.png, 8.5, 5.6) as drawing:
+        torque, belt = drawing.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
         for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
             torque.plot(*moving(series), color=colour, label=f"{value:g}")
             belt.plot(*thin_out(series["time_s"], series["belt_degc"]), color=colour)
@@ -294,7 +294,7 @@ def draw_family(out: Path, family: Family, combination: str, caption: str, title
             mark_time(torque, time_s, text)
             mark_time(belt, time_s, "")
         belt.margins(x=0.01)
-        drawn.align_ylabels()
+        drawing.align_ylabels()
     return figure
 
 

@@ -115,22 +115,22 @@ def indentation(bench: Bench, out: Path) -> Section:
 
 
 def _draw_contact(path: Path, curve: Contact, paper: Contact, belt: str) -> None:
-    with picture(path, 6.5, 3.6) as drawn:
-        left = drawn.subplots()
-        right = left.twinx()
+    with picture(path, 6.5, 3.6) as drawing:
+        remainder = drawing.subplots()
+        right = remainder.twinx()
         right.spines["right"].set_visible(True)
         right.grid(visible=False)
-        left.plot(curve.load / 1e3, curve.half_length * 1e3, color=BLUE)
-        left.plot(paper.load / 1e3, paper.half_length * 1e3, "o", color=BLUE, markersize=5)
+        remainder.plot(curve.load / 1e3, curve.half_length * 1e3, color=BLUE)
+        remainder.plot(paper.load / 1e3, paper.half_length * 1e3, "o", color=BLUE, markersize=5)
         right.plot(curve.load / 1e3, curve.strain * 100, color=VERMILION, linestyle="--")
         right.plot(paper.load / 1e3, paper.strain * 100, "s", color=VERMILION, markersize=5)
-        left.set_xlabel("wheel load [kN]")
-        left.set_ylabel("contact half length [mm]", color=BLUE)
+        remainder.set_xlabel("wheel load [kN]")
+        remainder.set_ylabel("contact half length [mm]", color=BLUE)
         right.set_ylabel("strain amplitude [%]", color=VERMILION)
-        left.set_ylim(0.0, 1.08e3 * curve.half_length[-1])
+        remainder.set_ylim(0.0, 1.08e3 * curve.half_length[-1])
         right.set_ylim(0.0, 130 * curve.strain[-1])
-        left.set_xticks(paper.load / 1e3)
-        left.set_title(f"E = {MODULUS_PA / 1e6:g} MPa, wheel diameter {2 * WHEEL_RADIUS:g} m, {belt}")
+        remainder.set_xticks(paper.load / 1e3)
+        remainder.set_title(f"E = {MODULUS_PA / 1e6:g} MPa, wheel diameter {2 * WHEEL_RADIUS:g} m, {belt}")
 
 
 SPEED_KMH = 30.0  # the middle one of the paper's tests
@@ -268,8 +268,8 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
             "along_outer": s.along[-1],
         },
     )
-    with picture(out / figure.png, 9.0, 8.2) as drawn:
-        through, along, field, small = drawn.subplots(4, 1, sharex=True, height_ratios=(1.0, 1.4, 1.1, 0.9))
+    with picture(out / figure.png, 9.0, 8.2) as drawing:
+        through, along, field, small = drawing.subplots(4, 1, sharex=True, height_ratios=(1.0, 1.4, 1.1, 0.9))
         _draw_through(through, s)
         _draw_along(along, s, cord)
         _draw_field(field, s)
@@ -347,21 +347,23 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
     write_csv(out / figure.data[0], {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)})
     data = np.array([row[1:] for row in rows], dtype=float)
     along = np.isfinite(data[:, 0])
-    with picture(out / figure.png, 9.0, 4.0) as drawn:
-        left, right = drawn.subplots(1, 2, width_ratios=(1.3, 1.0))
+    with picture(out / figure.png, 9.0, 4.0) as drawing:
+        remainder, right = drawing.subplots(1, 2, width_ratios=(1.3, 1.0))
         distinct, counts = _counted(data[~along, 1:])
         height_mm, size, mean = 1e3 * data[along, 0], 100 * data[along, 1], 100 * data[along, 2]
-        left.scatter(size, mean, c=height_mm, cmap="cividis", s=16, label="along the belt, by height")
-        left.scatter(100 * distinct[:, 0], 100 * distinct[:, 1], marker="D", color=VERMILION, s=45, label="through the thickness")
+        remainder.scatter(size, mean, c=height_mm, cmap="cividis", s=16, label="along the belt, by height")
+        remainder.scatter(
+            100 * distinct[:, 0], 100 * distinct[:, 1], marker="D", color=VERMILION, s=45, label="through the thickness"
+        )
         for (x, y), count in zip(100 * distinct, counts, strict=True):
-            left.annotate(
+            remainder.annotate(
                 f"{count:g} per loop", (x, y), xytext=(-8, -3), textcoords="offset points", ha="right", fontsize=8, color=INK
             )
-        left.set_xlabel("strain range [%]")
-        left.set_ylabel("strain mean [%]")
-        left.set_title("range and mean")
-        left.legend(loc="center right")
-        bar = drawn.colorbar(left.collections[0], ax=left, pad=0.01)
+        remainder.set_xlabel("strain range [%]")
+        remainder.set_ylabel("strain mean [%]")
+        remainder.set_title("range and mean")
+        remainder.legend(loc="center right")
+        bar = drawing.colorbar(remainder.collections[0], ax=remainder, pad=0.01)
         bar.set_label("height above the inner face [mm]")
         right.set_title("along the belt: range by height")
         kinds = [_alike(data[along & (data[:, 0] == height), 1:]) for height in s.height]
@@ -418,9 +420,10 @@ class Curves:
         storage, loss = (modulus(rubber.sweep_frequency, belt_degc) for modulus in (model.storage_modulus, model.loss_modulus))
         log_f = np.linspace(*MASTER_LOG_HZ, 321)
         equivalent = model.equivalent_temperature(log_f + model.log_shift(MASTER_DEGC))
-        inside = (equivalent > rubber.sweep_degc[0]) & (equivalent < rubber.sweep_degc[-1])
+        is_inside = (equivalent > rubber.sweep_degc[0]) & (equivalent < rubber.sweep_degc[-1])
         master_storage, master_loss = (
-            np.where(inside, modulus(10.0**log_f, MASTER_DEGC), np.nan) for modulus in (model.storage_modulus, model.loss_modulus)
+            np.where(is_inside, modulus(10.0**log_f, MASTER_DEGC), np.nan)
+            for modulus in (model.storage_modulus, model.loss_modulus)
         )
         return cls(model, belt_degc, storage, loss, 10.0**log_f, master_storage, master_loss)
 
@@ -462,8 +465,8 @@ def _draw_moduli(path: Path, curves: Curves, lowest: float, highest: float) -> N
         (curves.belt_degc, curves.storage, curves.loss),
         (curves.frequency, curves.master_storage, curves.master_loss),
     )
-    with picture(path, 9.0, 5.4) as drawn:
-        panels = drawn.subplots(2, 2, sharex="col", sharey="row", height_ratios=(1.7, 1.0))
+    with picture(path, 9.0, 5.4) as drawing:
+        panels = drawing.subplots(2, 2, sharex="col", sharey="row", height_ratios=(1.7, 1.0))
         for column, (x, e1, e2) in enumerate(shown):
             moduli, tangent = panels[0, column], panels[1, column]
             moduli.semilogy(x, e1 / 1e6, color=BLUE, label="storage modulus E′")
@@ -482,8 +485,8 @@ def _draw_moduli(path: Path, curves: Curves, lowest: float, highest: float) -> N
         panels[1, 1].set_xlabel("frequency [Hz]")
         for axes in panels[:, 1]:
             axes.axvspan(lowest, highest, color="#F2F2F2", zorder=0)
-        remark, at = f"loop to contact,\n{SPEEDS_KMH[0]:g} to {SPEEDS_KMH[1]:g} km/h", (np.sqrt(lowest * highest), 0.95)
-        panels[1, 1].annotate(remark, at, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=8, color=INK)
+        remark, place = f"loop to contact,\n{SPEEDS_KMH[0]:g} to {SPEEDS_KMH[1]:g} km/h", (np.sqrt(lowest * highest), 0.95)
+        panels[1, 1].annotate(remark, place, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=8, color=INK)
 
 
 def _loss_mpa(model: RubberModel) -> dict[float, float]:
@@ -493,7 +496,7 @@ def _loss_mpa(model: RubberModel) -> dict[float, float]:
 
 def _modulus_claim(curves: Curves) -> Claim:
     model = curves.model
-    frequency, at = model.rubber.sweep_frequency, _loss_mpa(model)
+    frequency, moduli = model.rubber.sweep_frequency, _loss_mpa(model)
     working = (curves.belt_degc >= WORKING_DEGC[0]) & (curves.belt_degc <= WORKING_DEGC[1])
     by_decade = float(model.loss_modulus(10.0 * frequency, MASTER_DEGC) / model.loss_modulus(frequency, MASTER_DEGC))
     peak = float(curves.belt_degc[np.argmax(curves.loss)])
@@ -502,20 +505,20 @@ def _modulus_claim(curves: Curves) -> Claim:
         "section 4.2.3, conclusions 1 and 4",
         "The loss modulus is large at low temperature and falls as the belt warms.",
         {"": bool((np.diff(curves.loss[working]) < 0).all())},
-        f"At {frequency:g} Hz the loss modulus goes from {at[SHOWN_DEGC[0]]:.2f} MPa at {SHOWN_DEGC[0]:g} °C to {at[15.0]:.2f} "
-        f"at 15 °C and {at[SHOWN_DEGC[-1]]:.2f} at {SHOWN_DEGC[-1]:g} °C. It rises nowhere between. A decade of frequency "
-        f"changes it by a factor {by_decade:.2f} at {MASTER_DEGC:g} °C.",
+        f"At {frequency:g} Hz the loss modulus goes from {moduli[SHOWN_DEGC[0]]:.2f} MPa at {SHOWN_DEGC[0]:g} °C to "
+        f"{moduli[15.0]:.2f} at 15 °C and {moduli[SHOWN_DEGC[-1]]:.2f} at {SHOWN_DEGC[-1]:g} °C. It rises nowhere "
+        f"between. A decade of frequency changes it by a factor {by_decade:.2f} at {MASTER_DEGC:g} °C.",
         {
             HOLDS: f"The compound works above its glass transition: its loss modulus is largest at {peak:.0f} °C.",
             FAILS: "Part of the working range lies below the peak of the loss modulus.",
         },
-        {"loss_modulus_mpa": at, "factor_per_decade": by_decade, "peak_degc": peak},
+        {"loss_modulus_mpa": moduli, "factor_per_decade": by_decade, "peak_degc": peak},
     )
 
 
 def _modulus_table(curves: Curves) -> Table:
     model = curves.model
-    frequency, at = model.rubber.sweep_frequency, _loss_mpa(model)
+    frequency, moduli = model.rubber.sweep_frequency, _loss_mpa(model)
     storage = {t: float(model.storage_modulus(frequency, t)) for t in SHOWN_DEGC}
-    rows = [[f"{t:g}", f"{e / 1e6:.2f}", f"{at[t]:.2f}", f"{at[t] * 1e6 / e:.3f}"] for t, e in storage.items()]
+    rows = [[f"{t:g}", f"{e / 1e6:.2f}", f"{moduli[t]:.2f}", f"{moduli[t] * 1e6 / e:.3f}"] for t, e in storage.items()]
     return Table(f"Moduli of the compound at {frequency:g} Hz.", ["°C", "E′ [MPa]", "E″ [MPa]", "tan δ"], rows)

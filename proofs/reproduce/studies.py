@@ -183,7 +183,7 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
     share = {c: float((np.diff(m, axis=0) < 0).all(axis=0).mean()) for c, m in torque.items()}
     total = {c: _order_from(m, time) for c, m in torque.items()}
     hysteresis = {c: _order_from(family.torque(c, start_s, "hysteresis_nm"), time) for c in COMBINATIONS}
-    at = {c: m[:, int(np.argmin(np.abs(time - COMPARED_S)))] for c, m in torque.items()}
+    torques = {c: m[:, int(np.argmin(np.abs(time - COMPARED_S)))] for c, m in torque.items()}
 
     def since(order: dict[str, float | None]) -> dict[str, str]:
         return {c: "never" if t is None else f"from {t:.0f} s on" for c, t in order.items()}
@@ -194,8 +194,8 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
         "At the same time the torque is the larger, the lower the speed.",
         {c: share[c] == 1.0 for c in COMBINATIONS},
         f"The torques of all five speeds are in this order during {percents(share.values(), 0)} of the time at constant speed. "
-        f"At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} km/h is {span((m[-1] / m[0] for m in at.values()), 2)} times that "
-        f"at {SPEEDS_KMH[0]:g} km/h. Hysteresis alone comes into this order {_first_order(hysteresis)}.",
+        f"At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} km/h is {span((m[-1] / m[0] for m in torques.values()), 2)} times "
+        f"that at {SPEEDS_KMH[0]:g} km/h. Hysteresis alone comes into this order {_first_order(hysteresis)}.",
         {
             FAILS: "A higher speed means a higher frequency, a larger loss modulus and more wind. Only the warming of the faster "
             "belt can turn the order, after hundreds of seconds.",
@@ -206,11 +206,11 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
             "share_of_time_in_order": share,
             "order_from_s": total,
             "hysteresis_order_from_s": hysteresis,
-            "at_250_s_nm": {c: m.tolist() for c, m in at.items()},
+            "at_250_s_nm": {c: m.tolist() for c, m in torques.items()},
             "at_end_nm": {c: m[:, -1].tolist() for c, m in torque.items()},
         },
         {
-            f"torque at {COMPARED_S:g} s, {SPEEDS_ENDS}": {c: f"{m[0]:.0f} and {m[-1]:.0f} Nm" for c, m in at.items()},
+            f"torque at {COMPARED_S:g} s, {SPEEDS_ENDS}": {c: f"{m[0]:.0f} and {m[-1]:.0f} Nm" for c, m in torques.items()},
             f"at {DURATION_S:g} s": {c: f"{m[0, -1]:.0f} and {m[-1, -1]:.0f} Nm" for c, m in torque.items()},
             "torque in the paper's order": since(total),
             "hysteresis torque in the paper's order": since(hysteresis),
@@ -339,8 +339,8 @@ def _draw_differences(out: Path, family: Family) -> Figure:
         "Torque of each ambient temperature less that of the next warmer one, on a logarithmic axis. A crossing "
         "would show as a line that drops out of the picture.",
     )
-    with picture(out / figure.png, 9.0, 5.6) as drawn:
-        panels = drawn.subplots(len(METHODS), len(THERMAL), sharex=True, sharey=True)
+    with picture(out / figure.png, 9.0, 5.6) as drawing:
+        panels = drawing.subplots(len(METHODS), len(THERMAL), sharex=True, sharey=True)
         for axes, combination in zip(panels.flat, COMBINATIONS, strict=True):
             time = family.series(combination)[0]["time_s"]
             pairs = zip(colours(family)[1:], pairwise(AMBIENTS_DEGC), differences(family, combination), strict=True)
@@ -386,14 +386,14 @@ def _warmer_is_larger_later(family: Family) -> Claim:
     stable = {c: float(np.min(-np.diff(family.stable_torque(c)))) for c in COMBINATIONS}
     belts = {c: float(np.diff(np.stack([s["belt_degc"] for s in family.series(c)]), axis=0).min()) for c in COMBINATIONS}
     crosses = {c: bool((m < 0).any()) for c, m in later.items()}
-    found = [c for c in COMBINATIONS if crosses[c]]
+    results = [c for c in COMBINATIONS if crosses[c]]
     return Claim(
         "warmer_is_larger_later",
         AMBIENTS_WHERE,
         "After 250 s the torque at a higher ambient temperature is slightly higher (section "
         "4.2.3 says so once, and the opposite a few lines below).",
         crosses,
-        (f"There is a crossing with {listed(found)}. " if found else "There is no crossing. ")
+        (f"There is a crossing with {listed(results)}. " if results else "There is no crossing. ")
         + f"The colder ambient temperature has at least {min(least.values()):.0f} Nm more torque up to {DURATION_S:g} s, and "
         f"{min(stable.values()):.0f} Nm more when stable. Its belt is at all times the colder one, by at least "
         f"{min(belts.values()):.1f} K.",

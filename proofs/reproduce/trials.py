@@ -74,9 +74,9 @@ class Trial:
         if not self.laps:
             return through_points(np.array([0.0, ramp, end]), np.array([0.0, speed, speed]), dt)
         count = math.ceil(end / (LAP_M / speed + ramp + stop_s))
-        whole = laps(speed, LAP_M, count, ramp, stop_s, dt)
-        kept = whole.time_s <= end + 1e-9
-        return SimulatedDrive(whole.time_s[kept], whole.speed[kept], whole.acceleration[kept])
+        total = laps(speed, LAP_M, count, ramp, stop_s, dt)
+        kept = total.time_s <= end + 1e-9
+        return SimulatedDrive(total.time_s[kept], total.speed[kept], total.acceleration[kept])
 
 
 TRIALS = (
@@ -133,8 +133,8 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
             columns[f"{column}_{combination.replace('/', '_')}"] = at_times(runs[combination], column, times)
     write_csv(out / figure.data[0], columns)
     main = runs[bench.shipped]
-    with picture(out / figure.png, 9.0, 8.0) as drawn:
-        speed, torque, zoom, belt = drawn.subplots(4, 1, sharex=True, height_ratios=(0.8, 1.3, 1.3, 1.2))
+    with picture(out / figure.png, 9.0, 8.0) as drawing:
+        speed, torque, zoom, belt = drawing.subplots(4, 1, sharex=True, height_ratios=(0.8, 1.3, 1.3, 1.2))
         speed.plot(*thin_out(main["time_s"], main["speed_mps"] * KMH_PER_MPS), color=BLACK)
         speed.set_ylim(0.0, 1.1 * trial.speed_kmh)
         speed.set_ylabel("speed [km/h]")
@@ -158,7 +158,7 @@ def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
         belt.margins(x=0.01)
         for axes in (torque, zoom, belt):
             legend_beside(axes)
-        drawn.align_ylabels()
+        drawing.align_ylabels()
     return figure
 
 
@@ -185,22 +185,22 @@ def _lap_settles(bench: Bench, trial: Trial, runs: Runs) -> Claim:
     long_run = trial.drive(bench.dt, times=LONG_RUN)
     ends = {c: float(held_means(simulate(bench.estimator(c), long_run))[-2]) for c in COMBINATIONS}  # the last may be cut short
     shrinking = {c: bool((np.diff(m[:-1], 2) > 0).all()) for c, m in means.items()}
-    done = {c: float((m[0] - m[-1]) / (m[0] - ends[c])) for c, m in means.items()}
+    outcomes = {c: float((m[0] - m[-1]) / (m[0] - ends[c])) for c, m in means.items()}
     return Claim(
         f"laps_{trial.speed_kmh:g}_settle",
         trial.where,
         "The torque gradually tends to a stable value.",
         shrinking,
         f"Of the fall in {LONG_RUN * trial.duration_s:g} s of laps, the {trial.duration_s:g} s of the record have "
-        f"{percents(done.values(), 0)}.",
+        f"{percents(outcomes.values(), 0)}.",
         {
             HOLDS: "The fall from lap to lap shrinks: the belt comes to a balance of heat.",
             IN_PART: "The fall does not shrink from each lap to the next.",
         },
-        {"tends_to_nm": ends, "share_done": done},
+        {"tends_to_nm": ends, "share_done": outcomes},
         {
             "tends to": {c: f"{m:.0f} Nm" for c, m in ends.items()},
-            "share of the fall in the record": {c: percent(share, 0) for c, share in done.items()},
+            "share of the fall in the record": {c: percent(share, 0) for c, share in outcomes.items()},
         },
     )
 

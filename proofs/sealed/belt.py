@@ -129,8 +129,8 @@ def fit_material(sheet: DataSheet) -> Material:
     x = omega[:, np.newaxis] * times
     rows_storage = np.column_stack([x * x / (1.0 + x * x), np.ones(len(omega))]) / storage[:, np.newaxis]
     rows_loss = np.column_stack([x / (1.0 + x * x), np.zeros(len(omega))]) / loss[:, np.newaxis]
-    found, _ = nnls(np.vstack([0.3 * rows_storage, rows_loss]), np.concatenate([np.full(len(omega), 0.3), np.ones(len(omega))]))
-    return Material(float(found[-1]), found[:-1], times, blank.glass_transition, blank.c1, blank.c2)
+    result, _ = nnls(np.vstack([0.3 * rows_storage, rows_loss]), np.concatenate([np.full(len(omega), 0.3), np.ones(len(omega))]))
+    return Material(float(result[-1]), result[:-1], times, blank.glass_transition, blank.c1, blank.c2)
 
 
 POINTS = 8192  # round the loop
@@ -170,14 +170,14 @@ def _indentation(sheet: DataSheet, material: Material, load: float, speeds: Arra
     loop, thickness = sheet["track.belt.loop_length"], sheet["track.belt.thickness"]
     width = sheet["track.road_wheels.contact_length"]
     place = np.arange(POINTS) * loop / POINTS
-    found = []
+    results = []
     for half, speed in zip(_half_contacts(sheet, material, load, speeds), speeds.tolist(), strict=True):
         strain = np.zeros(POINTS)
-        for at in sheet.wheel_positions:
-            near = np.clip(1.0 - ((place - at - half) / half) ** 2, 0.0, None)
+        for position in sheet.wheel_positions:
+            near = np.clip(1.0 - ((place - position - half) / half) ** 2, 0.0, None)
             strain += half * half / (2.0 * sheet["track.road_wheels.radius"] * thickness) * near
-        found.append(_dissipated(_harmonics(strain), material, loop, speed) * width * thickness)
-    return np.array(found)
+        results.append(_dissipated(_harmonics(strain), material, loop, speed) * width * thickness)
+    return np.array(results)
 
 
 def _half_contacts(sheet: DataSheet, material: Material, load: float, speeds: Array) -> list[float]:

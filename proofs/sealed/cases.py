@@ -150,22 +150,24 @@ def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) 
         names.remove("core_surface")  # it has no size
     library = {"outside": OUTSIDE, "street": STREET}.get(level, CATALOGUE)
     if level == "none" or (level == "street" and i % (1 + len(STREET)) == 0):
-        chosen: list[str] = []
+        choices: list[str] = []
     elif level == "street":
-        chosen = [list(STREET)[i % (1 + len(STREET)) - 1]]
+        choices = [list(STREET)[i % (1 + len(STREET)) - 1]]
     elif level == "outside":
-        chosen = [PROGRAM]
+        choices = [PROGRAM]
     else:
-        chosen = [str(name) for name in rng.choice(names, 2 if level == "two" else 1, replace=False)]
-    hidden = {name: {key: float(x) for key, x in library[name](rng, size).items()} for name in chosen}
+        choices = [str(name) for name in rng.choice(names, 2 if level == "two" else 1, replace=False)]
+    hidden = {name: {key: float(x) for key, x in library[name](rng, size).items()} for name in choices}
     source = str(rng.choice(list(sources)))
     if level == "outside":
         hidden[PROGRAM]["seed"] = _in_turn(hidden[PROGRAM]["seed"], i // 2)
         source = _half_recorded(source, i, rng, sources)
-    off = rng.normal(1.0, 0.05, 5)
+    deviation = rng.normal(1.0, 0.05, 5)
     if level == "none" and i % 2:  # re-fittable parameters that are plainly off
-        off = rng.normal(1.0, (0.10, 0.20, 0.12, 0.18, 0.12))
-    build = dict(zip(("loss", "bearing", "drag", "film", "capacity"), (float(x) for x in np.clip(off, 0.5, 1.6)), strict=True))
+        deviation = rng.normal(1.0, (0.10, 0.20, 0.12, 0.18, 0.12))
+    build = dict(
+        zip(("loss", "bearing", "drag", "film", "capacity"), (float(x) for x in np.clip(deviation, 0.5, 1.6)), strict=True)
+    )
     return Case(
         f"{rng.integers(16**8):08x}",
         level,
@@ -253,7 +255,9 @@ def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
     build, wanted = Build(**case.build), case.hidden[PROGRAM]["d_prime"]
     plain = whitened([run.shown for run in simulate_truth(sheet, build, {}, drives)], drives)
     others = [replace(build, **{name: (1.0 + CHANGE) * value}) for name, value in case.build.items()]
-    base = [whitened([run.shown for run in simulate_truth(sheet, other, {}, drives)], drives) - plain for other in others]
+    base = [
+        whitened([run.shown for run in simulate_truth(sheet, other_item, {}, drives)], drives) - plain for other_item in others
+    ]
     taken = np.linalg.qr(np.column_stack([*base, plain]))[0]
 
     def seen(seed: float, size: float) -> float:
@@ -278,8 +282,8 @@ def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
 def whitened(series: Sequence[Array], drives: Sequence[SealedDrive]) -> Array:
     """Torques over seconds, over the noise in them that cannot be known from the second before."""
     keep, parts = np.exp(-1.0 / ROAD_S), list[Array]()
-    for torque, one in zip(series, drives, strict=True):
-        n = round(1.0 / one.step)
+    for torque, value in zip(series, drives, strict=True):
+        n = round(1.0 / value.step)
         second = torque[: len(torque) // n * n].reshape(-1, n).mean(axis=1)
         parts.append(second - keep * np.append(0.0, second[:-1]))
     return np.asarray(np.concatenate(parts) / np.hypot(ROAD_NM * np.sqrt(1.0 - keep**2), WHITE_NM * np.sqrt(1.0 + keep**2)))

@@ -23,7 +23,7 @@ from proofs.pipeline import read_json
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis import Diagnosis, DiagnosisOptions, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.base.variables import varying
+from trackres_ros.diagnosis.base.variables import varying_series
 from trackres_ros.diagnosis.empirical.finders import variable_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Split
@@ -57,10 +57,10 @@ def answer(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     # A drive made to distinguish effects is added to the fit: the hold-out laps are the same as without it.
     kept = folder / HELD_OUT
     held_out = read_json(kept) if kept.exists() else None
-    found = diagnose(recordings, base, DiagnosisOptions(holdout=held_out, quick=True))
-    simple = simple_answers(found.refitted, found.alone.separability.of_names)
-    learned = learned_errors(found.refitted, found.split)
-    return {"report": report(found, paths), "simple": simple, "learned": learned, "over": _over(found)}, {}
+    result = diagnose(recordings, base, DiagnosisOptions(holdout=held_out, quick=True))
+    simple = simple_answers(result.refitted, result.alone.separability.of_names)
+    learned_values = learned_errors(result.refitted, result.split)
+    return {"report": report(result, paths), "simple": simple, "learned": learned_values, "over": _over(result)}, {}
 
 
 def _over(found: Diagnosis) -> dict[str, list[list[float]]]:
@@ -68,7 +68,7 @@ def _over(found: Diagnosis) -> dict[str, list[list[float]]]:
     shown = {}
     for term in found.described:
         course = variable_of(term, found.final)
-        x, torque = (np.concatenate(list(of)) if of else np.empty(0) for of in (course, term.adds))
+        x, torque = (np.concatenate(list(item)) if item else np.empty(0) for item in (course, term.adds))
         speed = np.concatenate([s.speed for s in found.refitted.problem.sessions])
         if len(x) != len(speed):
             continue
@@ -115,38 +115,38 @@ class _Regression:
 
 def _regression(residual: Array, columns: Array) -> _Regression:
     n, k = columns.shape
-    whole, left = float(residual @ residual), _left(residual, columns)
-    f = (whole - left) / k / max(left / (n - k), 1e-300)
+    total, remainder = float(residual @ residual), _left(residual, columns)
+    f = (total - remainder) / k / max(remainder / (n - k), 1e-300)
     first = columns[:, 0]
-    norm = float(np.linalg.norm(first) * np.sqrt(whole))
+    norm = float(np.linalg.norm(first) * np.sqrt(total))
     return _Regression(
-        1.0 - left / whole, float(first @ residual) / norm if norm else 0.0, f, float(f_distribution.sf(f, k, n - k))
+        1.0 - remainder / total, float(first @ residual) / norm if norm else 0.0, f, float(f_distribution.sf(f, k, n - k))
     )
 
 
 def _left(residual: Array, columns: Array) -> float:
     """Sum of squares after a linear regression."""
     scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    found = np.linalg.lstsq(scaled, residual, rcond=1e-10)[0]
-    return float(((residual - scaled @ found) ** 2).sum())
+    result = np.linalg.lstsq(scaled, residual, rcond=1e-10)[0]
+    return float(((residual - scaled @ result) ** 2).sum())
 
 
 def _by_aic(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
     """Base and effects in one linear regression; effects are added while Akaike's criterion falls."""
-    n, chosen, columns = len(residual), list[str](), own
+    n, choice, columns = len(residual), list[str](), own
     criterion = n * np.log(_left(residual, own))
-    while len(chosen) < MOST:
+    while len(choice) < MOST:
         scores = {
             name: n * np.log(_left(residual, np.hstack((columns, more))))
             + 2.0 * (columns.shape[1] - own.shape[1] + more.shape[1])
             for name, more in shapes.items()
-            if name not in chosen
+            if name not in choice
         }
         best = min(scores, key=scores.__getitem__, default=None)
         if best is None or scores[best] >= criterion:
             break
-        chosen, columns, criterion = [*chosen, best], np.hstack((columns, shapes[best])), scores[best]
-    return chosen
+        choice, columns, criterion = [*choice, best], np.hstack((columns, shapes[best])), scores[best]
+    return choice
 
 
 def _by_lasso(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
@@ -166,8 +166,8 @@ def _by_lasso(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str
     target = residual - basis @ (basis.T @ residual)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # effects that look alike: which of them it takes is its own affair
-        found = LassoCV(cv=KFold(FOLDS), alphas=30, eps=1e-3, max_iter=3000).fit(columns, target).coef_
-    parts = {name: columns @ np.where([o == name for o in owners], found, 0.0) for name in shapes}
+        result = LassoCV(cv=KFold(FOLDS), alphas=30, eps=1e-3, max_iter=3000).fit(columns, target).coef_
+    parts = {name: columns @ np.where([o == name for o in owners], result, 0.0) for name in shapes}
     sizes = {name: float(part.std()) for name, part in parts.items()}
     least = LEAST_SHARE * float(np.sum(list(parts.values()), axis=0).std())
     named = [name for name, size in sizes.items() if size > max(least, 1e-9)]
@@ -185,13 +185,13 @@ def by_trees(features: Sequence[dict[str, tuple[float, float]]], labels: Sequenc
 
     if len(labels) < FEWEST_TO_LEARN:
         return []
-    table = np.array([[x for name in names for x in of.get(name, (0.0, 0.0))] for of in features])
+    table = np.array([[x for name in names for x in feature.get(name, (0.0, 0.0))] for feature in features])
     known = np.array(labels)
-    predicted = np.empty(len(known), dtype=object)
+    prediction = np.empty(len(known), dtype=object)
     for train, test in KFold(10, shuffle=True, random_state=1).split(table):
         model = HistGradientBoostingClassifier(max_iter=60, min_samples_leaf=3, random_state=1).fit(table[train], known[train])
-        predicted[test] = model.predict(table[test])
-    return [str(x) for x in predicted]
+        prediction[test] = model.predict(table[test])
+    return [str(x) for x in prediction]
 
 
 Learn = Callable[[Array, Array, Array], Array]
@@ -212,16 +212,16 @@ def learned_errors(refitted: Fit, split: Split) -> dict[str, float]:
     training = np.concatenate([split.training_mask(s) for s in sessions])
     held_out = np.concatenate([split.held_out_mask(s) for s in sessions])
     rows = _rows(refitted)
-    known, new, target, left = rows[training], rows[held_out], residual[training], residual[held_out]
+    known, new, target, remainder = rows[training], rows[held_out], residual[training], residual[held_out]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of fits that do not converge: a matter of the learner
         adds = {name: learn(known, target, new) for name, learn in LEARN.items()}
-    return {BASE: float(np.abs(left).mean()), **{name: float(np.abs(left - x).mean()) for name, x in adds.items()}}
+    return {BASE: float(np.abs(remainder).mean()), **{name: float(np.abs(remainder - x).mean()) for name, x in adds.items()}}
 
 
 def _rows(refitted: Fit) -> Array:
     """Features for a residual, including the drive torque, each over its standard deviation."""
-    series = varying(refitted.problem.sessions, refitted.predicted)
+    series = varying_series(refitted.problem.sessions, refitted.predicted)
     series["driving torque"] = np.concatenate([p.at_sprockets for p in refitted.predicted])
     if "heading" in series:
         heading = series.pop("heading")
@@ -246,8 +246,8 @@ def _by_sparse_regression(known: Array, target: Array, new: Array) -> Array:
     table, cut = functions(known), int(len(known) * (1.0 - CHECKED_SHARE))
 
     def error(threshold: float) -> float:
-        found = fitted(table[:cut], target[:cut], threshold)
-        return float(np.abs(target[cut:] - table[cut:] @ found).mean())
+        result = fitted(table[:cut], target[:cut], threshold)
+        return float(np.abs(target[cut:] - table[cut:] @ result).mean())
 
     return functions(new) @ fitted(table, target, min(THRESHOLDS_NM, key=error))
 

@@ -85,11 +85,11 @@ def recorded(
     """Speeds that real vehicles drove, each profile by `STEP_S`, slower where they were faster than this vehicle can be."""
     n, parts = int(minutes * 60.0 / STEP_S), list[Array]()
     while sum(map(len, parts)) < n:
-        one = profiles[int(rng.integers(len(profiles)))]
-        rests = np.flatnonzero(one < RESTING_MPS)  # it begins and ends at rest, as drives that are joined must
-        begin = int(rng.choice(rests[: max(int(np.searchsorted(rests, len(one) - n)), 1)]))
-        slower = min(1.0, fastest / float(one.max()), HARDEST_MPS2 / float(np.abs(np.gradient(one, STEP_S)).max()))
-        parts.append(one[begin : int(rests[-1]) + 1] * slower)
+        item = profiles[int(rng.integers(len(profiles)))]
+        rests = np.flatnonzero(item < RESTING_MPS)  # it begins and ends at rest, as drives that are joined must
+        begin = int(rng.choice(rests[: max(int(np.searchsorted(rests, len(item) - n)), 1)]))
+        slower = min(1.0, fastest / float(item.max()), HARDEST_MPS2 / float(np.abs(np.gradient(item, STEP_S)).max()))
+        parts.append(item[begin : int(rests[-1]) + 1] * slower)
     return _on_a_course(np.concatenate(parts)[:n], weight, ambient, rng)
 
 
@@ -105,24 +105,24 @@ def _on_a_course(speed: Array, weight: float, ambient: float, rng: np.random.Gen
 
 
 def _targets(n: int, fastest: float, restless: float, rng: np.random.Generator) -> Array:
-    out, i = np.empty(n), 0
+    output, i = np.empty(n), 0
     while i < n:
         hold = int(rng.gamma(3.0, restless / 3.0) / STEP_S) + 50
         stop = rng.random() < 0.12
-        out[i : i + hold] = 0.0 if stop else fastest * rng.beta(1.6, 1.3) * 0.85 + 0.8
+        output[i : i + hold] = 0.0 if stop else fastest * rng.beta(1.6, 1.3) * 0.85 + 0.8
         i += hold
-    out[:30] = 0.0
-    return out
+    output[:30] = 0.0
+    return output
 
 
 def _eased(target: Array, brisk: float) -> Array:
     """The vehicle's version of it: bounded acceleration, smoothed jerk."""
-    speed, now, accel = np.empty(len(target)), 0.0, 0.0
+    speed, time_now, accel = np.empty(len(target)), 0.0, 0.0
     for i, aim in enumerate(target):
-        wanted = np.clip((aim - now) / 1.5, -1.4 * brisk, brisk)
+        wanted = np.clip((aim - time_now) / 1.5, -1.4 * brisk, brisk)
         accel += (wanted - accel) * STEP_S / 0.6
-        now = max(0.0, now + accel * STEP_S)
-        speed[i] = now
+        time_now = max(0.0, time_now + accel * STEP_S)
+        speed[i] = time_now
     return speed
 
 
@@ -146,15 +146,15 @@ SMOOTH_S = 1.5  # over which a speed recorded once a second is rounded
 
 def profile_files(data: Path) -> list[tuple[Path, tuple[str, str, str, float]]]:
     """Recordings in the folder that `python -m proofs real --data` takes, each with how it is read."""
-    found = [(path, how) for pattern, how in SPEED_FILES.items() for path in sorted(data.glob(pattern))]
-    if not found:
+    results = [(path, how) for pattern, how in SPEED_FILES.items() for path in sorted(data.glob(pattern))]
+    if not results:
         raise InputError("--profiles", str(data), "a folder with bmw_i3/Trip*.csv.gz or ztbus/*.csv.gz")
-    return found
+    return results
 
 
 def read_profiles(data: Path) -> list[Array]:
     """Speeds [m/s] by `STEP_S`, one series a recording that has a stop in it."""
-    found = []
+    results = []
     for path, (delimiter, time_name, speed_name, unit) in profile_files(data):
         with gzip.open(path, "rt", encoding="latin-1", newline="") as lines:
             rows = [(row[time_name] or "nan", row[speed_name] or "nan") for row in csv.DictReader(lines, delimiter=delimiter)]
@@ -166,8 +166,8 @@ def read_profiles(data: Path) -> list[Array]:
         window = np.hanning(int(SMOOTH_S / STEP_S) + 2)[1:-1]
         smooth = np.convolve(even, window / window.sum(), mode="same")
         if (smooth < RESTING_MPS).any():
-            found.append(smooth)
-    return found
+            results.append(smooth)
+    return results
 
 
 Crossing = tuple[int, int]
@@ -233,7 +233,12 @@ class Town:
     def streets(self) -> list[tuple[Crossing, Crossing]]:
         """Blocks between two crossings, the first in order first."""
         crossings = [(i, j) for i in range(len(self.east)) for j in range(len(self.north))]
-        return [(one, other) for one in crossings for other in self.neighbours(one) if one < other]
+        return [
+            (crossing, other_neighbour)
+            for crossing in crossings
+            for other_neighbour in self.neighbours(crossing)
+            if crossing < other_neighbour
+        ]
 
     def height(self, x: Array, y: Array) -> Array:
         """Height of the ground [m] for a steepest slope of 1."""
@@ -248,12 +253,12 @@ class Town:
 
     def softness(self, x: Array, y: Array) -> Array:
         """How soft or rough the ground is: of the softest street nearly 1, else less, mostly 0."""
-        out = np.zeros(len(x))
+        output = np.zeros(len(x))
         for patch in self.soft:
             along, aside = patch.along(x, y)
-            inside = np.tanh(along / EDGE_M) - np.tanh((along - patch.length) / EDGE_M)
-            out += 0.5 * patch.size * inside * (np.abs(aside) < STREET_HALF_M)
-        return out
+            is_inside = np.tanh(along / EDGE_M) - np.tanh((along - patch.length) / EDGE_M)
+            output += 0.5 * patch.size * is_inside * (np.abs(aside) < STREET_HALF_M)
+        return output
 
     def hidden_from_above(self, x: Array, y: Array) -> NDArray[np.bool_]:
         """Where no satellite is seen."""
@@ -297,14 +302,14 @@ def _part(town: Town, street: tuple[Crossing, Crossing], rng: np.random.Generato
 
 
 def _steepest(town: Town) -> float:
-    found = []
+    results = []
     for street in town.streets:
         begin, end = (town.at(crossing) for crossing in street)
         share = np.linspace(0.0, 1.0, int(np.abs(end - begin).sum() / SOUNDED_M) + 2)
         x, y = (begin[i] + share * (end[i] - begin[i]) for i in (0, 1))
         heading = np.full(len(x), np.arctan2(end[1] - begin[1], end[0] - begin[0]))
-        found.append(float(np.abs(town.slope(x, y, heading)).max()))
-    return max(found)
+        results.append(float(np.abs(town.slope(x, y, heading)).max()))
+    return max(results)
 
 
 Indices = NDArray[np.int64]
@@ -346,9 +351,9 @@ def street_drive(
     """A drive through a town whose steepest slope is given [rise over run]."""
     path = _path(town, _walk(town, minutes * 60.0 * MEAN_MPS, rng), rng)
     time, speed_at, stretch_at = _timetable(path, rng.uniform(0.4, 0.8), rng.uniform(0.6, 1.3))
-    now = np.arange(int(minutes * 60.0 / STEP_S)) * STEP_S
+    time_now = np.arange(int(minutes * 60.0 / STEP_S)) * STEP_S
     window = np.hanning(int(JERK_S / STEP_S) + 2)[1:-1]
-    sharp = np.pad(np.interp(now, time, speed_at), len(window) // 2, mode="edge")
+    sharp = np.pad(np.interp(time_now, time, speed_at), len(window) // 2, mode="edge")
     speed = np.convolve(sharp, window / window.sum(), mode="valid")
     speed[speed < 1e-9] = 0.0
     distance, way = np.cumsum(speed) * STEP_S, np.arange(len(path.x)) * SPACING_M
@@ -357,11 +362,13 @@ def street_drive(
     street = OnStreet(
         x, y, steepest * town.slope(x, y, heading), steepest * town.height(x, y), town.softness(x, y),
         town.hidden_from_above(x, y),
-        stretch_at[np.searchsorted(time, now + 2.0 * JERK_S, side="right") - 1],  # doors are shut before it starts
+        stretch_at[np.searchsorted(time, time_now + 2.0 * JERK_S, side="right") - 1],  # doors are shut before it starts
         _brakes(speed, accel),
     )  # fmt: skip
-    air = ambient + rng.normal(0.0, 1.0) * np.sin(now / 1500.0)
-    return SealedDrive(STEP_S, speed, accel, np.gradient(heading, STEP_S), heading, np.full(len(now), weight), air, street=street)
+    air = ambient + rng.normal(0.0, 1.0) * np.sin(time_now / 1500.0)
+    return SealedDrive(
+        STEP_S, speed, accel, np.gradient(heading, STEP_S), heading, np.full(len(time_now), weight), air, street=street
+    )
 
 
 def _walk(town: Town, metres: float, rng: np.random.Generator) -> list[Crossing]:
@@ -369,8 +376,8 @@ def _walk(town: Town, metres: float, rng: np.random.Generator) -> list[Crossing]
     here: Crossing = (int(rng.integers(len(town.east))), int(rng.integers(len(town.north))))
     walk, way = [here], 0.0
     while way < metres:
-        ahead = [c for c in town.neighbours(walk[-1]) if len(walk) < 2 or c != walk[-2]]
-        walk.append(ahead[int(rng.integers(len(ahead)))])
+        forecasts = [c for c in town.neighbours(walk[-1]) if len(walk) < 2 or c != walk[-2]]
+        walk.append(forecasts[int(rng.integers(len(forecasts)))])
         way += float(np.abs(town.at(walk[-1]) - town.at(walk[-2])).sum())
     return walk
 
@@ -386,35 +393,35 @@ def _path(town: Town, walk: list[Crossing], rng: np.random.Generator) -> Way:
         return float(np.hypot(np.diff(east), np.diff(north)).sum())
 
     then: list[Crossing | None] = [*walk[2:], None]
-    for before, after, later in zip(walk[:-1], walk[1:], then, strict=True):
-        begin, end = town.at(before), town.at(after)
-        ahead = (end - begin) / np.abs(end - begin).sum()
-        right = np.array([ahead[1], -ahead[0]])
-        towards = float(np.arctan2(ahead[1], ahead[0]))
+    for node_before, node_after, later in zip(walk[:-1], walk[1:], then, strict=True):
+        begin, end = town.at(node_before), town.at(node_after)
+        forecast = (end - begin) / np.abs(end - begin).sum()
+        right = np.array([forecast[1], -forecast[0]])
+        towards = float(np.arctan2(forecast[1], forecast[0]))
         angle = towards if np.isnan(angle) else angle + float(np.angle(np.exp(1j * (towards - angle))))
         length = float(np.abs(end - begin).sum())
         share = (length - BLOCKS_M[0]) / (BLOCKS_M[1] - BLOCKS_M[0])
         limit = float(np.interp(share, (0.0, 1.0), STREET_MPS) * rng.uniform(*CAREFUL))
-        line = np.array([begin + town.radius * ahead, end - town.radius * ahead]) + RIGHT_M * right
-        street = (min(before, after), max(before, after))
+        line = np.array([begin + town.radius * forecast, end - town.radius * forecast]) + RIGHT_M * right
+        street = (min(node_before, node_after), max(node_before, node_after))
         if street in town.stops and rng.random() < CALLED:
-            at = town.stops[street] if before < after else 1.0 - town.stops[street]
-            halts.append((way + at * length - town.radius, float(rng.uniform(*CALLED_S)), True))
+            place = town.stops[street] if node_before < node_after else 1.0 - town.stops[street]
+            halts.append((way + place * length - town.radius, float(rng.uniform(*CALLED_S)), True))
         way += add(line[:, 0], line[:, 1], np.full(2, angle), limit)
         if rng.random() < RED:
             halts.append((way - AHEAD_M, float(rng.uniform(*RED_S)), False))
         if later is None:
             break
         onward = (town.at(later) - end) / np.abs(town.at(later) - end).sum()
-        turn = float(ahead[0] * onward[1] - ahead[1] * onward[0])  # 1 to the left, -1 to the right
+        turn = float(forecast[0] * onward[1] - forecast[1] * onward[0])  # 1 to the left, -1 to the right
         if turn:
             radius = town.radius + turn * RIGHT_M
-            centre = end + town.radius * (onward - ahead)
+            centre = end + town.radius * (onward - forecast)
             bend = angle + turn * np.linspace(0.0, 0.5 * np.pi, 40)
             limit = float(np.sqrt(SIDEWAYS_MPS2 * radius))
             way += add(centre[0] + turn * radius * np.sin(bend), centre[1] - turn * radius * np.cos(bend), bend, limit)
         else:
-            line = np.array([end - town.radius * ahead, end + town.radius * ahead]) + RIGHT_M * right
+            line = np.array([end - town.radius * forecast, end + town.radius * forecast]) + RIGHT_M * right
             way += add(line[:, 0], line[:, 1], np.full(2, angle), limit)
     return _evenly(x, y, heading, fastest, halts, rng)
 
@@ -432,8 +439,8 @@ def _evenly(
     knots = np.arange(0.0, way[-1] + UNEVEN_M, UNEVEN_M)
     uneven = 1.0 - np.interp(even, knots, rng.uniform(0.0, UNEVEN, len(knots)))
     limit = raw_fastest[np.clip(np.searchsorted(way, even, side="right") - 1, 0, len(way) - 1)]
-    at, held, called = (np.array([halt[i] for halt in halts]) for i in (0, 1, 2))
-    points = np.round(at / SPACING_M).astype(np.int64)
+    place, held, called = (np.array([halt[i] for halt in halts]) for i in (0, 1, 2))
+    points = np.round(place / SPACING_M).astype(np.int64)
     return Way(
         np.interp(even, way, raw_x), np.interp(even, way, raw_y), np.convolve(padded, window, mode="valid"), limit * uneven,
         (points, held, called.astype(bool)),
@@ -446,10 +453,10 @@ def _timetable(path: Way, speeds_up: float, slows_down: float) -> tuple[Array, A
     points, held, called = path.halts
     squared[0] = squared[-1] = 0.0
     squared[points] = 0.0
-    for ahead, most, order in ((1, slows_down, range(len(squared) - 2, -1, -1)), (-1, speeds_up, range(1, len(squared)))):
+    for forecast, most, order in ((1, slows_down, range(len(squared) - 2, -1, -1)), (-1, speeds_up, range(1, len(squared)))):
         gain, kept = 2.0 * most * SPACING_M, squared.tolist()
         for i in order:
-            kept[i] = min(kept[i], kept[i + ahead] + gain)
+            kept[i] = min(kept[i], kept[i + forecast] + gain)
         squared = np.array(kept)
     speed = np.sqrt(squared)
     waits, stops = np.zeros(len(speed)), np.zeros(len(speed), dtype=np.int64)
@@ -457,8 +464,12 @@ def _timetable(path: Way, speeds_up: float, slows_down: float) -> tuple[Array, A
     reached = np.concatenate(([0.0], np.cumsum(waits[:-1] + 2.0 * SPACING_M / (speed[:-1] + speed[1:]))))
     halted = np.flatnonzero(waits)
     time = np.insert(reached, halted + 1, (reached + waits)[halted])
-    before = np.cumsum(stops) - stops
-    return time, np.insert(speed, halted + 1, speed[halted]), np.insert(before, halted + 1, (before + stops)[halted])
+    stop_sums = np.cumsum(stops) - stops
+    return (
+        time,
+        np.insert(speed, halted + 1, speed[halted]),
+        np.insert(stop_sums, halted + 1, (stop_sums + stops)[halted]),
+    )
 
 
 def _brakes(speed: Array, accel: Array) -> Array:

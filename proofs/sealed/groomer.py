@@ -93,15 +93,15 @@ def snow_drives(g: Groomer) -> list[Snow]:
 def _planned(g: Groomer, mass: float, rng: np.random.Generator) -> SealedDrive:
     """A drive of a restless or a steady driver, in air that wanders about the threshold and crosses it."""
     make = drive if rng.random() < 0.5 else trapezoids
-    one = make(MINUTES, mass * 9810.0, g.at, FASTEST_MPS, rng)
+    item = make(MINUTES, mass * 9810.0, g.at, FASTEST_MPS, rng)
     count = int(rng.integers(4, 7))
     sides = np.resize(rng.permutation((-1.0, 1.0)), count) * rng.uniform(*APART_K, count)
-    even = np.linspace(0.0, np.pi * (count - 1), len(one))
+    even = np.linspace(0.0, np.pi * (count - 1), len(item))
     turn, share = np.minimum((even / np.pi).astype(int), count - 2), 0.5 - 0.5 * np.cos(even % np.pi)
     share[-1] = 1.0
     air = g.at + sides[turn] + share * (sides[turn + 1] - sides[turn])
-    still = np.zeros(len(one))
-    return SealedDrive(one.step, one.speed, one.accel, still, still, one.weight, air)
+    still = np.zeros(len(item))
+    return SealedDrive(item.step, item.speed, item.accel, still, still, item.weight, air)
 
 
 def _simulated(g: Groomer, one: SealedDrive, mass: float) -> Snow:
@@ -127,15 +127,15 @@ def _simulated(g: Groomer, one: SealedDrive, mass: float) -> Snow:
 
 def write_table(path: Path, snow: Snow, mass: float, rng: np.random.Generator) -> None:
     """Write a drive as a German logger does: commas in numbers, semicolons between them, Latin letters of one byte."""
-    one = snow.drive
+    item = snow.drive
 
     def noisy(series: Array, std: float) -> Array:
-        return np.asarray(series + rng.normal(0.0, std, len(one)))
+        return np.asarray(series + rng.normal(0.0, std, len(item)))
 
-    speed = np.where(one.speed > 0.0, np.maximum(noisy(one.speed, SPEED_NOISE_MPS), 0.0), 0.0)
+    speed = np.where(item.speed > 0.0, np.maximum(noisy(item.speed, SPEED_NOISE_MPS), 0.0), 0.0)
     columns = (
-        np.arange(len(one)) * one.step, 3.6 * speed, noisy(snow.motor, MOTOR_NOISE_NM), np.full(len(one), mass),
-        noisy(one.ambient, AIR_NOISE_K),
+        np.arange(len(item)) * item.step, 3.6 * speed, noisy(snow.motor, MOTOR_NOISE_NM), np.full(len(item), mass),
+        noisy(item.ambient, AIR_NOISE_K),
     )  # fmt: skip
     rows = (";".join(f"{x:.1f}" for x in row).replace(".", ",") for row in np.column_stack(columns))
     path.write_text("\n".join((HEADS, *rows)) + "\n", encoding="latin-1")
@@ -153,9 +153,9 @@ ABSOLUTE = 0.7979  # mean of the absolute value of a normal variable, over its s
 def draw_groomers(counts: Mapping[str, int], seed: int) -> list[Groomer]:
     """Groomers with so many cases of each kind, and names that say nothing; each has light and heavy drives."""
     rng = np.random.default_rng(seed)
-    drawn = [_drawn(kind, rng) for kind, count in counts.items() for _ in range(count)]
-    numbers = np.random.default_rng([seed, *b"names"]).permutation(len(drawn))
-    return [replace(g, name=f"case{number:03d}") for number, g in zip(numbers.tolist(), drawn, strict=True)]
+    drawings = [_drawn(kind, rng) for kind, count in counts.items() for _ in range(count)]
+    numbers = np.random.default_rng([seed, *b"names"]).permutation(len(drawings))
+    return [replace(g, name=f"case{number:03d}") for number, g in zip(numbers.tolist(), drawings, strict=True)]
 
 
 def _drawn(kind: str, rng: np.random.Generator) -> Groomer:

@@ -66,8 +66,8 @@ class OwnProof(Proof):
         data, minutes = self.settings["profiles"], self.settings["minutes"]
         if data:
             np.savez_compressed(self.folder / "sealed" / f"{PROFILES}.npz", *read_profiles(Path(data)))
-        drawn = draw_cases(self.settings["counts"], self.settings["seed"], SOURCES if data else SOURCES[:-1])
-        return each(partial(sized_case, self.folder, minutes), drawn)
+        drawing = draw_cases(self.settings["counts"], self.settings["seed"], SOURCES if data else SOURCES[:-1])
+        return each(partial(sized_case, self.folder, minutes), drawing)
 
     def record(self, case: Case) -> None:
         """See `Proof`."""
@@ -80,8 +80,8 @@ class OwnProof(Proof):
     def scores(self, cases: Sequence[Case]) -> list[Scored]:
         """The answers to the cases, with those of trees that learn from the others."""
         simple = [self.result(case.name)["simple"] for case in cases]
-        expected = [_expected(case) for case in cases]
-        trees = by_trees([s["features"] for s in simple], expected, list(CATALOGUE)) or [""] * len(cases)
+        expectations = [_expected(case) for case in cases]
+        trees = by_trees([s["features"] for s in simple], expectations, list(CATALOGUE)) or [""] * len(cases)
         return each(partial(_scored, self), list(zip(cases, trees, strict=True)), "oracle fitted")
 
     def report(self, scores: list[Scored], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
@@ -104,9 +104,11 @@ def _by_earlier(checkout: Path, folder: Path) -> tuple[dict[str, Any], dict[str,
         drives = sorted(folder.glob("drive_*.csv"))
         words = ("diagnose", *drives, "--vehicle", folder / "vehicle.yaml", "--quick", "-o", report)
         command = python("trackres_ros", *words, PYTHONPATH=str(checkout))
-        done = subprocess.run(**command, cwd=report, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise RuntimeError(f"{folder.name}: the earlier version ended with exit code {done.returncode}: {done.stderr[-500:]}")
+        process = subprocess.run(**command, cwd=report, capture_output=True, text=True, check=False)
+        if process.returncode:
+            raise RuntimeError(
+                f"{folder.name}: the earlier version ended with exit code {process.returncode}: {process.stderr[-500:]}"
+            )
         return read_json(Path(report) / "report.json"), {}
 
 
@@ -118,10 +120,10 @@ def follow(folder: Path, first: int | None = None) -> None:
     proof, labels, _ = unseal(folder)
     tasks = []
     for case in sorted(proof.cases(labels), key=lambda case: str(case.name))[:first]:
-        found = proof.result(case.name)["report"]
-        advice = advised(found, set(case.hidden))
+        result = proof.result(case.name)["report"]
+        advice = advised(result, set(case.hidden))
         if advice is not None:
-            held_out = [Path(lap).name for lap in found["heldout"]["laps"]]
+            held_out = [Path(lap).name for lap in result["heldout"]["laps"]]
             tasks.append((case, str(advice["manoeuvre"]), held_out))
     each(partial(_follow, folder, proof.settings["minutes"]), tasks[: proof.settings["followed"]], "driven as advised")
 
@@ -142,10 +144,10 @@ def _follow(folder: Path, minutes: float, task: tuple[Case, str, list[str]]) -> 
     into = folder / "next" / case.name
     if (into / f"{FOLLOWED}.csv").exists():
         return
-    before = folder / "cases" / case.name
-    recorded = drive_next(folder, case, minutes, FOLLOWED, lambda last: planned(manoeuvre, before, last))
+    result_before = folder / "cases" / case.name
+    recorded = drive_next(folder, case, minutes, FOLLOWED, lambda last: planned(manoeuvre, result_before, last))
     into.mkdir(parents=True, exist_ok=True)
-    for path in [*sorted(before.glob("drive_[0-9]*.csv")), before / "vehicle.yaml"]:
+    for path in [*sorted(result_before.glob("drive_[0-9]*.csv")), result_before / "vehicle.yaml"]:
         shutil.copy(path, into / path.name)
     (into / HELD_OUT).write_text(json.dumps(held_out), encoding="utf-8")
     recorded.rename(into / recorded.name)
@@ -233,19 +235,19 @@ def partial_correlation(groups: list[NDArray[np.int64]], over: Mapping[str, Arra
                       for key in product(*(range(int(g.max()) + 1) for g in groups))], axis=1)  # fmt: skip
     half = np.arange(len(target)) // BLOCK_S % 2
     errors = np.zeros(2)
-    for fitted in (half == 0, half == 1):
+    for fit_result in (half == 0, half == 1):
         for i, columns in enumerate((base, np.hstack((base, cells)))):
-            ridge = 1e-3 * np.sqrt(fitted.sum()) * np.eye(columns.shape[1])
-            wanted = np.append(target[fitted], np.zeros(columns.shape[1]))
-            found = np.linalg.lstsq(np.vstack((columns[fitted], ridge)), wanted, rcond=None)[0]
-            errors[i] += float(((target - columns @ found)[~fitted] ** 2).sum())
+            ridge = 1e-3 * np.sqrt(fit_result.sum()) * np.eye(columns.shape[1])
+            wanted = np.append(target[fit_result], np.zeros(columns.shape[1]))
+            result = np.linalg.lstsq(np.vstack((columns[fit_result], ridge)), wanted, rcond=None)[0]
+            errors[i] += float(((target - columns @ result)[~fit_result] ** 2).sum())
     return float(np.sqrt(max(0.0, 1.0 - errors[1] / max(errors[0], 1e-12))))
 
 
 def _named(text: str, series: Mapping[str, Array]) -> list[str]:
     """Variables that a text names, the longest name first; else those that it implies."""
-    given = sorted((name for name in series if name in text), key=len, reverse=True)
-    return given or [name for name, meant in MEANT.items() if any(word in text for word in meant)]
+    given_values = sorted((name for name in series if name in text), key=len, reverse=True)
+    return given_values or [name for name, meant in MEANT.items() if any(word in text for word in meant)]
 
 
 def _bins(x: Array, count: int) -> NDArray[np.int64]:
@@ -268,7 +270,7 @@ def _since_stops(over: Mapping[str, Array], lengths: Array) -> dict[str, Array]:
 
     stops, slows = np.abs(over["speed"]) < STANDING_MPS, over["acceleration"] < BRAKING_MPS2
     long = stops & (since(second, ~stops) >= LONG_STOP_S)
-    none_yet = np.concatenate([np.cumsum(one) == 0 for one in np.split(long, np.cumsum(lengths)[:-1].astype(int))])
+    none_yet = np.concatenate([np.cumsum(item) == 0 for item in np.split(long, np.cumsum(lengths)[:-1].astype(int))])
     return {
         "distance since a stop": since(way, stops),
         "time since a stop": since(second, stops),
@@ -280,17 +282,17 @@ def _since_stops(over: Mapping[str, Array], lengths: Array) -> dict[str, Array]:
 
 def _two_levels(added: list[Array]) -> bool:
     """Whether a torque has two levels in each drive, and stays at each for a while."""
-    fitted, lasts = [], list[Array]()
-    for one in added:
-        slow = _smooth(one, 5)
+    fit_result, lasts = [], list[Array]()
+    for item in added:
+        slow = _smooth(item, 5)
         high = slow > 0.5 * np.sum(np.quantile(slow, (0.05, 0.95)))
-        fitted.append(np.where(high, one[high].mean() if high.any() else 0.0, one[~high].mean() if not high.all() else 0.0))
+        fit_result.append(np.where(high, item[high].mean() if high.any() else 0.0, item[~high].mean() if not high.all() else 0.0))
         lasts.append(np.diff(np.flatnonzero(np.diff(high.astype(int)))))
     held = np.concatenate(lasts)
     return (
         len(held) > 0
         and float(np.median(held)) >= 5.0
-        and _correlation(np.concatenate(fitted), np.concatenate(added)) >= TWO_LEVELS
+        and _correlation(np.concatenate(fit_result), np.concatenate(added)) >= TWO_LEVELS
     )
 
 
@@ -362,40 +364,40 @@ def _stated(case: Case, truth: Truth, report: dict[str, Any], answer: Answer) ->
 
 def _masses(case: Case, truth: Truth, report: dict[str, Any]) -> list[MassError]:
     """Errors of the masses of a described payload; none without a payload, or without a description."""
-    described = [term["stretches"] for term in report.get("described", ()) if term["form"] == "payload"]
-    if LOAD not in case.hidden or not described:
+    descriptions = [term["stretches"] for term in report.get("described", ()) if term["form"] == "payload"]
+    if LOAD not in case.hidden or not descriptions:
         return []
     speed, weight = (np.split(truth[f"over/{name}"], np.cumsum(truth["lengths"])[:-1]) for name in ("speed", "load"))
     nominal, _ = weight_and_radius()
     greatest = case.hidden[LOAD]["share"] * nominal / G
-    found = []
+    results = []
     for i, (v, w) in enumerate(zip(speed, weight, strict=True), start=1):
-        stretches = [one for one in described[0] if Path(one["recording"]).stem == f"drive_{i}"]
-        found += mass_errors(v, (w - nominal) / G, stretches, greatest)
-    return found
+        stretches = [item for item in descriptions[0] if Path(item["recording"]).stem == f"drive_{i}"]
+        results += mass_errors(v, (w - nominal) / G, stretches, greatest)
+    return results
 
 
 def _where(case: Case, truth: Truth, report: dict[str, Any]) -> tuple[float, float]:
     """Intersection over union of the true and the reported action of an effect: in time, and over its regime."""
-    of = [e for e in report["effects"] if e["name"] in case.hidden]
-    if not of:
+    item = [e for e in report["effects"] if e["name"] in case.hidden]
+    if not item:
         return np.nan, np.nan
-    added, lengths = np.abs(truth[f"added/{of[0]['name']}"]), truth["lengths"]
+    added, lengths = np.abs(truth[f"added/{item[0]['name']}"]), truth["lengths"]
     if not added.max() > 0.0:
         return np.nan, np.nan
     indicated, first = np.zeros(len(added), dtype=bool), np.concatenate(([0], np.cumsum(lengths)[:-1]))
-    for recording, begin, end in of[0]["where"]["time"]:
-        at = int(first[int(Path(recording).stem.removeprefix("drive_")) - 1])
-        indicated[at + int(begin) : at + int(end)] = True
+    for recording, begin, end in item[0]["where"]["time"]:
+        place_here = int(first[int(Path(recording).stem.removeprefix("drive_")) - 1])
+        indicated[place_here + int(begin) : place_here + int(end)] = True
     overlap = _common(added >= ACTING_SHARE * np.percentile(added, 95.0), indicated)
-    regime = of[0]["where"]["regime"]
+    regime = item[0]["where"]["regime"]
     over = truth.get(f"over/{regime[0]['variable']}") if regime else None
     if over is None:
         return overlap, np.nan
-    inside = (over >= regime[0]["lo"]) & (over <= regime[0]["hi"])
+    is_inside = (over >= regime[0]["lo"]) & (over <= regime[0]["hi"])
     _, place = evenly_filled(over, REGIME_BINS)
     means = np.bincount(place, weights=added) / np.maximum(np.bincount(place), 1)
-    return overlap, _common((means >= ACTING_SHARE * means.max())[place], inside)
+    return overlap, _common((means >= ACTING_SHARE * means.max())[place], is_inside)
 
 
 def _common(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
@@ -408,7 +410,7 @@ def _resolved(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
         return None
     advice, true = advised(report, set(case.hidden)), set(case.hidden)
     assert advice is not None
-    after = of_report(read_json(path)["report"])
+    result_after = of_report(read_json(path)["report"])
     stays = {name for group in advice["groups"] if set(group) & true for name in group}
     gone = set(advice["separates"]) - stays
-    return any(set(members) & true & stays and not set(members) & gone for members in after.classes)
+    return any(set(members) & true & stays and not set(members) & gone for members in result_after.classes)

@@ -72,11 +72,11 @@ class Journey:
 
     def lagged(self, target: Array, seconds: float, start: float) -> Array:
         """A series as something follows it that takes its time."""
-        out, now, rate = np.empty(len(target)), start, 1.0 - np.exp(-self.step / seconds)
+        output, time_now, rate = np.empty(len(target)), start, 1.0 - np.exp(-self.step / seconds)
         for i, aim in enumerate(target):
-            out[i] = now
-            now += (aim - now) * rate
-        return out
+            output[i] = time_now
+            time_now += (aim - time_now) * rate
+        return output
 
 
 Adds = Callable[[Journey, Mapping[str, float], Array], Array]
@@ -107,12 +107,12 @@ def _seal(at: Journey, _: Array, log_m: float) -> Array:
 def _parking_brake(at: Journey, _: Array, log_s: float) -> Array:
     """Full after a long stop; its linings wear free while driving, and a short stop changes nothing."""
     keep = np.exp(-at.step / np.exp(log_s))
-    out, now, stood = np.empty(len(at.travel)), 0.0, 0.0
+    output, time_now, stood = np.empty(len(at.travel)), 0.0, 0.0
     for i, stands in enumerate((at.travel < STANDING_MPS).tolist()):
         stood = stood + at.step if stands else 0.0
-        now = 1.0 if stood > LONG_STOP_S else now if stands else now * keep
-        out[i] = now
-    return out
+        time_now = 1.0 if stood > LONG_STOP_S else time_now if stands else time_now * keep
+        output[i] = time_now
+    return output
 
 
 def _winding(at: Journey, torque: Array, rated: float) -> Array:
@@ -222,28 +222,28 @@ def _lag(x: Array, at: Journey, _: np.random.Generator, log_s: float) -> Array:
 def _integrator(x: Array, at: Journey, _: np.random.Generator, reset: float, by_way: float, log_s: float) -> Array:
     gone = (at.travel < STANDING_MPS, at.drive.accel * at.direction < BRAKING_MPS2, at.curvature > BEND_PER_M)[int(reset)]
     rate = x * (at.travel / 5.0 if by_way < 0.5 else 1.0) * at.step / np.exp(log_s)
-    out, now = np.empty(len(x)), 0.0
+    output, time_now = np.empty(len(x)), 0.0
     for i, (more, lost) in enumerate(zip(rate.tolist(), gone.tolist(), strict=True)):
-        now = now * (1.0 - at.step / 1.5) if lost else min(max(now + more, -1.0), 1.0)
-        out[i] = now
-    return out
+        time_now = time_now * (1.0 - at.step / 1.5) if lost else min(max(time_now + more, -1.0), 1.0)
+        output[i] = time_now
+    return output
 
 
 def _latch(x: Array, at: Journey, _: np.random.Generator, on: float, width: float) -> Array:
-    out, now = np.empty(len(x)), 0.0
+    output, time_now = np.empty(len(x)), 0.0
     for i, level in enumerate(x.tolist()):
-        now = 1.0 if level > on else 0.0 if level < on - width else now
-        out[i] = now
-    return at.lagged(out, 1.5, 0.0)
+        time_now = 1.0 if level > on else 0.0 if level < on - width else time_now
+        output[i] = time_now
+    return at.lagged(output, 1.5, 0.0)
 
 
 def _chatter(x: Array, at: Journey, rng: np.random.Generator, on_s: float, off_s: float) -> Array:
-    out, i = np.zeros(len(x)), int(rng.exponential(off_s) / at.step)
+    output, i = np.zeros(len(x)), int(rng.exponential(off_s) / at.step)
     while i < len(x):
         held = int(rng.exponential(on_s) / at.step) + 1
-        out[i : i + held] = 1.0
+        output[i : i + held] = 1.0
         i += held + int(rng.exponential(off_s) / at.step) + 1
-    return x * at.lagged(out, 0.5, 0.0)
+    return x * at.lagged(output, 0.5, 0.0)
 
 
 def _counter(x: Array, _at: Journey, _: np.random.Generator, level: float, scale: float) -> Array:
@@ -291,15 +291,15 @@ class Program:
     def series(self, seen: Seen) -> Array:
         """How strong it is over a drive, between about -1 and 1; a kind may have another range."""
         x = np.ones(len(seen.belt)) if self.kind is None else KINDS[self.kind[0]].strength(seen.at, seen.torque, *self.kind[1])
-        for name, kind, drawn in self.parts:
-            x = x * FUNCTIONS[kind][1](_scaled(name, seen), *drawn)
+        for name, kind, drawing in self.parts:
+            x = x * FUNCTIONS[kind][1](_scaled(name, seen), *drawing)
         if self.gate is not None:
             name, threshold, side, soft = self.gate
             x = x * (0.5 + 0.5 * np.tanh(side * (_scaled(name, seen) - threshold) / soft))
         rng = np.random.default_rng([self.seed, int(seen.at.driven)])
         if self.memory is not None:
-            kind, drawn = self.memory
-            x = MEMORIES[kind][2](x, seen.at, rng, *drawn)
+            kind, drawing = self.memory
+            x = MEMORIES[kind][2](x, seen.at, rng, *drawing)
         shocks = rng.normal(0.0, UNEVEN * np.sqrt(2.0 * UNEVEN_S / seen.at.step), len(x))
         return np.asarray(x * (1.0 + seen.at.lagged(shocks, UNEVEN_S, 0.0)))
 
@@ -316,14 +316,14 @@ def draw_program(seed: int) -> Program:
     count = 2 if g.random() < 0.35 else 1
     kinds = [str(kind) for kind in g.choice(list(FUNCTIONS), count)]
     parts = [(name, kind, g.uniform(*np.transpose(FUNCTIONS[kind][0]))) for name, kind in zip(names, kinds, strict=False)]
-    said = " times ".join(f"a {kind} over {name}" for name, kind, _ in parts)
-    words, gate, memory = f"{ENTRIES[entry].words}: {said}", None, None
+    text_here = " times ".join(f"a {kind} over {name}" for name, kind, _ in parts)
+    words, gate, memory = f"{ENTRIES[entry].words}: {text_here}", None, None
     if g.random() < GATED:
         name, threshold, side = names[count], float(g.uniform(0.3, 0.65)), float(g.choice((-1.0, 1.0)))
         gate = (name, threshold, side, float(g.choice((1e-3, 0.04))))
         v = VARIABLES[name]
-        at = float(np.format_float_positional(v.low + threshold * (v.high - v.low), 2, fractional=False))
-        words += f", only {'above' if side > 0.0 else 'below'} {at:g} {v.unit} of {name}"
+        place = float(np.format_float_positional(v.low + threshold * (v.high - v.low), 2, fractional=False))
+        words += f", only {'above' if side > 0.0 else 'below'} {place:g} {v.unit} of {name}"
     if g.random() < REMEMBERS:
         kind = str(g.choice(list(MEMORIES)))
         text, ranges, _ = MEMORIES[kind]

@@ -41,8 +41,8 @@ def make_case(folder: Path, minutes: float, case: Case) -> None:
     vehicle = write_vehicle(into / "vehicle.yaml", case.lumped)
     profiles, build = _profiles(folder), Build(**case.build)
     if case.compensated:
-        before = _drives(case, minutes, "before", profiles)
-        _, paths = record_all(into, "before", build, case.hidden, before, sensors_of(case), draws(case, "before"))
+        result_before = _drives(case, minutes, "before", profiles)
+        _, paths = record_all(into, "before", build, case.hidden, result_before, sensors_of(case), draws(case, "before"))
         refit(paths, vehicle, vehicle, "fitted to earlier drives")  # as users do, whatever is hidden in them
         for path in paths:
             path.unlink()
@@ -55,28 +55,28 @@ def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -
     """Part of the truth for the score: contributions of each effect, and variables for them."""
 
     def joined(series: Sequence[Array]) -> Array:
-        return np.concatenate([one[::EVERY] for one in series])
+        return np.concatenate([item[::EVERY] for item in series])
 
     way = [np.cumsum(np.abs(d.speed)) * d.step for d in driven]
-    earlier = np.cumsum([0.0, *(one[-1] for one in way)])[:-1]
-    found = {f"added/{name}": np.concatenate([means(one.added[name]) for one in runs]) for name in case.hidden}
+    earlier = np.cumsum([0.0, *(item[-1] for item in way)])[:-1]
+    results = {f"added/{name}": np.concatenate([means(item.added[name]) for item in runs]) for name in case.hidden}
     over = {
         "speed": [d.speed for d in driven],
         "acceleration": [d.accel for d in driven],
-        "load": [one.weight for one in runs],
-        "belt temperature": [one.belt for one in runs],
+        "load": [item.weight for item in runs],
+        "belt temperature": [item.belt for item in runs],
         "ambient temperature": [d.ambient for d in driven],
         "yaw rate": [np.abs(d.yaw_rate) for d in driven],
         "yaw rate to the left": [d.yaw_rate for d in driven],
-        "driving torque": [one.torque for one in runs],
+        "driving torque": [item.torque for item in runs],
         "heading": [np.angle(np.exp(1j * d.heading)) for d in driven],
         "time since start": [np.arange(len(d)) * d.step for d in driven],
         "distance": way,
-        "distance run": [before + one for before, one in zip(earlier, way, strict=True)],
+        "distance run": [result_before + item for result_before, item in zip(earlier, way, strict=True)],
         "curvature": [np.abs(d.yaw_rate) / np.maximum(np.abs(d.speed), 0.3) for d in driven],
     }
-    lengths = np.array([len(one.torque[::EVERY]) for one in runs])
-    return {"lengths": lengths, **found, **{f"over/{name}": joined(series) for name, series in over.items()}}
+    lengths = np.array([len(item.torque[::EVERY]) for item in runs])
+    return {"lengths": lengths, **results, **{f"over/{name}": joined(series) for name, series in over.items()}}
 
 
 def means(series: Array, every: int = EVERY) -> Array:
@@ -144,13 +144,13 @@ def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator
     steepest = case.hidden.get("street_slope", {}).get("steepest", streets.steepest)
     drives, driven = list[SealedDrive](), 0.0
     for share, air in zip(streets.shares, rng.permutation(AIRS_DEGC), strict=True):
-        one = street_drive(minutes, share * weight, air, town, steepest, rng)
+        item = street_drive(minutes, share * weight, air, town, steepest, rng)
         if streets.load:
-            one = loaded(one, streets.load, driven)
-        if streets.steepest and one.street is not None:
-            one = replace(one, slope=one.street.slope)
-        drives.append(one)
-        driven += float(np.abs(one.speed).sum() * one.step)
+            item = loaded(item, streets.load, driven)
+        if streets.steepest and item.street is not None:
+            item = replace(item, slope=item.street.slope)
+        drives.append(item)
+        driven += float(np.abs(item.speed).sum() * item.step)
     return drives
 
 
@@ -161,8 +161,8 @@ def record_all(
     _, radius = weight_and_radius()
     runs = simulate_truth(find_vehicle(VEHICLE), build, hidden, drives)
     paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
-    for i, (path, one, true) in enumerate(zip(paths, drives, runs, strict=True)):
-        record(path, one, true, sensors, radius, START_S + i * APART_S, rng)
+    for i, (path, value, true) in enumerate(zip(paths, drives, runs, strict=True)):
+        record(path, value, true, sensors, radius, START_S + i * APART_S, rng)
     return runs, paths
 
 
@@ -191,6 +191,6 @@ def refit(paths: Sequence[Path], vehicle: Path, into: Path, remark: str) -> Path
 
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
-    found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
-    loaded.base.write(into, FileChanges(found.base_values, (), {}), remark)
+    result = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
+    loaded.base.write(into, FileChanges(result.base_values, (), {}), remark)
     return into

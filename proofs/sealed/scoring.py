@@ -25,7 +25,7 @@ from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.empirical.term import FOLLOWED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import DriveSession, split
+from trackres_ros.diagnosis.prepare.session import DriveSession, split_laps
 from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active
@@ -75,16 +75,16 @@ class Answer:
 def of_report(report: dict[str, Any]) -> Answer:
     """The answer of a report, with its first name at the head of each class."""
     status = str(report["verdict"]["status"])
-    described = tuple(
+    description = tuple(
         Description(str(term["form"]), " ".join(filter(None, (words(term.get(key)) for key in ABOUT))))
         for term in report.get("described", ())
     )
     if status not in SURE:
-        return Answer(status, (), described)
+        return Answer(status, (), description)
     overall = report["verdict"].get("grade", CONFIRMED)
     classes = [(e["name"], *(m for m in e["class"] if m != e["name"])) for e in report["effects"]]
     sure = [c for c, e in zip(classes, report["effects"], strict=True) if e.get("grade", overall) == CONFIRMED]
-    return Answer(status, tuple(classes), described, tuple(sure))
+    return Answer(status, tuple(classes), description, tuple(sure))
 
 
 def words(value: Any) -> str:
@@ -92,7 +92,7 @@ def words(value: Any) -> str:
     if isinstance(value, dict):
         return " ".join(f"{key} {words(held)}" for key, held in value.items() if held not in (None, False))
     if isinstance(value, list):
-        return " ".join(words(one) for one in value)
+        return " ".join(words(item) for item in value)
     return value.lower() if isinstance(value, str) else ""
 
 
@@ -156,25 +156,28 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
     base = loaded.base
     effects = catalogue(size=base.facts.weight * base.facts.radius)
     sessions = gate(recordings, loaded.known).sessions
-    chosen = split(sessions)
-    before = fit(Problem(base, sessions, tuple(chosen.training_mask(s) for s in sessions)))
-    held = [chosen.held_out_mask(s) for s in sessions]
+    choice = split_laps(sessions)
+    result_before = fit(Problem(base, sessions, tuple(choice.training_mask(s) for s in sessions)))
+    held = [choice.held_out_mask(s) for s in sessions]
     measured = np.concatenate([s.torque[m] for s, m in zip(sessions, held, strict=True)])
 
     def error(predicted: Sequence[np.ndarray]) -> float:
         return float(np.abs(measured - np.concatenate([p[m] for p, m in zip(predicted, held, strict=True)])).mean())
 
-    mae_base = error([p.torque for p in with_levels(before).predicted])
+    mae_base = error([p.torque for p in with_levels(result_before).predicted])
     if added:
         assert isinstance(base, TrackBase)
-        by_step = [means(one, round(s.step)) for one, s in zip(added, sessions, strict=True)]
-        found = fit(
-            replace(before.problem, base=WithAddition(base.vehicle, by_step)), start=before.estimates, noises=before.noises
+        by_step = [means(value, round(s.step)) for value, s in zip(added, sessions, strict=True)]
+        result = fit(
+            replace(result_before.problem, base=WithAddition(base.vehicle, by_step)),
+            start=result_before.estimates,
+            noises=result_before.noises,
         )
-        gain = found.log_likelihood - before.log_likelihood
-        mae = error([p.torque for p in with_levels(found).predicted])
+        gain = result.log_likelihood - result_before.log_likelihood
+        mae = error([p.torque for p in with_levels(result).predicted])
         gains = {
-            name: fit(before.problem, [effects[name]], before.estimates, before.noises).log_likelihood - before.log_likelihood
+            name: fit(result_before.problem, [effects[name]], result_before.estimates, result_before.noises).log_likelihood
+            - result_before.log_likelihood
             for name in rivals
             if name in effects
         }
@@ -183,19 +186,19 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), ri
     if not true:
         return OracleAnswer(0.0, (), False, False, mae_base, mae_base)
     wanted = [effects[name] for name in true]
-    found = fit(before.problem, wanted, before.estimates, before.noises)
-    gain = found.log_likelihood - before.log_likelihood
-    seen = separability(effects, before)
+    result = fit(result_before.problem, wanted, result_before.estimates, result_before.noises)
+    gain = result.log_likelihood - result_before.log_likelihood
+    seen = separability(effects, result_before)
     alike = seen.alike(true[0]) if true[0] in seen.names else (true[0],)
     kept = max((s.kept for s in seen.visible if s.effect.name == true[0]), default=0.0)
     plain = gain > LEAST_GAIN and len(alike) == 1 and kept >= LEAST_KEPT
-    both = len(wanted) > 1 and all(
-        found.log_likelihood
-        - fit(before.problem, [e for e in wanted if e is not one], found.estimates, found.noises).log_likelihood
+    pair = len(wanted) > 1 and all(
+        result.log_likelihood
+        - fit(result_before.problem, [e for e in wanted if e is not value], result.estimates, result.noises).log_likelihood
         > LEAST_GAIN
-        for one in wanted
+        for value in wanted
     )
-    return OracleAnswer(gain, alike, plain, both, mae_base, error([p.torque for p in with_levels(found).predicted]))
+    return OracleAnswer(gain, alike, plain, pair, mae_base, error([p.torque for p in with_levels(result).predicted]))
 
 
 Tried = TypeVar("Tried")
@@ -430,8 +433,8 @@ def _own_of_streets(of: Sequence[Scored]) -> dict[str, tuple[int, int]]:
     close = f"street, load described: masses within {CLOSE:.0%} of the load"
     return {
         "street, seen by the oracle: rightly named or described": _share(seen, lambda s: s.rightly_told),
-        **{f"street, {told}": _share([s for s in of if kind in s.true], lambda s: s.rightly_told)
-           for kind, told in RIGHTLY_TOLD.items()},
+        **{f"street, {statement}": _share([s for s in of if kind in s.true], lambda s: s.rightly_told)
+           for kind, statement in RIGHTLY_TOLD.items()},
         f"{close}, over {LONG_S:.0f} s of driving": _share([m for m in masses if m.long], lambda m: m.close),
         f"{close}, all": _share(masses, lambda m: m.close),
         "street, load described: 95 % intervals of masses cover": _share(masses, lambda m: m.covered),
@@ -461,16 +464,16 @@ def sizes(scored: Sequence[Scored]) -> dict[str, list[float]]:
 
 
 def _sizes_of_streets(of: Sequence[Scored]) -> dict[str, list[float]]:
-    found = {
+    results = {
         f"street, {kind.replace('_', ' ')}: held-out error removed, of what the oracle removes (median)": [
             s.removed for s in of if kind in s.true and s.reducible
         ]
         for kind in STREET
     }
-    masses, off = [m for s in of for m in s.masses], "street, load described: masses off, of the load"
-    found[f"{off}, over {LONG_S:.0f} s of driving (median)"] = [m.off for m in masses if m.long]
-    found[f"{off}, all (median)"] = [m.off for m in masses]
-    return found
+    masses, deviation = [m for s in of for m in s.masses], "street, load described: masses off, of the load"
+    results[f"{deviation}, over {LONG_S:.0f} s of driving (median)"] = [m.off for m in masses if m.long]
+    results[f"{deviation}, all (median)"] = [m.off for m in masses]
+    return results
 
 
 def mass_errors(speed: Array, mass: Array, told: Sequence[Mapping[str, Any]], greatest: float) -> list[MassError]:
@@ -482,17 +485,17 @@ def mass_errors(speed: Array, mass: Array, told: Sequence[Mapping[str, Any]], gr
     """
     second, driving = np.arange(len(mass)), np.abs(speed) > DRIVING_MPS
     estimate, std = np.full((2, len(mass)), np.nan)
-    for one in told:
-        there = (second >= one["begin_s"]) & (second < one["end_s"])
-        estimate[there], std[there] = one["mass"], one["std"]
-    found = []
+    for item in told:
+        there = (second >= item["begin_s"]) & (second < item["end_s"])
+        estimate[there], std[there] = item["mass"], item["std"]
+    results = []
     for piece in np.split(second, np.flatnonzero(np.diff(mass)) + 1):
         drives = piece[driving[piece]]
         known = drives[np.isfinite(estimate[drives])]
         if len(drives) and len(known) >= LEAST_KNOWN * len(drives):
-            off = abs(float(estimate[known].mean()) - float(mass[piece[0]]))
-            found.append(MassError(float(len(drives)), off / greatest, off <= NORMAL_95 * float(std[known].mean())))
-    return found
+            deviation = abs(float(estimate[known].mean()) - float(mass[piece[0]]))
+            results.append(MassError(float(len(drives)), deviation / greatest, deviation <= NORMAL_95 * float(std[known].mean())))
+    return results
 
 
 def comparable(scored: Sequence[Scored]) -> tuple[list[bool], list[float]]:

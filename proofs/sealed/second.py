@@ -126,16 +126,18 @@ class GroomerProof(SecondProof):
 
 def read_labels(source: Path) -> dict[str, Any]:
     """The labels of a folder, of which each case has recordings and a kind of physics that can be scored."""
-    path, expected = source / "labels.json", "a folder with labels.json and cases/NAME/session1.csv"
+    path, expectation = source / "labels.json", "a folder with labels.json and cases/NAME/session1.csv"
     try:
         labels: dict[str, Any] = read_json(path)
-        given = [(case["case"], case["level"], [effect["name"] for effect in case["effects"]]) for case in labels["cases"]]
+        given_valuess = [
+            (case["case"], case["level"], [effect["name"] for effect in case["effects"]]) for case in labels["cases"]
+        ]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(str(path), f"{type(error).__name__}: {error}", expected) from None
+        raise InputError(str(path), f"{type(error).__name__}: {error}", expectation) from None
     known = {"outside": set(TRUE)}
-    for name, level, effects in given:
+    for name, level, effects in given_valuess:
         if not list((source / "cases" / name).glob("*.csv")):
-            raise InputError(str(source / "cases" / name), "no recording", expected)
+            raise InputError(str(source / "cases" / name), "no recording", expectation)
         if unknown := set(effects) - known.get(level, set(CATALOGUE) | NOT_DRAWN):
             raise InputError(
                 f"{path}: {name}", ", ".join(unknown), f"at level {level} a kind that the scores know", "see second.py"
@@ -160,8 +162,8 @@ def scored(cases: Path, label: Mapping[str, Any], result: Mapping[str, Any]) -> 
     report = {**report, "effects": [*named, *_by_place(names, report)]}
     report["verdict"] = _verdict_on_rest(result["report"], report)
     if level == "outside":  # hidden physics is known by its name alone: the residual is at least the noise
-        before = float(report["heldout"]["mae"]["refitted"])
-        known = OracleAnswer(0.5 * effects[0]["d_prime"] ** 2, (), seen, False, before, label["noise_mae"][-1]["one_s"])
+        result_before = float(report["heldout"]["mae"]["refitted"])
+        known = OracleAnswer(0.5 * effects[0]["d_prime"] ** 2, (), seen, False, result_before, label["noise_mae"][-1]["one_s"])
     else:
         known = fit_truth(cases / case.name, names)
     known = replace(known, alike=alike, identifiable=seen, plain_both=seen and level == "two")
@@ -182,8 +184,8 @@ def _by_place(names: Sequence[str], report: Mapping[str, Any]) -> list[dict[str,
     """Soft ground is at a place of the lap there. A confirmed place is equivalent to its name."""
     placed = any(d["form"] == "place" and d["grade"] == "confirmed" for d in report.get("described", []))
     named = {e["name"] for e in report["effects"]}
-    found = [name for name in names if name == GROUND and placed and name not in named]
-    return [{"name": name, "class": [name], "grade": "confirmed", "parameters": {}} for name in found]
+    results = [name for name in names if name == GROUND and placed and name not in named]
+    return [{"name": name, "class": [name], "grade": "confirmed", "parameters": {}} for name in results]
 
 
 def _verdict_on_rest(given: Mapping[str, Any], rest: Mapping[str, Any]) -> dict[str, Any]:
@@ -210,8 +212,8 @@ def _close(effect: Mapping[str, Any], points: Sequence[Sequence[float]] | None) 
     """Whether a described term has the threshold [degC] and the size [Nm] of a label, see `threshold_and_size`."""
     if not points:
         return False
-    at, size = threshold_and_size(np.array(points[0]), np.array(points[1]), grows=effect["name"] == "cool")
-    return bool(abs(at - effect["threshold"]) <= THRESHOLD_K and abs(size / effect["size_nm"] - 1.0) <= SIZE_SHARE)
+    place, size = threshold_and_size(np.array(points[0]), np.array(points[1]), grows=effect["name"] == "cool")
+    return bool(abs(place - effect["threshold"]) <= THRESHOLD_K and abs(size / effect["size_nm"] - 1.0) <= SIZE_SHARE)
 
 
 def threshold_and_size(x: Array, torque: Array, grows: bool) -> tuple[float, float]:
@@ -221,11 +223,11 @@ def threshold_and_size(x: Array, torque: Array, grows: bool) -> tuple[float, flo
     halfway between the levels at both ends. Temperatures rise.
     """
     if grows:
-        bends = [np.column_stack((np.ones(len(x)), np.maximum(at - x, 0.0))) for at in x[1:]]
-        found = [np.linalg.lstsq(columns, torque, rcond=None)[0] for columns in bends]
-        errors = [((torque - columns @ q) ** 2).sum() for columns, q in zip(bends, found, strict=True)]
+        bends = [np.column_stack((np.ones(len(x)), np.maximum(item - x, 0.0))) for item in x[1:]]
+        results = [np.linalg.lstsq(columns, torque, rcond=None)[0] for columns in bends]
+        errors = [((torque - columns @ q) ** 2).sum() for columns, q in zip(bends, results, strict=True)]
         best = int(np.argmin(errors))
-        return float(x[1:][best]), float(HINGE_K * found[best][1])
+        return float(x[1:][best]), float(HINGE_K * results[best][1])
     part = max(len(x) // ENDS, 1)
     cold, warm = float(np.median(torque[:part])), float(np.median(torque[-part:]))
     beyond = (torque - 0.5 * (cold + warm)) * (cold - warm) <= 0.0
@@ -234,14 +236,14 @@ def threshold_and_size(x: Array, torque: Array, grows: bool) -> tuple[float, flo
 
 def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
     """Of rightly named effects: the parameter equivalent to the label's, and the label's value."""
-    found = {}
+    results = {}
     for e in effects:
-        for given in report["effects"] if e.get("comparable") else ():
-            named = [q for q in given["parameters"] if re.search(e["comparable"]["pattern"], q)]
-            if given["name"] == e["name"] and named:
-                sign = np.sign(given["parameters"][named[0]]["value"]) if e["comparable"]["magnitude"] else 1.0
+        for item in report["effects"] if e.get("comparable") else ():
+            named = [q for q in item["parameters"] if re.search(e["comparable"]["pattern"], q)]
+            if item["name"] == e["name"] and named:
+                sign = np.sign(item["parameters"][named[0]]["value"]) if e["comparable"]["magnitude"] else 1.0
                 true = e["comparable"]["value"]
                 if e["name"] == SPEED:  # measured over true speed there, true over measured here
                     true = 1.0 / (1.0 + true) - 1.0
-                found[e["name"]] = (named[0], float(abs(true) * sign if e["comparable"]["magnitude"] else true))
-    return found
+                results[e["name"]] = (named[0], float(abs(true) * sign if e["comparable"]["magnitude"] else true))
+    return results

@@ -86,17 +86,17 @@ def _design(path: Path) -> _Design:
 def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[SealedDrive]) -> list[TruthRun]:
     """Drive one after the other, each with a belt at the air's temperature at first; wear and running-in continue."""
     design = _design(path)
-    found, driven = [], 0.0
+    result, driven = [], 0.0
     for drive in drives:
         with_all = _one(design, build, hidden, drive, driven)
         added = {}
         for name in hidden:
             without = _one(design, build, _without(hidden, name), drive, driven)
-            where = 1 if name == PROGRAM or drive.street is not None else 0  # brakes supply a part of the torques of a town
-            added[name] = with_all[where] - without[where]
-        found.append(TruthRun(*with_all, added, _with_load(hidden, drive, driven).weight))
+            location = 1 if name == PROGRAM or drive.street is not None else 0  # brakes supply a part of the torques of a town
+            added[name] = with_all[location] - without[location]
+        result.append(TruthRun(*with_all, added, _with_load(hidden, drive, driven).weight))
         driven += float(np.abs(drive.speed).sum() * drive.step)
-    return found
+    return result
 
 
 def _without(hidden: Hidden, name: str) -> Hidden:
@@ -110,26 +110,26 @@ def _with_load(hidden: Hidden, drive: SealedDrive, driven: float) -> SealedDrive
 def _one(design: _Design, build: Build, hidden: Hidden, drive: SealedDrive, driven: float) -> tuple[Array, Array, Array]:
     sheet = design.sheet
     drive = _with_load(hidden, drive, driven)
-    at = Journey(sheet, drive, driven)
+    journey = Journey(sheet, drive, driven)
     acts: dict[str, Array] = {}
     if PROGRAM in hidden:  # it follows the torque and the belt as they are without it
         torque, _, belt = _one(design, build, _without(hidden, PROGRAM), drive, driven)
-        acts = acting(hidden, Seen(at, belt, torque))
-    rub = _run(design, build, hidden, at, np.ones(len(drive)), acts)
+        acts = acting(hidden, Seen(journey, belt, torque))
+    rub = _run(design, build, hidden, journey, np.ones(len(drive)), acts)
     if "tension_torque" in hidden:  # the torque stretches the belt, which changes the torque: once round is near enough
-        pull = np.abs(_resistance(sheet, build, hidden, at, rub[0])) / (sheet.assemblies * sheet["track.sprocket_radius"])
+        pull = np.abs(_resistance(sheet, build, hidden, journey, rub[0])) / (sheet.assemblies * sheet["track.sprocket_radius"])
         more = np.sqrt(1.0 + 2.0 * hidden["tension_torque"]["share"] * pull / sheet["track.belt.pretension"])
-        rub = _run(design, build, hidden, at, more, acts)
+        rub = _run(design, build, hidden, journey, more, acts)
     force, belt = rub
-    torque = _resistance(sheet, build, hidden, at, force)
-    torque = torque * (1.0 + acts.get("gain", 0.0)) + acts.get("torque", 0.0) * at.direction
+    torque = _resistance(sheet, build, hidden, journey, force)
+    torque = torque * (1.0 + acts.get("gain", 0.0)) + acts.get("torque", 0.0) * journey.direction
     if "drivetrain_efficiency" in hidden:
         eta = hidden["drivetrain_efficiency"]["efficiency"]
         losses = (1.0 / eta - 1.0) * np.abs(torque) ** 0.97 * sheet["weight"] ** 0.03
-        torque = torque + losses * at.direction
+        torque = torque + losses * journey.direction
     if "drivetrain_drag" in hidden:
-        torque = torque + hidden["drivetrain_drag"]["drag"] * (1.0 + 0.01 * at.travel) * at.direction
-    return torque, _sensor(torque, hidden, at) + acts.get("sensor", 0.0), belt
+        torque = torque + hidden["drivetrain_drag"]["drag"] * (1.0 + 0.01 * journey.travel) * journey.direction
+    return torque, _sensor(torque, hidden, journey) + acts.get("sensor", 0.0), belt
 
 
 def _run(
@@ -416,12 +416,12 @@ def wandering(n: int, step: float, std: float, rng: np.random.Generator) -> Arra
 
 
 def _lost(n: int, step: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    out, i = np.zeros(n, dtype=bool), int(rng.exponential(SEEN_S) / step)
+    output, i = np.zeros(n, dtype=bool), int(rng.exponential(SEEN_S) / step)
     while i < n:
         held = int(rng.uniform(*LOST_S) / step)
-        out[i : i + held] = True
+        output[i : i + held] = True
         i += held + int(rng.exponential(SEEN_S) / step)
-    return out
+    return output
 
 
 def lagging(series: Array, seconds: float, step: float) -> Array:
@@ -430,23 +430,23 @@ def lagging(series: Array, seconds: float, step: float) -> Array:
         return series
     keep = np.exp(-step / seconds)
     new = 1.0 - seconds / step * (1.0 - keep)  # of the newest sample; the rest is of the one before
-    out, _ = lfilter([new, 1.0 - keep - new], [1.0, -keep], series, zi=[(1.0 - new) * series[0]])
-    return np.asarray(out)
+    output, _ = lfilter([new, 1.0 - keep - new], [1.0, -keep], series, zi=[(1.0 - new) * series[0]])
+    return np.asarray(output)
 
 
 def road_slopes(drive: SealedDrive, sensors: Sensors, rng: np.random.Generator) -> Array:
     """Slope over distance that comes and goes."""
     keep = np.exp(-np.abs(drive.speed) * drive.step / sensors.road_m)
     shocks = rng.normal(0.0, 1.0, len(drive)) * np.sqrt(1.0 - keep**2)
-    out, now = np.empty(len(drive)), rng.normal()
+    output, time_now = np.empty(len(drive)), rng.normal()
     for i in range(len(drive)):
-        now = keep[i] * now + shocks[i]
-        out[i] = now
-    return sensors.road * out
+        time_now = keep[i] * time_now + shocks[i]
+        output[i] = time_now
+    return sensors.road * output
 
 
 def _bursts(n: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    out = np.zeros(n, dtype=bool)
+    output = np.zeros(n, dtype=bool)
     for begin in rng.integers(0, n, rng.poisson(share * n / 10.0)):
-        out[begin : begin + rng.integers(3, 18)] = True
-    return out
+        output[begin : begin + rng.integers(3, 18)] = True
+    return output

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ros_messages import build, stamped
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.dds.wire import CdrInput, clock_ns, diagnostic_array, prepared, typestore
+from trackres_ros.node.dds.wire import CdrInput, clock_ns, diagnostic_array, prepare_message, typestore
 from trackres_ros.node.transport import InputTopic, Level, Status, live_topics
 from trackres_ros.output.topics import ESTIMATE_TOPIC
 from trackres_ros.recording.bindings import TopicBinding, Topics
@@ -49,7 +49,7 @@ def test_filled_outputs_decode_to_stamp_and_numbers(tmp_path):
         if topic.kind in ("status", "estimate"):
             continue
         kinds.add(topic.kind)
-        fill = prepared(topic, "hull")
+        fill = prepare_message(topic, "hull")
         fill(1, [9.0] * len(topic.columns), ())
         values = [1.5 * i - 2.0 for i in range(len(topic.columns))]
         raw = fill(STAMP_NS, values, ())
@@ -68,7 +68,7 @@ REASONS = [(), (("SPEED_OLD", Level.STALE),), (("SPEED_OLD", Level.STALE), ("LOA
 
 
 def test_an_estimate_message_is_independent_of_the_one_before():
-    fill = prepared(ESTIMATE_TOPIC, "hull")
+    fill = prepare_message(ESTIMATE_TOPIC, "hull")
     for count, reasons in enumerate(REASONS):
         values = [count + 0.5, -2.0, 3.0, float(max((level for _, level in reasons), default=0))]
         raw = fill(STAMP_NS + count, values, reasons)

@@ -179,7 +179,7 @@ def test_publishers_are_seen_with_their_fit_until_they_leave(wire):
 
     def seen():
         found = [one for one in mine.publications() if one.topic == "/a"]
-        return sorted((one.type, one.handle in reader.connected) for one in found)
+        return sorted((one.type, one.handle in reader.connections) for one in found)
 
     try:
         assert wait_for(lambda: seen() == sorted([(FLOAT, True), (FLOAT, False), (FLOAT, False), (FLOAT, False), (TWIST, False)]))

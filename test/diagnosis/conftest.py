@@ -55,10 +55,10 @@ def run():
     def run_it(paths, out, *options, page=False, vehicle="xgd24d"):
         without = () if page else ("--no-page",)
         words = ["diagnose", *paths, "--vehicle", vehicle, "-o", out, "--quick", *without, *options]
-        done = CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
-        if done.exit_code == 0:
+        outcome = CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=True)
+        if outcome.exit_code == 0:
             check_report(json.loads((Path(out) / "report.json").read_text()))
-        return done
+        return outcome
 
     return run_it
 
@@ -87,8 +87,8 @@ def forms_in_schema():
 def scrub_result(recorded):
     """The result of `tr.diagnose` for recordings with turning scrub, one that is read and one path, and the stages it names."""
     stages = []
-    one, other = recorded("turning_scrub")
-    return tr.diagnose([tr.read(one), str(other)], "xgd24d", quick=True, on_stage=stages.append), stages
+    item, other = recorded("turning_scrub")
+    return tr.diagnose([tr.read(item), str(other)], "xgd24d", quick=True, on_stage=stages.append), stages
 
 
 @pytest.fixture(scope="session")
@@ -116,10 +116,10 @@ def diagnoses(recorded, loaded, request):
 @pytest.fixture(scope="session")
 def scrubbed(run, recorded, tmp_path_factory):
     """Folder, report and run of a diagnosis of recordings with turning scrub."""
-    out = tmp_path_factory.mktemp("report") / "deep" / "out"
-    done = run(recorded("turning_scrub"), out, page=True)
-    assert done.exit_code == 0, done.exception
-    return out, json.loads((out / "report.json").read_text()), done
+    output = tmp_path_factory.mktemp("report") / "deep" / "out"
+    process = run(recorded("turning_scrub"), output, page=True)
+    assert process.exit_code == 0, process.exception
+    return output, json.loads((output / "report.json").read_text()), process
 
 
 @pytest.fixture(scope="session")
@@ -127,12 +127,12 @@ def explained():
     """Searches explanations of a fitted base's residual, and chooses one."""
 
     def explain(found, effects, **given):
-        of = judging(with_levels(found), effects)
+        item = judging(with_levels(found), effects)
         with pytest.MonkeyPatch.context() as changed:
             changed.setattr(explanations, "MOST_TERMS", 2)  # enough for what tests hide
-            of.search.run()
-        of.chosen = of.choice.best(**given)
-        return of
+            item.search.run()
+        item.chosen = item.choice.best(**given)
+        return item
 
     return explain
 
@@ -147,13 +147,13 @@ def robust_least_squares():
         low, high, nominal, std = (np.array([getattr(q, name) for q in problem.base.parameters]) for name in columns)
 
         def residuals(values):
-            predicted = problem.predict(dict(zip(names, values, strict=True)), ())
-            at = zip(problem.sessions, predicted, problem.masks, strict=True)
-            torque = np.concatenate([(s.torque - p.torque)[m] for s, p, m in at])
+            prediction = problem.predict(dict(zip(names, values, strict=True)), ())
+            place = zip(problem.sessions, prediction, problem.masks, strict=True)
+            torque = np.concatenate([(s.torque - p.torque)[m] for s, p, m in place])
             return np.concatenate((torque / 30.0, (values - nominal) / std))
 
         start = np.clip(nominal, low + 1e-6 * std, high - 1e-6 * std)
-        found = least_squares(residuals, start, bounds=(low, high), x_scale=std, loss="soft_l1", max_nfev=40)
-        return problem.predict(dict(zip(names, found.x, strict=True)), ())
+        result = least_squares(residuals, start, bounds=(low, high), x_scale=std, loss="soft_l1", max_nfev=40)
+        return problem.predict(dict(zip(names, result.x, strict=True)), ())
 
     return expected

@@ -36,10 +36,10 @@ def loop(error_m=0.0, error_s=100.0, smooth=False, position=True, seed=1):
     radius = LAP_M / (2.0 * np.pi) / EARTH_M
     nan, weight = np.full(n, np.nan), np.full(n, MASS * GRAVITY)
     known = frozenset({"altitude", "position"} if position else {"altitude"})
-    where = {"latitude": radius * np.sin(angle), "longitude": radius * np.cos(angle)} if position else {}
+    location = {"latitude": radius * np.sin(angle), "longitude": radius * np.cos(angle)} if position else {}
     made = DriveSession(
         "loop", 1.0, time, speed, accel, weight, nan, 0.0 * time, nan, nan, distance, torque, nan, time >= 0.0,
-        (time // 600).astype(np.int64), given=known, altitude=height + error, **where,
+        (time // 600).astype(np.int64), given=known, altitude=height + error, **location,
     )  # fmt: skip
     return made, slope
 
@@ -50,10 +50,10 @@ def off(found, slope):
 
 def test_an_exact_altitude_gives_the_slope_of_the_road():
     session, slope = loop()
-    found, said = with_slope(session)
-    assert "grade" in found.given & found.computed
-    assert off(found, slope) < 0.1 * np.std(slope)
-    assert "gives a slope over 200 m" in said
+    result, text = with_slope(session)
+    assert "grade" in result.given & result.computed
+    assert off(result, slope) < 0.1 * np.std(slope)
+    assert "gives a slope over 200 m" in text
 
 
 def test_where_nothing_may_be_compared_no_slope_is_made():
@@ -68,29 +68,29 @@ def test_a_lasting_altitude_error_is_found_by_revisiting_places(error_m):
     error, places = error_by_revisits(session)
     assert error == pytest.approx(error_m, rel=0.3)
     assert places > 1000
-    found, said = with_slope(session)
-    assert "grade" in found.given
-    assert off(found, slope) < 1.5 * found.grade_std + 0.3 * np.std(slope)
-    assert off(found, slope) < 0.7 * np.std(slope)
-    without, with_it, surely = torque_errors(found)
+    result, text = with_slope(session)
+    assert "grade" in result.given
+    assert off(result, slope) < 1.5 * result.grade_std + 0.3 * np.std(slope)
+    assert off(result, slope) < 0.7 * np.std(slope)
+    without, with_it, surely = torque_errors(result)
     assert surely
     assert with_it < 0.9 * without
-    assert "m between passes" in said
+    assert "m between passes" in text
 
 
 def test_an_altitude_that_is_mostly_error_gives_no_slope():
     session, _ = loop(60.0)
-    found, said = with_slope(session)
-    assert found is session
-    assert "no usable slope" in said
+    result, text = with_slope(session)
+    assert result is session
+    assert "no usable slope" in text
 
 
 def test_slopes_that_the_torque_does_not_show_are_not_used():
     session, _ = loop(60.0, smooth=True, position=False)
-    found, said = with_slope(session)
-    assert found is session
-    assert "no usable slope" in said
-    assert "the torque error is" in said
+    result, text = with_slope(session)
+    assert result is session
+    assert "no usable slope" in text
+    assert "the torque error is" in text
 
 
 def test_a_recorded_slope_goes_before_one_of_the_altitude():

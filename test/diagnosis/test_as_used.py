@@ -90,9 +90,9 @@ class Errors:
     def __init__(self, together, alone=None, confirms=False):
         self.together, self.alone, self.confirms = together, {**together, **(alone or {})}, confirms
 
-    def error(self, values, effects=(), alone=False):
-        of = self.alone if alone else self.together
-        return of[(FILE if values is None else values)["rolling"], "".join(sorted(a.effect.name for a in effects))]
+    def error(self, values, effects=(), is_alone=False):
+        item = self.alone if is_alone else self.together
+        return item[(FILE if values is None else values)["rolling"], "".join(sorted(a.effect.name for a in effects))]
 
     distance = 0.0
 
@@ -100,8 +100,8 @@ class Errors:
         return tuple(effects)
 
     def outside(self, values):
-        now = (FILE if values is None else values)["rolling"]
-        return {} if abs(now) <= 2.0 else {"track.rolling": RangedValue("1", now, -2.0, 2.0)}
+        time_now = (FILE if values is None else values)["rolling"]
+        return {} if abs(time_now) <= 2.0 else {"track.rolling": RangedValue("1", time_now, -2.0, 2.0)}
 
     def surely_better(self, after, before):
         return self.confirms
@@ -131,10 +131,10 @@ V, S, X = effect("v"), effect("s", "surroundings"), effect("x", "sensor", "senso
 
 def test_a_found_effect_is_written_as_fitted_if_it_is_no_worse(fitted_again):
     for error in (90.0, 100.0):
-        of = written(["v"], Fitted(2.0, V), {(2.0, "v"): error, (0.0, ""): 100.0})
-        assert of[:2] == (2.0, "v")
-        assert of[2].intervals == {("", "rolling"): FINAL, ("v", "size"): FINAL}
-        assert "not written" not in of[2].text
+        item = written(["v"], Fitted(2.0, V), {(2.0, "v"): error, (0.0, ""): 100.0})
+        assert item[:2] == (2.0, "v")
+        assert item[2].intervals == {("", "rolling"): FINAL, ("v", "size"): FINAL}
+        assert "not written" not in item[2].text
 
 
 def test_a_vehicle_right_only_with_surroundings_is_not_written(fitted_again):
@@ -153,10 +153,10 @@ def test_a_file_that_no_command_would_take_is_not_written(fitted_again):
     """Values that fit what was driven, with which the belt would burn at the vehicle's greatest speed."""
 
     class Refusing(Errors):
-        def error(self, values, effects=(), alone=False):
+        def error(self, values, effects=(), is_alone=False):
             if values is not None and values["rolling"] == 2.0:
                 raise InputError("vehicle.yaml", "a belt that settles at 360 degC", "values with which it stays below 300 degC")
-            return super().error(values, effects, alone)
+            return super().error(values, effects, is_alone)
 
     errors = Refusing({(0.0, ""): 100.0, (0.0, "v"): 90.0})
     kept = choose_written(["v"], ["v"], Fitted(2.0, V), Fitted(3.0), errors, {("v", "size"): FINAL})
@@ -198,8 +198,8 @@ def test_a_sensor_line_that_worsens_the_written_file_is_dropped(fitted_again):
 @pytest.mark.parametrize(("confirms", "rolling"), [(True, 2.5), (False, 2.0)])
 def test_each_value_written_out_of_range_is_confirmed_and_said(fitted_again, monkeypatch, confirms, rolling):
     """Without what is not written, the fit leaves the range again, up to 2, or keeps to its end."""
-    of = {True: 2.5, False: 2.0}
-    monkeypatch.setattr(as_used, "with_levels", lambda found, names=(), fixed=None: Fitted(of[bool(names)], V))
+    item = {True: 2.5, False: 2.0}
+    monkeypatch.setattr(as_used, "with_levels", lambda found, names=(), fixed=None: Fitted(item[bool(names)], V))
     errors = {(2.5, "v"): 20.0, (2.0, "v"): 30.0, (0.0, ""): 100.0}
     value, _, kept = written(["v"], Fitted(1.0, V, X), errors, confirms=confirms)
     assert value == rolling
@@ -246,8 +246,8 @@ def driven(loaded):
         moving = [replace(s, used=np.abs(s.speed) > 0.3, block=np.full(len(s), i)) for i, s in enumerate(noisy)]
         masks = [s.used & (i == 0) for i, s in enumerate(moving)]
         laps = HeldOutLaps(moving, [s.used & ~m for s, m in zip(moving, masks, strict=True)], rng)
-        found = with_levels(fit(Problem(loaded.base, tuple(moving), tuple(masks))))
-        return found, AsUsed(loaded.base, moving, moving, laps)
+        result = with_levels(fit(Problem(loaded.base, tuple(moving), tuple(masks))))
+        return result, AsUsed(loaded.base, moving, moving, laps)
 
     return make
 
@@ -257,25 +257,25 @@ def leaves(found):
 
 
 def test_a_value_that_held_out_laps_confirm_may_leave_its_range(driven):
-    found, use = driven({"loss_modulus_scale": 1.6})
-    assert "loss_modulus_scale" in leaves(found)
-    assert inside_ranges(found, use).base_values["loss_modulus_scale"] == pytest.approx(1.6, abs=0.15)
+    result, use = driven({"loss_modulus_scale": 1.6})
+    assert "loss_modulus_scale" in leaves(result)
+    assert inside_ranges(result, use).base_values["loss_modulus_scale"] == pytest.approx(1.6, abs=0.15)
 
 
 def test_an_unconfirmed_value_out_of_range_returns_to_its_end(driven):
-    found, use = driven({"loss_modulus_scale": 1.0})
-    spoilt = replace(found, base_values={**found.base_values, "drag_coefficient": 1.9})
+    result, use = driven({"loss_modulus_scale": 1.0})
+    spoilt = replace(result, base_values={**result.base_values, "drag_coefficient": 1.9})
     inside = inside_ranges(spoilt, use)
     assert not leaves(inside)
-    again = with_levels(inside)
-    assert all(not q.outside(again.base_values[q.name]) for q in again.problem.base.parameters)
-    assert all(q.low >= q.by_file[0] and q.high <= q.by_file[1] for q in again.problem.base.parameters)
+    repetition = with_levels(inside)
+    assert all(not q.outside(repetition.base_values[q.name]) for q in repetition.problem.base.parameters)
+    assert all(q.low >= q.by_file[0] and q.high <= q.by_file[1] for q in repetition.problem.base.parameters)
 
 
 @pytest.mark.parametrize(("by_site", "added"), [(True, {"grade"}), (False, set())])
 def test_alone_means_without_given_surroundings_and_route(driven, loaded, effects, by_site, added):
-    found, _ = driven({})
-    sessions = found.problem.sessions
+    result, _ = driven({})
+    sessions = result.problem.sessions
     site = (Active(effects["grade"], {"grade": 0.02}),) if by_site else ()
     around = type(loaded.base)(replace(loaded.base.vehicle, surroundings=site))
     raised = [replace(s, torque_by_place=np.full(len(s), 300.0), given=s.given | added) for s in sessions]
@@ -290,39 +290,39 @@ def test_alone_means_without_given_surroundings_and_route(driven, loaded, effect
 
 def test_each_drive_of_a_written_file_is_its_first_one(driven, loaded, effects):
     """Distance 0 and a cold belt, with what the recordings leave of a new belt's loss; a fit counts on from drive to drive."""
-    found, use = driven({})
+    result, use = driven({})
     new = Active(effects["mullins"], {"excess": 0.25, "distance": 8000.0})
-    sessions, nominal = found.problem.sessions, loaded.base.nominal
+    sessions, nominal = result.problem.sessions, loaded.base.nominal
     assert sum(float(s.distance[-1] - s.distance[0]) for s in sessions) == pytest.approx(use.distance, rel=0.01)
     rest = replace(new, values={**new.values, "excess": 0.25 * np.exp(-use.distance / 8000.0)})
     assert 0.01 < rest.values["excess"] < 0.2
-    for expected, session in zip(use.expected(None, [new], is_alone=True), sessions, strict=True):
-        assert expected == pytest.approx(loaded.base.predict([session], nominal, [rest])[0].torque)
-    for expected, one in zip(use.recorded(None, [new]), loaded.base.predict(sessions, nominal, [new]), strict=True):
-        assert expected == pytest.approx(one.torque)
+    for expectation, session in zip(use.expected(None, [new], is_alone=True), sessions, strict=True):
+        assert expectation == pytest.approx(loaded.base.predict([session], nominal, [rest])[0].torque)
+    for expectation, value in zip(use.recorded(None, [new]), loaded.base.predict(sessions, nominal, [new]), strict=True):
+        assert expectation == pytest.approx(value.torque)
 
 
 def test_a_run_in_effect_is_written_as_after_the_recordings(driven, effects):
-    found, use = driven({})
+    result, use = driven({})
     for scale, word in ((8000.0, "mullins is written as it is after"), (500.0, "without mullins, which has faded")):
-        final = replace(found, effects=(Active(effects["mullins"], {"excess": 0.2, "distance": scale}),))
+        final = replace(result, effects=(Active(effects["mullins"], {"excess": 0.2, "distance": scale}),))
         bounds = {("mullins", "excess"): Interval(0.1, 0.24, False), ("mullins", "distance"): Interval(scale, 20_000.0, False)}
         kept = _file_changes(_Option(None, final.effects), final, ["mullins"], use, bounds, "")
         assert word in kept.text
-        left = np.exp(-use.distance / scale)
-        assert [a.values["excess"] for a in kept.effects] == pytest.approx([0.2 * left] if scale > 500.0 else [])
+        remainder = np.exp(-use.distance / scale)
+        assert [a.values["excess"] for a in kept.effects] == pytest.approx([0.2 * remainder] if scale > 500.0 else [])
         for active in kept.effects_of("vehicle"):
-            assert active.ranges["excess"] == pytest.approx((0.1 * left, 0.24 * left))
+            assert active.ranges["excess"] == pytest.approx((0.1 * remainder, 0.24 * remainder))
             assert active.ranges["distance"] == (scale, 20_000.0)
 
 
 def test_a_value_as_far_as_is_plausible_is_not_confirmed(driven, monkeypatch):
-    found, use = driven({"loss_modulus_scale": 1.6})
+    result, use = driven({"loss_modulus_scale": 1.6})
     monkeypatch.setattr(AsUsed, "surely_better", lambda *_: True)
-    assert "loss_modulus_scale" in leaves(inside_ranges(found, use))
-    base = found.problem.base
-    ends = tuple(replace(q, high=found.base_values[q.name]) if q.name == "loss_modulus_scale" else q for q in base.parameters)
-    at_end = replace(found, problem=replace(found.problem, base=base._with_parameters(ends)))
+    assert "loss_modulus_scale" in leaves(inside_ranges(result, use))
+    base = result.problem.base
+    ends = tuple(replace(q, high=result.base_values[q.name]) if q.name == "loss_modulus_scale" else q for q in base.parameters)
+    at_end = replace(result, problem=replace(result.problem, base=base._with_parameters(ends)))
     assert "loss_modulus_scale" not in leaves(inside_ranges(at_end, use))
 
 
@@ -334,12 +334,14 @@ def test_a_value_without_a_range_is_exact(tmp_path, exact):
     assert count == 1
     (tmp_path / "vehicle.yaml").write_text(text)
     base = load_base(tmp_path / "vehicle.yaml").base
-    of = {"film_slope": "film_scale", "heat_capacity": "capacity_scale"}.get(exact, exact)
-    assert {q.name for q in load_base("xgd24d").base.parameters} - base.nominal.keys() == {of}
+    item = {"film_slope": "film_scale", "heat_capacity": "capacity_scale"}.get(exact, exact)
+    assert {q.name for q in load_base("xgd24d").base.parameters} - base.nominal.keys() == {item}
     assert all(q.by_file[0] < q.by_file[1] for q in base.inside_ranges(()).parameters)
     base.write(tmp_path / "written" / "vehicle.yaml", FileChanges({n: 1.01 * x for n, x in base.nominal.items()}, (), {}), "")
-    after, before = (load_any(path).parameters for path in (tmp_path / "written" / "vehicle.yaml", tmp_path / "vehicle.yaml"))
-    changed = {name for name, q in after.items() if q.value != before[name].value}
+    result_after, result_before = (
+        load_any(path).parameters for path in (tmp_path / "written" / "vehicle.yaml", tmp_path / "vehicle.yaml")
+    )
+    changed = {name for name, q in result_after.items() if q.value != result_before[name].value}
     assert changed
     assert not any(name.endswith(exact) for name in changed)
 
@@ -348,7 +350,7 @@ def test_a_value_out_of_range_is_said_as_it_stands_in_the_file(driven):
     """A factor on what a belt holds leaves the range of the rubber's heat capacity before its own value looks odd."""
     _, use = driven({})
     assert not use.outside(None)
-    scales = {q.name: q for q in use._alone[0].parameters}
+    scales = {q.name: q for q in use._base_alone[0].parameters}
     for factor, outside in ((1.0, False), (0.98, True)):
         values = {name: q.nominal for name, q in scales.items()} | {
             "capacity_scale": factor * scales["capacity_scale"].by_file[0]
@@ -376,11 +378,11 @@ def resting(session, torque, seconds):
 )
 def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects, reading, seconds, contradicted):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
-    gated = Gated((resting(session, reading, seconds),), (), ())
-    after, base, may_be_found = remove_offset(gated, loaded.base, effects)
+    gate_result = Gated((resting(session, reading, seconds),), (), ())
+    result_after, base, may_be_found = remove_offset(gate_result, loaded.base, effects)
     assert ("torque_offset" not in may_be_found) == contradicted
     assert ("torque_offset" not in {effect.name for effect in instrument(base)}) == contradicted
-    assert ("the sensor has no offset" in " ".join(after.notes)) == contradicted
+    assert ("the sensor has no offset" in " ".join(result_after.notes)) == contradicted
     assert effects.keys() - may_be_found.keys() <= {"torque_offset"}
 
 
@@ -393,7 +395,12 @@ def test_stops_held_on_a_slope_hide_no_other_stops(loaded, effects):
 
 def test_one_torque_at_all_stops_is_told_with_its_line(loaded, effects):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
-    for readings, told in (((60.0, 64.0, 56.0), True), ((60.0,), False), ((60.0, -60.0, 150.0), False), ((5.0, 4.0, 6.0), False)):
+    for readings, statement in (
+        ((60.0, 64.0, 56.0), True),
+        ((60.0,), False),
+        ((60.0, -60.0, 150.0), False),
+        ((5.0, 4.0, 6.0), False),
+    ):
         for line in (None, {"column": "T", "unit": "kNm"}, {"column": "T", "scale": 1000.0, "offset": -90.0}):
             read = {} if line is None else Topics.parse({"torque": line}).bindings
             of_half = copy.copy(loaded.base)
@@ -403,7 +410,7 @@ def test_one_torque_at_all_stops_is_told_with_its_line(loaded, effects):
             has = "torque: {..., offset: -60.0}"
             if line is not None:  # whatever converts the torque now, the line corrects the result
                 has = f"torque: {{column: T, scale: 1000.0, offset: {line.get('offset', 0.0) - 60.0}}}"
-            assert (has in notes and "a brake" in notes) == told, readings
+            assert (has in notes and "a brake" in notes) == statement, readings
 
 
 def test_without_torque_at_rest_the_offset_is_unknown(loaded):
@@ -463,19 +470,21 @@ def test_vehicle_yaml_alone_is_no_worse_whatever_is_hidden(tmp_path, loaded, nam
     hidden = [Active(known[name], known[name].values())]
     paths = write_recordings(loaded.base, tmp_path, sessions, hidden, rng)
     file = file_with(tmp_path / "given", factors, warmer)
-    diagnosed = tr.diagnose(paths, file, quick=True)
-    report = diagnosed.as_dict()
-    found = {e["name"]: {q: p["value"] for q, p in e["parameters"].items()} for e in report["effects"]}
+    diagnosis_result = tr.diagnose(paths, file, quick=True)
+    report = diagnosis_result.as_dict()
+    results = {e["name"]: {q: p["value"] for q, p in e["parameters"].items()} for e in report["effects"]}
     assert all(e["grade"] == "confirmed" for e in report["effects"] if e["name"] in report["written"]["effects"])
-    sensors = [Active(known[name], found[name]) for name in report["kept"]["sensor"]]
+    sensors = [Active(known[name], results[name]) for name in report["kept"]["sensor"]]
     held, errors = held_out_of(paths, file, report), []
-    for vehicle in (file, diagnosed.vehicle.source):
+    for vehicle in (file, diagnosis_result.vehicle.source):
         base = load_base(vehicle).base
-        expected = [base.predict([s], base.nominal, sensors)[0] for s, _ in held]
-        errors.append(np.concatenate([np.abs(s.torque - p.torque)[m] for (s, m), p in zip(held, expected, strict=True)]).mean())
-    assert {a.effect.name for a in diagnosed.vehicle.effects} == set(report["kept"]["vehicle"])
-    for active in diagnosed.vehicle.effects:
-        if active.effect.name in found:  # terms without a name have no single value
+        expectations = [base.predict([s], base.nominal, sensors)[0] for s, _ in held]
+        errors.append(
+            np.concatenate([np.abs(s.torque - p.torque)[m] for (s, m), p in zip(held, expectations, strict=True)]).mean()
+        )
+    assert {a.effect.name for a in diagnosis_result.vehicle.effects} == set(report["kept"]["vehicle"])
+    for active in diagnosis_result.vehicle.effects:
+        if active.effect.name in results:  # terms without a name have no single value
             driven = sum(float(np.abs(s.speed).sum()) * s.step for s, _ in held)
-            assert active.values == pytest.approx(active.effect.values_after(found[active.effect.name], driven), rel=1e-4)
+            assert active.values == pytest.approx(active.effect.values_after(results[active.effect.name], driven), rel=1e-4)
     assert errors[1] <= errors[0] * (1.0 + 1e-6), (report["verdict"]["sentence"], report["written"])

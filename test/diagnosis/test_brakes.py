@@ -27,8 +27,10 @@ def found(loaded, motor, seed=1):
     rng = np.random.default_rng(seed)
     sessions = drives(loaded.base, 30.0, 3, 15.0, rng, step=1.0)
     torques = [p.torque for p in loaded.base.predict(sessions, loaded.base.nominal, ())]
-    shown = [replace(s, torque=motor(t, rng) + rng.normal(0.0, NOISE_NM, len(t))) for s, t in zip(sessions, torques, strict=True)]
-    return motor_brakes_alone(shown, [np.abs(s.speed) > 0.5 for s in shown]), min(t.min() for t in torques)
+    shown_texts = [
+        replace(s, torque=motor(t, rng) + rng.normal(0.0, NOISE_NM, len(t))) for s, t in zip(sessions, torques, strict=True)
+    ]
+    return motor_brakes_alone(shown_texts, [np.abs(s.speed) > 0.5 for s in shown_texts]), min(t.min() for t in torques)
 
 
 @pytest.mark.parametrize("most", [50.0, 80.0])
@@ -69,13 +71,13 @@ def test_the_gate_says_down_to_where_it_compares(loaded, tmp_path, brakes, way):
     (session,) = drives(loaded.base, 30.0, 1, 30.0, rng, step=1.0)
     torque = loaded.base.predict([session], loaded.base.nominal, ())[0].torque
     shown = np.maximum(torque, -80.0) + rng.normal(0.0, NOISE_NM, len(torque))
-    at = np.arange(5 * len(session)) / 5.0  # so often that steps are of a second
-    speed = np.interp(at, session.time + 0.5, session.speed)
-    columns = {"time_s": at, "speed_mps": way * speed, "torque_nm": way * np.repeat(shown, 5)}
+    sample_times = np.arange(5 * len(session)) / 5.0  # so often that steps are of a second
+    speed = np.interp(sample_times, session.time + 0.5, session.speed)
+    columns = {"time_s": sample_times, "speed_mps": way * speed, "torque_nm": way * np.repeat(shown, 5)}
     path = written(tmp_path / "drive.csv", columns)
-    gated = gate(read_recordings([path], None), replace(loaded.known, friction_brakes=brakes))
-    assert any("the motor brakes alone" in note for note in gated.notes) == brakes
-    (session,) = gated.sessions
+    gate_result = gate(read_recordings([path], None), replace(loaded.known, friction_brakes=brakes))
+    assert any("the motor brakes alone" in note for note in gate_result.notes) == brakes
+    (session,) = gate_result.sessions
     compared = way * session.torque[session.used & (np.abs(session.speed) > 1.0)]
     assert (compared < -20.0).sum() > 50
     if brakes:
@@ -90,11 +92,11 @@ def test_a_drive_in_reverse_is_gated_as_one_forward(loaded, tmp_path, friction, 
     columns = {"time_s": 0.1 * np.arange(len(speed)), "speed_mps": speed, "torque_nm": rng.normal(50.0, 100.0, len(speed))}
     if recorded:
         columns["brake_on"] = np.gradient(speed) < 0.0
-    found = []
+    results = []
     for way in (1.0, -1.0):
         turned = {**columns, "speed_mps": way * speed + 0.0, "torque_nm": way * columns["torque_nm"]}
         path = written(tmp_path / "drive.csv", turned, "%.18e")
-        found.append(gate(read_recordings([path], None), replace(loaded.known, friction_brakes=friction)))
-    forward, reverse = found
+        results.append(gate(read_recordings([path], None), replace(loaded.known, friction_brakes=friction)))
+    forward, reverse = results
     np.testing.assert_array_equal(reverse.sessions[0].used, forward.sessions[0].used)
-    assert (reverse.excluded, reverse.notes) == (forward.excluded, forward.notes)
+    assert (reverse.exclusions, reverse.notes) == (forward.exclusions, forward.notes)

@@ -43,25 +43,28 @@ def test_the_share_is_relative_to_the_measured_torque(torque, added, share):
 
 
 def test_a_gain_is_over_the_fit_without_and_its_evidence_costs():
-    before, after = fitted(log_likelihood=-50.0, log_evidence=-60.0), fitted(log_likelihood=-40.0, log_evidence=-53.0)
-    one = term_of_fit(before, after, SimpleNamespace(name="a"), 3.0)
-    assert (one.gain, one.evidence) == (10.0, 4.0)
-    assert math.isnan(one.level)  # no lap has judged it
+    result_before, result_after = (
+        fitted(log_likelihood=-50.0, log_evidence=-60.0),
+        fitted(log_likelihood=-40.0, log_evidence=-53.0),
+    )
+    item = term_of_fit(result_before, result_after, SimpleNamespace(name="a"), 3.0)
+    assert (item.gain, item.evidence) == (10.0, 4.0)
+    assert math.isnan(item.level)  # no lap has judged it
 
 
 def test_the_root_mean_square_is_of_what_counts():
-    found = SimpleNamespace(problem=SimpleNamespace(masks=[np.array([True, True, False]), np.array([True, True])]))
-    assert rms([np.array([3.0, np.nan, 99.0]), np.array([4.0, 5.0])], found) == pytest.approx(math.sqrt(50.0 / 3.0))
+    result = SimpleNamespace(problem=SimpleNamespace(masks=[np.array([True, True, False]), np.array([True, True])]))
+    assert rms([np.array([3.0, np.nan, 99.0]), np.array([4.0, 5.0])], result) == pytest.approx(math.sqrt(50.0 / 3.0))
 
 
 def test_the_models_own_error_gains_more_in_long_quiet_drives():
-    whole = spurious_gain(fitted())
+    total = spurious_gain(fitted())
     half = fitted()
     half.problem.masks = (half.problem.masks[0] & (np.arange(SAMPLES) % 2 == 0),)
-    assert spurious_gain(half) == pytest.approx(0.5 * whole)
-    assert spurious_gain(fitted(std=4.0)) == pytest.approx(0.25 * whole)
-    assert spurious_gain(fitted(dc_gain=1.0)) == pytest.approx(4.0 * whole)
-    assert spurious_gain(fitted(torque=200.0)) == pytest.approx(4.0 * whole)
+    assert spurious_gain(half) == pytest.approx(0.5 * total)
+    assert spurious_gain(fitted(std=4.0)) == pytest.approx(0.25 * total)
+    assert spurious_gain(fitted(dc_gain=1.0)) == pytest.approx(4.0 * total)
+    assert spurious_gain(fitted(torque=200.0)) == pytest.approx(4.0 * total)
 
 
 CURVE = Curve(SPEED, [1.0, 5.0])
@@ -71,8 +74,8 @@ PLACE = ByPlace("place", "of a test", [np.ones(5)], 1e4, None, 1.0)
 
 @pytest.mark.parametrize(("effect", "kind"), [(None, NAME), (CURVE, FORM), (PLACE, FORM), (SERIES, CLOCK)])
 def test_a_name_goes_before_a_form_and_a_form_before_the_clock(effect, kind):
-    of = candidate("x" if effect is None else effect.name, effect=effect)
-    assert (of.kind, of.is_name) == (kind, kind == NAME)
+    item = candidate("x" if effect is None else effect.name, effect=effect)
+    assert (item.kind, item.is_name) == (kind, kind == NAME)
     assert NAME < FORM < CLOCK
 
 
@@ -105,6 +108,6 @@ def test_each_candidate_says_why_it_was_not_chosen():
 
 
 def test_what_was_found_cannot_be_changed_afterwards():
-    for found, attribute in ((candidate(), "gain"), (Round(None, None, ()), "cost")):
+    for result, attribute in ((candidate(), "gain"), (Round(None, None, ()), "cost")):
         with pytest.raises(FrozenInstanceError):
-            setattr(found, attribute, None)
+            setattr(result, attribute, None)

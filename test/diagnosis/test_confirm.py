@@ -39,33 +39,33 @@ def pumped(recorded, tmp_path_factory):
 
 
 def test_what_only_the_fitted_laps_have_is_not_written(run, pumped, tmp_path, loaded):
-    out = tmp_path / "out"
-    assert run(pumped, out, "--holdout", "drive_3").exit_code == 0
-    found = json.loads((out / "report.json").read_text())
-    mae = found["heldout"]["mae"]
-    assert all(e["grade"] != CONFIRMED for e in found["effects"])
-    assert found["verdict"]["grade"] != CONFIRMED or found["verdict"]["status"] in ("none", "described")
-    assert not any(term["predictable"] for term in found["described"])  # at most its spells, which no file has
-    assert not found["written"]["effects"]
+    output = tmp_path / "out"
+    assert run(pumped, output, "--holdout", "drive_3").exit_code == 0
+    result = json.loads((output / "report.json").read_text())
+    mae = result["heldout"]["mae"]
+    assert all(e["grade"] != CONFIRMED for e in result["effects"])
+    assert result["verdict"]["grade"] != CONFIRMED or result["verdict"]["status"] in ("none", "described")
+    assert not any(term["predictable"] for term in result["described"])  # at most its spells, which no file has
+    assert not result["written"]["effects"]
     assert mae["with_effects"] <= NO_WORSE * mae["refitted"]
     if mae["refitted"] > mae["nominal"]:
-        assert not found["written"]["base"]
+        assert not result["written"]["base"]
 
 
 @pytest.mark.parametrize("names", [(), ("turning_scrub",), ("grade_profile",)])
 def test_the_kept_file_is_never_worse_on_held_out_laps(diagnoses, loaded, names):
-    found = diagnoses(*names)
-    masks = [found.split.held_out_mask(s) for s in found.sessions]
-    laps = HeldOutLaps(found.sessions, masks, np.random.default_rng(1))
-    values = found.kept.values or loaded.base.nominal
-    written = found.base.predict(found.sessions, values, found.kept.effects)
+    result = diagnoses(*names)
+    masks = [result.split.held_out_mask(s) for s in result.sessions]
+    laps = HeldOutLaps(result.sessions, masks, np.random.default_rng(1))
+    values = result.kept.values or loaded.base.nominal
+    written = result.base.predict(result.sessions, values, result.kept.effects)
     error = np.abs(laps.measured - laps.samples([p.torque for p in written])).mean()
     # The driving torque that some effects look at is that of the last fit here.
-    assert error <= found.held_out.mae["nominal"] * (1.0 + 1e-3)
-    assert set(found.kept.intervals) == (
+    assert error <= result.held_out.mae["nominal"] * (1.0 + 1e-3)
+    assert set(result.kept.intervals) == (
         {("", name) for name in values}
-        | {(a.effect.name, q.name) for a in found.kept.effects for q in a.effect.parameters if q.fitted}
-        if found.kept.values
+        | {(a.effect.name, q.name) for a in result.kept.effects for q in a.effect.parameters if q.fitted}
+        if result.kept.values
         else set()
     )
 
@@ -81,21 +81,21 @@ def test_every_verdict_says_whether_it_is_confirmed(diagnoses):
 
 
 def test_a_tilted_plane_takes_more_one_way_and_less_the_other(diagnoses, loaded):
-    found = diagnoses("grade_profile")
-    (effect,) = found.found
+    result = diagnoses("grade_profile")
+    (effect,) = result.found
     assert effect.location.variable == "heading"
     most = 0.014 * loaded.base.facts.weight * loaded.base.facts.radius  # both slopes of a hundredth
     assert 0.5 * most < effect.location.largest < 1.5 * most
     assert 0.5 * most < -effect.location.smallest < 1.5 * most
-    assert "less to" in found.verdict.sentence
-    assert "depending on the heading" in found.verdict.sentence
+    assert "less to" in result.verdict.sentence
+    assert "depending on the heading" in result.verdict.sentence
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("names", [(), ("turning_scrub",)])
 def test_the_seed_does_not_decide(diagnoses, names):
-    said = {
-        (found.verdict.status, found.verdict.grade, tuple(f.members for f in found.found))
-        for found in (diagnoses(*names, seed=seed) for seed in (1, 2))
+    texts = {
+        (result.verdict.status, result.verdict.grade, tuple(f.members for f in result.found))
+        for result in (diagnoses(*names, seed=seed) for seed in (1, 2))
     }
-    assert len(said) == 1
+    assert len(texts) == 1

@@ -31,11 +31,11 @@ SLOPE_NM, LAP_M, BEGIN_M, END_M = 500.0, 700.0, 200.0, 320.0
 
 def with_added(recordings, adds):
     """Recordings with a torque added, of (recording, times [s])."""
-    found = []
+    results = []
     for r in recordings:
         torque = r.series["torque"].value + adds(r, r.time_s("torque"))
-        found.append(replace(r, series={**r.series, "torque": replace(r.series["torque"], value=torque)}))
-    return found
+        results.append(replace(r, series={**r.series, "torque": replace(r.series["torque"], value=torque)}))
+    return results
 
 
 def at(r, role, times):
@@ -61,10 +61,10 @@ def of_bus(bus, tmp_path_factory):
 
 def described(recordings, loaded):
     """The diagnosis of recordings in which one term without a name is confirmed, and that term."""
-    found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
-    assert (found.verdict.status, found.verdict.grade) == ("described", "confirmed")
-    (told,) = found.described
-    return found, told
+    result = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
+    assert (result.verdict.status, result.verdict.grade) == ("described", "confirmed")
+    (statement,) = result.described
+    return result, statement
 
 
 def written(found, folder, **changes):
@@ -79,19 +79,19 @@ def test_a_torque_in_left_turns_is_described_and_written(of_bus, bus, tmp_path):
     def adds(r, times):
         return TURN_NM * ((at(r, "yaw_rate", times) > 0.01) & (at(r, "speed", times) > 0.1))
 
-    found, told = described(with_added(of_bus, adds), bus)
-    assert found.found == ()
-    assert told.form == "step"
-    assert told.variable == "yaw rate to the left"
-    assert told.size_nm == pytest.approx(TURN_NM, rel=0.15)
-    (effect,) = load_any(written(found, tmp_path)).effects
-    assert effect.effect.name == told.name
+    result, statement = described(with_added(of_bus, adds), bus)
+    assert result.found == ()
+    assert statement.form == "step"
+    assert statement.variable == "yaw rate to the left"
+    assert statement.size_nm == pytest.approx(TURN_NM, rel=0.15)
+    (effect,) = load_any(written(result, tmp_path)).effects
+    assert effect.effect.name == statement.name
     assert effect.effect.name == "step_of_yaw_rate"
-    sessions, values = found.sessions, found.final.base_values
-    for s, bare, p in zip(sessions, *(found.base.predict(sessions, values, e) for e in ((), (effect,))), strict=True):
+    sessions, values = result.sessions, result.final.base_values
+    for s, bare, p in zip(sessions, *(result.base.predict(sessions, values, e) for e in ((), (effect,))), strict=True):
         adds = p.torque - bare.torque
-        left = (s.yaw_rate > 0.05) & (s.speed > 1.0)
-        assert np.median(adds[left]) == pytest.approx(TURN_NM, rel=0.1)
+        remainder = (s.yaw_rate > 0.05) & (s.speed > 1.0)
+        assert np.median(adds[remainder]) == pytest.approx(TURN_NM, rel=0.1)
         assert np.abs(adds[s.yaw_rate < 0.0]).max() < 1e-3
 
 
@@ -114,17 +114,17 @@ def runs(changes, times):
 
 @pytest.mark.long
 def test_spells_are_described_and_written_only_as_a_disturbance(pumped, tmp_path):
-    _, found, changes = pumped
-    (told,) = [t for t in found.described if t.form == "spells"]
-    assert not told.predictable
-    runs_of = [np.sum(of[::2][:100] < s.time[s.used][-1]) for of, s in zip(changes, found.sessions, strict=False)]
-    counted = int(re.search(r"(\d+) times in these recordings", told.sentence)[1])
+    _, result, changes = pumped
+    (statement,) = [t for t in result.described if t.form == "spells"]
+    assert not statement.predictable
+    runs_of = [np.sum(value[::2][:100] < s.time[s.used][-1]) for value, s in zip(changes, result.sessions, strict=False)]
+    counted = int(re.search(r"(\d+) times in these recordings", statement.sentence)[1])
     assert abs(counted - sum(runs_of)) <= 2  # on all laps, over stops
-    assert told.size_nm == pytest.approx(PUMP_NM, rel=0.2)
-    assert 0.5 * ON_S < told.memory < 2.0 * ON_S
-    assert told.name not in {a.effect.name for a in found.kept.effects}
-    vehicle = load(written(found, tmp_path))
-    assert told.name not in {a.effect.name for a in vehicle.effects}
+    assert statement.size_nm == pytest.approx(PUMP_NM, rel=0.2)
+    assert 0.5 * ON_S < statement.memory < 2.0 * ON_S
+    assert statement.name not in {a.effect.name for a in result.kept.effects}
+    vehicle = load(written(result, tmp_path))
+    assert statement.name not in {a.effect.name for a in vehicle.effects}
     spells = vehicle.disturbance
     assert spells.level - spells.rest == pytest.approx(PUMP_NM, rel=0.2)
     assert 0.5 * ON_S < spells.mean_there < 2.0 * ON_S
@@ -134,8 +134,8 @@ def test_spells_are_described_and_written_only_as_a_disturbance(pumped, tmp_path
 
 @pytest.mark.long
 def test_a_replay_follows_the_spells_and_changes_no_other_column(pumped, tmp_path):
-    recordings, found, changes = pumped
-    watching, bare = (tr.replay(recordings[2], written(found, tmp_path, **changes)) for changes in ({}, {"disturbance": None}))
+    recordings, result, changes = pumped
+    watching, bare = (tr.replay(recordings[2], written(result, tmp_path, **changes)) for changes in ({}, {"disturbance": None}))
     assert set(watching.columns) - set(bare.columns) == {"disturbance_probability", "disturbance_torque_nm"}
     for name in bare.columns:
         assert watching[name].tobytes() == bare[name].tobytes()
@@ -168,18 +168,18 @@ def test_a_drift_is_judged_by_following_it_and_written_as_such(recorded, loaded,
         return np.interp(times, np.arange(len(wander)), wander) * (at(r, "speed", times) > 0.1)
 
     recordings = with_added(read_recordings(recorded(minutes=15.0), None), adds)
-    found = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
-    assert (found.verdict.status, found.verdict.grade) == ("described", "confirmed")
-    assert "a torque sensor with a drifting zero" in found.verdict.sentence
-    said = report(found, [])
-    check_form({**said, "recordings": ["x"]})
-    (drift,) = [one for one in said["described"] if one["form"] == "drift"]
+    result = diagnose(recordings, loaded, DiagnosisOptions(quick=True))
+    assert (result.verdict.status, result.verdict.grade) == ("described", "confirmed")
+    assert "a torque sensor with a drifting zero" in result.verdict.sentence
+    text = report(result, [])
+    check_form({**text, "recordings": ["x"]})
+    (drift,) = [item for item in text["described"] if item["form"] == "drift"]
     assert drift["grade"] == "confirmed"
     assert drift["heldout"]["mae"][1] < 0.5 * drift["heldout"]["mae"][0]
-    assert said["written"]["disturbance"] == "drift"
-    learned = load(written(found, tmp_path)).disturbance
-    assert 0.5 * DRIFT_NM < learned.size < 2.0 * DRIFT_NM
-    assert learned.noise < 0.5 * learned.size
+    assert text["written"]["disturbance"] == "drift"
+    learned_values = load(written(result, tmp_path)).disturbance
+    assert 0.5 * DRIFT_NM < learned_values.size < 2.0 * DRIFT_NM
+    assert learned_values.noise < 0.5 * learned_values.size
 
 
 @pytest.mark.long
@@ -189,21 +189,21 @@ def test_a_torque_repeated_at_a_place_is_described_never_written(of_bus, bus, ch
         place = np.cumsum(speed * np.gradient(times)) % LAP_M
         return SLOPE_NM * ((place > BEGIN_M) & (place < END_M)) * (speed > 0.1)
 
-    found, told = described(with_added(of_bus, adds), bus)
-    assert told.form == "place"
-    assert told.period_m == pytest.approx(LAP_M, rel=0.01)
-    assert told.size_nm == pytest.approx(SLOPE_NM, rel=0.2)
-    assert "passes" in told.sentence
-    assert found.kept.effects == ()
-    check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
+    result, statement = described(with_added(of_bus, adds), bus)
+    assert statement.form == "place"
+    assert statement.period_m == pytest.approx(LAP_M, rel=0.01)
+    assert statement.size_nm == pytest.approx(SLOPE_NM, rel=0.2)
+    assert "passes" in statement.sentence
+    assert result.kept.effects == ()
+    check_form(report(result, []) | {"recordings": ["drive_1.csv"]})
     pytest.importorskip("matplotlib")
-    assert "place on the route" in draw(term_chart(found, told), tmp_path / "place.svg").alternative
+    assert "place on the route" in draw(term_chart(result, statement), tmp_path / "place.svg").alternative
 
 
 def test_where_nothing_is_hidden_nothing_is_described(diagnoses):
-    found = diagnoses()
-    assert found.described == ()
-    assert found.verdict.status == "none"
+    result = diagnoses()
+    assert result.described == ()
+    assert result.verdict.status == "none"
 
 
 @pytest.mark.long

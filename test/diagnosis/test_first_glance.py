@@ -33,7 +33,7 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.empirical.term import Term
 from trackres_ros.diagnosis.findings.next_drives import Advice
 from trackres_ros.diagnosis.findings.verdict import Verdict
-from trackres_ros.diagnosis.findings.wording import range_of, upper
+from trackres_ros.diagnosis.findings.wording import capitalise, range_of
 from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.report.content import inputs, report
 from trackres_ros.diagnosis.report.interactive import DOCUMENT, _number, _places, interactive
@@ -55,8 +55,8 @@ from trackres_ros.diagnosis.report.series import (
     bins_by_variable,
     bins_of_steps,
     half_interval,
+    steps_within,
     uncertainty,
-    within,
 )
 from trackres_ros.diagnosis.selection.held_out import Improvement
 from trackres_ros.diagnosis.selection.locate import Bin, Location, RegimeMap, against_travel
@@ -77,8 +77,8 @@ def named(*members, improvement=BETTER, belongs_to="vehicle", **more):
     """A term of the catalogue, the first of a class."""
     effect = SimpleNamespace(name=members[0], belongs_to=belongs_to)
     weights = dict.fromkeys(members, 1.0 / len(members))
-    where = {"location": FINE_CURVES, "place": FINE_CURVES.text, "seen": SEEN}
-    return Term(effect, None, members=members, weights=weights, improvement=improvement, **{**where, **more})
+    locations = {"location": FINE_CURVES, "place": FINE_CURVES.text, "seen": SEEN}
+    return Term(effect, None, members=members, weights=weights, improvement=improvement, **{**locations, **more})
 
 
 def unnamed(form, size_nm, improvement, name="c", **more):
@@ -90,12 +90,12 @@ def unnamed(form, size_nm, improvement, name="c", **more):
 
 def of(status, grade, terms=(), mae=MAE, drift=None, written=None, **more):
     """As much of a diagnosis as a first glance takes; all named effects are written, and so are fitted values."""
-    found = tuple(t for t in terms if t.is_named)
+    result = tuple(t for t in terms if t.is_named)
     nowhere = RegimeMap((), 1.0, 0)
     content = {
-        "verdict": Verdict(status, grade, "", seen=SEEN), "terms": tuple(terms), "found": found, "drift": drift, "advice": (),
+        "verdict": Verdict(status, grade, "", seen=SEEN), "terms": tuple(terms), "found": result, "drift": drift, "advice": (),
         "described": tuple(t for t in terms if not t.is_named), "gated": SimpleNamespace(sensors=()), "at_base": nowhere,
-        "at_end": nowhere, "last": SimpleNamespace(hint=""), "kept": kept(found) if written is None else written,
+        "at_end": nowhere, "last": SimpleNamespace(hint=""), "kept": kept(result) if written is None else written,
         "held_out": SimpleNamespace(mae=mae, without_sensor=None),
     }  # fmt: skip
     return SimpleNamespace(**{**content, **more})
@@ -162,24 +162,24 @@ def test_surroundings_are_not_listed_as_in_the_vehicle_file():
 
 def test_a_confirmed_term_without_a_name_is_listed_with_names():
     payloads = [unnamed("payload", 50.0, improvement, variable="mass") for improvement in (BETTER, SUSPECTED)]
-    both, alone = (tiles(of("named", "confirmed", [named("grade"), payload]), {})[1] for payload in payloads)
-    assert both.answer == "grade and a payload (no name)"
+    pair, alone = (tiles(of("named", "confirmed", [named("grade"), payload]), {})[1] for payload in payloads)
+    assert pair.answer == "grade and a payload (no name)"
     assert alone.answer == "grade"
 
 
 def test_an_unpredictable_term_is_worth_the_error_it_removes():
     mae = {"nominal": 300.0, "refitted": 400.0, "with_effects": 400.0}
     levels = unnamed("recordings", 500.0, Improvement(400.0, 75.0, 300.0, 350.0), variable="recording")
-    where, what, better, _ = tiles(of("described", "confirmed", mae=mae, drift=levels), {})
-    assert where.answer == "From recording to recording"
+    location, what, better, _ = tiles(of("described", "confirmed", mae=mae, drift=levels), {})
+    assert location.answer == "From recording to recording"
     assert what.answer == "a different level in each recording (no name)"
     assert better.answer == "75 % less error"
     assert "400 re-fitted, 75 with it, from a live estimate" in better.detail
 
 
 def test_the_tiles_say_what_the_diagnosis_does():
-    where, what, better, following = tiles(of("named", "confirmed", [named("turning_scrub")]), {})
-    assert where.answer == "In curves tighter than 100 m"
+    location, what, better, following = tiles(of("named", "confirmed", [named("turning_scrub")]), {})
+    assert location.answer == "In curves tighter than 100 m"
     assert (what.answer, what.detail) == ("turning scrub", "laps left out of the fit confirm it")
     assert better.answer == "66 % less error"
     assert "67.1 Nm with the file, 62.6 re-fitted, 22.6 with it" in better.detail  # what the re-fit did is not the effect's
@@ -193,11 +193,11 @@ def test_the_tiles_say_what_the_diagnosis_does():
     ({"variable": "speed", "unit": "m/s"}, "Above 0.01 m/s of speed"), ({"low": 0.0, "high": 0.1}, "Below 0.1 1/m of curvature"),
 ])  # fmt: skip
 def test_only_an_effect_beyond_a_curvature_is_one_of_curves(changed, place):
-    where = replace(FINE_CURVES, **changed)
-    lower = named("scrub", location=where, place=where.text)
+    location = replace(FINE_CURVES, **changed)
+    lower = named("scrub", location=location, place=location.text)
     assert tiles(of("named", "confirmed", [lower]), {})[0].answer == place
-    said = replace(lower, place="while it rains")
-    assert tiles(of("named", "confirmed", [said]), {})[0].answer == "While it rains"
+    text = replace(lower, place="while it rains")
+    assert tiles(of("named", "confirmed", [text]), {})[0].answer == "While it rains"
 
 
 def test_headline_and_next_step_follow_the_largest_confirmed_one():
@@ -207,7 +207,7 @@ def test_headline_and_next_step_follow_the_largest_confirmed_one():
     large = named("grade", improvement=Improvement(1311.0, 214.0, 900.0, 1200.0), place="", location=everywhere, seen=sometimes)
     advice = Advice(("viscous_bearing", "stribeck"), (), "coast down", 5.0, 5.0, 1.0)
     d = of("named", "confirmed", [small, large], written=kept([large]), advice=(advice,))
-    assert headline(d).startswith(f"{upper(sometimes)}. The cause is grade")
+    assert headline(d).startswith(f"{capitalise(sometimes)}. The cause is grade")
     assert "(confirmed)" in headline(d)
     assert tiles(d, {})[1].answer == "grade"  # the other takes less than 2 % off the error
     assert tiles(d, {})[-1].answer.startswith("Use")
@@ -236,8 +236,8 @@ def test_a_suspected_effect_is_listed_and_never_the_headline():
 
 def test_what_is_only_suspected_asks_for_more_laps():
     unsure = unnamed("curve", 384.0, Improvement(149.0, 145.0, -1.0, 9.0), variable="speed")
-    where, _, _, following = tiles(of("unexplained", "suspected", [unsure]), {})
-    assert where.detail == "About 384 Nm where it acts"
+    location, _, _, following = tiles(of("unexplained", "suspected", [unsure]), {})
+    assert location.detail == "About 384 Nm where it acts"
     assert following.answer == "Record more laps"
     given_values = of("named", "confirmed", [named("rain")], written=kept((), values=False))
     assert tiles(given_values, {})[-1].answer == "Keep the given values"
@@ -256,13 +256,13 @@ def test_a_slow_residual_is_at_no_place():
 
 def test_tiles_and_headline_hold_what_a_warning_says_of_a_sensor():
     says = "The speed is 5.5 % more than the recorded distance implies"
-    gated = SimpleNamespace(sensors=(SensorFinding(says.lower(), says, "speed_scale", -0.052),))
-    d = of("none", "confirmed", gated=gated)
+    gate_result = SimpleNamespace(sensors=(SensorFinding(says.lower(), says, "speed_scale", -0.052),))
+    d = of("none", "confirmed", gated=gate_result)
     _, what, _, following = tiles(d, {})
     assert headline(d).startswith(f"{says}. ")
     assert (what.answer, what.detail) == ("A sensor may be wrong", f"{says}; apart from that: no physics is missing")
     assert following.answer == "Check the sensor"
-    assert tiles(of("named", "confirmed", [named("scrub")], gated=gated), {})[-1] == following
+    assert tiles(of("named", "confirmed", [named("scrub")], gated=gate_result), {})[-1] == following
     assert "No physics is missing" not in headline(d)
 
 
@@ -285,17 +285,17 @@ def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
             assert {n for n, letter in enumerate(letters[name]) if letter == "."} >= set(np.flatnonzero(~session.used))
         for name, series in (("speed", session.speed), ("yaw rate to the left", session.yaw_rate)):  # often just 0, an edge
             for n, b in enumerate(bins_by_variable(diagnosed.at_base.bins)[name]):
-                of = {str(n), chr(ord("a") + n), *([chr(ord("a") + n - 1)] if n else [])}
-                inside = [letter in of for letter in letters[name]]
+                item = {str(n), chr(ord("a") + n), *([chr(ord("a") + n - 1)] if n else [])}
+                inside = [letter in item for letter in letters[name]]
                 np.testing.assert_array_equal(inside, session.used & (series >= b.low) & (series <= b.high))
-    assert any("0" in of["effect:turning_scrub"] for of in bins_of_steps(diagnosed))
+    assert any("0" in item["effect:turning_scrub"] for item in bins_of_steps(diagnosed))
 
 
 def test_what_can_be_lit_is_there(diagnosed):
     letters = bins_of_steps(diagnosed)
     for key, _ in list_highlights(diagnosed):
         name, number = ("effect:turning_scrub", "0") if key.startswith("effect:") else key.rsplit(":", 1)
-        assert any(number in of[name] for of in letters), key
+        assert any(number in letter[name] for letter in letters), key
 
 
 def test_an_interval_over_laps_covers_the_mean_at_its_level():
@@ -309,8 +309,8 @@ def test_an_interval_over_laps_covers_the_mean_at_its_level():
 
 
 def test_bars_have_intervals(diagnosed):
-    expected = [p.torque for p in diagnosed.refitted.predicted]
-    halves = [uncertainty(diagnosed, b, expected) for b in diagnosed.at_base.bins if isinstance(b, Bin)]
+    expectations = [p.torque for p in diagnosed.refitted.predicted]
+    halves = [uncertainty(diagnosed, b, expectations) for b in diagnosed.at_base.bins if isinstance(b, Bin)]
     assert np.isfinite(halves).sum() > 0.8 * len(halves)
 
 
@@ -323,19 +323,19 @@ def test_bars_of_all_stages_are_over_the_same_steps(diagnosed):
     for name, edges, (base, last) in bars(d):
         assert [(b.low, b.high, b.samples) for b in base.bins] == [(b.low, b.high, b.samples) for b in last.bins], name
         np.testing.assert_allclose(last.x - base.x, 0.4, atol=1e-9)
-        for of in (base, last):
-            assert list(of.x.round()) == list(range(len(edges) - 1))
-            for b, half in zip(of.bins, of.half_width, strict=True):
+        for item in (base, last):
+            assert list(item.x.round()) == list(range(len(edges) - 1))
+            for b, half in zip(item.bins, item.half_width, strict=True):
                 inside = [
-                    g.valid & within(b.variable, b.low, b.high, s, p)
+                    g.valid & steps_within(b.variable, b.low, b.high, s, p)
                     for s, p, g in zip(d.sessions, d.refitted.predicted, d.refitted.problem.segments, strict=False)
                 ]
-                off = [s.torque - t for s, t in zip(d.sessions, of.stage.torques, strict=True)]
-                off = [x[m] for x, m in zip(against_travel(d.sessions, off), inside, strict=True)]
+                deviations = [s.torque - t for s, t in zip(d.sessions, item.stage.torques, strict=True)]
+                deviations = [x[m] for x, m in zip(against_travel(d.sessions, deviations), inside, strict=True)]
                 laps = np.concatenate([s.block[m] for s, m in zip(d.sessions, inside, strict=True)])
                 assert len(laps) == b.samples
-                assert b.mean_residual == pytest.approx(np.concatenate(off).mean())
-                assert half == pytest.approx(half_interval(np.concatenate(off), laps), nan_ok=True)
+                assert b.mean_residual == pytest.approx(np.concatenate(deviations).mean())
+                assert half == pytest.approx(half_interval(np.concatenate(deviations), laps), nan_ok=True)
 
 
 @pytest.mark.parametrize(
@@ -346,12 +346,12 @@ def test_hover_shows_three_figures_of_the_largest_torque(largest, shown):
 
 
 def test_sentence_and_table_have_the_same_figures(diagnosed):
-    for found in diagnosed.found:
-        for name, value in found.values.items():
-            of = found.intervals[name]
-            shown, ends, _ = interval({"value": value, "ci95": [of.low, of.high]})
-            if not of.bound_only:
-                assert f"{name} {shown} [{ends.replace(' … ', ', ')}]" in found.values_text
+    for result in diagnosed.found:
+        for name, value in result.values.items():
+            item = result.intervals[name]
+            shown, ends, _ = interval({"value": value, "ci95": [item.low, item.high]})
+            if not item.bound_only:
+                assert f"{name} {shown} [{ends.replace(' … ', ', ')}]" in result.values_text
 
 
 @given(st.floats(-1e5, 1e5), st.floats(1e-6, 1e5))
@@ -365,8 +365,8 @@ def test_white_noise_is_white_and_a_wandering_one_is_not():
     rng = np.random.default_rng(2)
     white = [rng.standard_normal(3000), rng.standard_normal(2000)]
     white[0][500:520] = np.nan
-    found, pairs = autocorrelation(white)
-    assert (np.abs(found) < 1.96 / np.sqrt(pairs)).mean() > 0.8
+    result, pairs = autocorrelation(white)
+    assert (np.abs(result) < 1.96 / np.sqrt(pairs)).mean() > 0.8
     assert np.abs(cumulative_power(white) - np.linspace(0.0, 1.0, len(cumulative_power(white)))).max() < 0.05
     wandering = [np.convolve(rng.standard_normal(3000), np.ones(20) / 20.0, "same")]
     assert autocorrelation(wandering)[0][0] > 0.9
@@ -375,17 +375,17 @@ def test_white_noise_is_white_and_a_wandering_one_is_not():
 
 def test_gaps_and_ranges_are_those_of_the_recordings(diagnosed):
     d = diagnosed
-    found = inputs(d)
-    for said, session in zip(found["recordings"], d.sessions, strict=True):
-        assert said["compared_s"] == pytest.approx(session.used.sum() * session.step)
-        assert said["longest_gap_s"] <= said["seconds"] - said["compared_s"]
+    result = inputs(d)
+    for text, session in zip(result["recordings"], d.sessions, strict=True):
+        assert text["compared_s"] == pytest.approx(session.used.sum() * session.step)
+        assert text["longest_gap_s"] <= text["seconds"] - text["compared_s"]
     total = sum(s.used.sum() * s.step for s in d.sessions)
-    assert all(sum(x["histogram_s"]) == pytest.approx(total) for x in found["ranges"])
-    assert sum(map(sum, found["coverage"]["seconds"])) == pytest.approx(total)
-    assert all(x["low"] <= x["median"] <= x["high"] for x in found["ranges"])
+    assert all(sum(x["histogram_s"]) == pytest.approx(total) for x in result["ranges"])
+    assert sum(map(sum, result["coverage"]["seconds"])) == pytest.approx(total)
+    assert all(x["low"] <= x["median"] <= x["high"] for x in result["ranges"])
     reverse = tuple(replace(s, speed=-s.speed, accel=-s.accel) for s in d.sessions)
     back = inputs(replace(d, gated=replace(d.gated, sessions=reverse)))
-    assert back["coverage"]["acceleration"] == found["coverage"]["acceleration"]
+    assert back["coverage"]["acceleration"] == result["coverage"]["acceleration"]
 
 
 def test_the_page_says_where_it_comes_from(scrubbed, recorded, tmp_path):
@@ -401,11 +401,11 @@ def test_without_bokeh_the_page_says_how_to_install_it(diagnoses, scrubbed, tmp_
     from trackres_ros.tasks.diagnose import _plots
 
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    why = _plots(diagnoses("turning_scrub"))
-    assert "[interactive]" in why
-    write_page(tmp_path / "report.html", scrubbed[1], glance(diagnoses("turning_scrub"), {}), [], "Diagnosis", why)
+    reason = _plots(diagnoses("turning_scrub"))
+    assert "[interactive]" in reason
+    write_page(tmp_path / "report.html", scrubbed[1], glance(diagnoses("turning_scrub"), {}), [], "Diagnosis", reason)
     page = (tmp_path / "report.html").read_text()
-    assert why in page.replace("&#39;", "'")
+    assert reason in page.replace("&#39;", "'")
     assert "<script" not in page
 
 
@@ -417,10 +417,10 @@ def test_bokeh_knows_each_model_and_attribute_of_the_plots(diagnosed, caplog, mo
 
     monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # Dask keeps it to itself, and to errors alone
     caplog.set_level(logging.WARNING, logger="bokeh")
-    drawn = interactive(diagnosed)
-    content = json.loads(gzip.decompress(base64.b64decode(drawn.data)))["documents"][DOCUMENT]["roots"]
+    drawing = interactive(diagnosed)
+    content = json.loads(gzip.decompress(base64.b64decode(drawing.data)))["documents"][DOCUMENT]["roots"]
     roots = Deserializer().decode(content)
-    plots = [plot for of in drawn.plots.values() for plot in of]
+    plots = [plot for item in drawing.plots.values() for plot in item]
     assert [(f"plot-{root.id}", root.title.text) for root in roots] == plots
     assert not caplog.records
     Deserializer().decode(json.loads(json.dumps(content).replace('"line_width"', '"line_wide"')))
@@ -476,10 +476,10 @@ def probed(scrubbed, tmp_path_factory):
             if (t.startsWith("found ")) document.title = t; }}, 50);</script>"""
         )
         options = ("--allow-file-access-from-files", "--dump-dom", "--virtual-time-budget=20000", "--window-size=1300,1000")
-        done = opened(frame, folder, *options)
-        said = re.search(r"<title>found (.*?)</title>", done.stdout)
-        assert said, done.stderr[-2000:]
-        return json.loads(unquote(said[1])), done.stderr
+        outcome = opened(frame, folder, *options)
+        text = re.search(r"<title>found (.*?)</title>", outcome.stdout)
+        assert text, outcome.stderr[-2000:]
+        return json.loads(unquote(text[1])), outcome.stderr
 
     return found
 
@@ -487,32 +487,32 @@ def probed(scrubbed, tmp_path_factory):
 @IN_A_BROWSER
 @pytest.mark.parametrize("width", [1200, 400])
 def test_in_a_browser_the_tiles_come_first_and_nothing_overlaps(probed, width):
-    found, _ = probed(width)
-    assert found["tiles"] == 4
-    assert found["lowest"] < 800
-    assert found["wide"] <= width
-    assert found["overlaps"] == 0
-    assert found["ready"] == "yes"
-    assert found["drawn"] >= found["plots"] > 5
+    result, _ = probed(width)
+    assert result["tiles"] == 4
+    assert result["lowest"] < 800
+    assert result["wide"] <= width
+    assert result["overlaps"] == 0
+    assert result["ready"] == "yes"
+    assert result["drawn"] >= result["plots"] > 5
 
 
 @IN_A_BROWSER
 @pytest.mark.parametrize("width", [1200, 400])
 def test_the_page_opens_without_an_error_or_a_network(probed, width):
-    found, console = probed(width)
-    assert found["shown"] == found["described"] == found["pictures"] > 4
-    assert found["requests"] == 0
+    result, console = probed(width)
+    assert result["shown"] == result["described"] == result["pictures"] > 4
+    assert result["requests"] == 0
     assert not re.findall(r"(?:ERROR|WARNING):CONSOLE.*|CONSOLE.*(?:rror|Uncaught).*", console)
 
 
 @IN_A_BROWSER
 def test_a_press_highlights_times_in_each_series_and_toggles_off(probed):
-    found, _ = probed(1200)
-    assert len(found["lit"]) == 4  # two drives, the lap's torque and its speed
-    assert sum(n > 0 for n in found["lit"]) >= 2
-    assert found["pressed"] == "true"
-    assert re.fullmatch(r"\d+ s are highlighted\.", found["said"])
-    assert found["out"] == 0
+    result, _ = probed(1200)
+    assert len(result["lit"]) == 4  # two drives, the lap's torque and its speed
+    assert sum(n > 0 for n in result["lit"]) >= 2
+    assert result["pressed"] == "true"
+    assert re.fullmatch(r"\d+ s are highlighted\.", result["said"])
+    assert result["out"] == 0
 
 
 @IN_A_BROWSER
@@ -551,8 +551,8 @@ def test_a_page_of_any_verdict_can_be_written(scrubbed, diagnosed, tmp_path, gra
         d = replace(
             diagnosed, terms=(), drift=drift, final=diagnosed.refitted, verdict=Verdict(status, grade, "It is so", seen=SEEN)
         )
-        said = report(d, [])
-        r |= {name: said[name] for name in ("verdict", "effects", "described")}
+        text = report(d, [])
+        r |= {name: text[name] for name in ("verdict", "effects", "described")}
         write_page(tmp_path / "report.html", r, glance(d, {}), [], "Diagnosis")
         page = (tmp_path / "report.html").read_text()
         assert glance(d, {}).stage == "refitted"

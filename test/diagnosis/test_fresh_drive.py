@@ -44,11 +44,11 @@ def spells(n, step, rng):
 def drift(n, step, rng):
     """A torque that wanders about zero."""
     size, seconds = DRIFT
-    keep, now, found = np.exp(-step / seconds), rng.normal(0.0, size), np.empty(n)
+    keep, time_now, result = np.exp(-step / seconds), rng.normal(0.0, size), np.empty(n)
     for i, shock in enumerate(rng.normal(0.0, size * np.sqrt(1.0 - keep**2), n)):
-        now = keep * now + shock
-        found[i] = now
-    return found
+        time_now = keep * time_now + shock
+        result[i] = time_now
+    return result
 
 
 HIDDEN = {
@@ -72,10 +72,12 @@ def sealed(tmp_path_factory):
         conditions = [*zip(LOADS, AIRS_DEGC, strict=True)] * (2 if earlier else 1) + [(1.0, 10.0)]
         driven = [drive(MINUTES, g * weight, air, FASTEST_MPS, rng) for g, air in conditions]
         paths = []
-        for i, (one, true) in enumerate(zip(driven, simulate_truth(find_vehicle(VEHICLE), Build(), hidden, driven), strict=True)):
-            acts = 0.0 if passing is None else passing(len(one), one.step, rng) * np.tanh(one.speed / 0.05)
+        for i, (value, true) in enumerate(
+            zip(driven, simulate_truth(find_vehicle(VEHICLE), Build(), hidden, driven), strict=True)
+        ):
+            acts = 0.0 if passing is None else passing(len(value), value.step, rng) * np.tanh(value.speed / 0.05)
             paths.append(folder / f"drive_{i + 1}.csv")
-            record(paths[-1], one, replace(true, shown=true.shown + acts), Sensors(), radius, START_S + i * APART_S, rng)
+            record(paths[-1], value, replace(true, shown=true.shown + acts), Sensors(), radius, START_S + i * APART_S, rng)
         file = write_vehicle(folder / "vehicle.yaml", lumped=False)
         return paths[earlier:], refit(paths[:earlier], file, file, "fitted to earlier drives") if earlier else file
 
@@ -84,8 +86,8 @@ def sealed(tmp_path_factory):
 
 def error_alone(recording, vehicle):
     """Mean error of a replay that begins without a state, over means of a second [Nm]."""
-    replayed = tr.replay(recording, vehicle)
-    error = replayed["measured_torque_nm"] - replayed["drive_torque_nm"]
+    replay_result = tr.replay(recording, vehicle)
+    error = replay_result["measured_torque_nm"] - replay_result["drive_torque_nm"]
     error = error[: len(error) // SECOND * SECOND].reshape(-1, SECOND).mean(axis=1)
     return float(np.nanmean(np.abs(error)))
 
@@ -94,9 +96,9 @@ def error_alone(recording, vehicle):
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_written_file_is_no_worse_alone_on_a_fresh_drive(sealed, name):
     (*paths, fresh), file = sealed(name)
-    diagnosed = tr.diagnose(paths, file, quick=True)
-    after, before = (error_alone(fresh, vehicle) for vehicle in (diagnosed.vehicle, file))
-    assert after <= NO_WORSE * before, diagnosed.as_dict()["written"]
+    diagnosis_result = tr.diagnose(paths, file, quick=True)
+    result_after, result_before = (error_alone(fresh, vehicle) for vehicle in (diagnosis_result.vehicle, file))
+    assert result_after <= NO_WORSE * result_before, diagnosis_result.as_dict()["written"]
     if name == "a new belt":
-        assert "mullins" in {e["name"] for e in diagnosed.as_dict()["effects"]}
-        assert all(a.effect.name != "mullins" or a.values["excess"] < 0.05 for a in diagnosed.vehicle.effects)
+        assert "mullins" in {e["name"] for e in diagnosis_result.as_dict()["effects"]}
+        assert all(a.effect.name != "mullins" or a.values["excess"] < 0.05 for a in diagnosis_result.vehicle.effects)

@@ -46,12 +46,12 @@ def effects_of(vehicle):
 
 
 def test_it_finds_what_the_command_finds(scrub_result, scrubbed):
-    (found, stages), (_, of_command, done) = scrub_result, scrubbed
-    assert found.as_dict() == of_command
-    assert found.sentence == of_command["verdict"]["sentence"]
-    assert (found.status, found.grade) == ("named", "confirmed")
-    assert done.stdout.startswith(repr(found))
-    assert [f"  {stage}" for stage in (*stages, "report")] == done.stderr.splitlines()
+    (result, stages), (_, of_command, outcome) = scrub_result, scrubbed
+    assert result.as_dict() == of_command
+    assert result.sentence == of_command["verdict"]["sentence"]
+    assert (result.status, result.grade) == ("named", "confirmed")
+    assert outcome.stdout.startswith(repr(result))
+    assert [f"  {stage}" for stage in (*stages, "report")] == outcome.stderr.splitlines()
 
 
 PAST = "the acceleration from past speeds alone"
@@ -81,8 +81,8 @@ def test_the_report_is_the_commands(written, found, scrubbed):
     assert names == {path.relative_to(written) for path in written.rglob("*") if path.is_file()}
     assert {path.name for path in found.written} <= {name.name for name in names}
     for name in names:
-        told, said = (without_provenance((place / name).read_bytes()) for place in (folder, written))
-        assert told == said, name
+        statement, text = (without_provenance((place / name).read_bytes()) for place in (folder, written))
+        assert statement == text, name
 
 
 def without_provenance(content):
@@ -102,8 +102,8 @@ def test_the_vehicle_is_that_of_the_written_file(found, written):
 def test_the_vehicle_serves_at_once_and_is_better(found, xgd24d, recorded):
     path = recorded("turning_scrub")[1]
     error = {}
-    for name, of in (("given", xgd24d), ("found", found.vehicle)):
-        result = tr.replay(path, of)
+    for name, value in (("given", xgd24d), ("found", found.vehicle)):
+        result = tr.replay(path, value)
         moves = np.abs(result["speed_mps"]) > 0.3
         error[name] = float(np.nanmean(np.abs(result["residual_nm"][moves])))
     assert error["found"] < 0.75 * error["given"]
@@ -118,8 +118,8 @@ def test_an_effect_that_was_found_says_its_value(found):
 
 
 def test_a_diagnosis_is_copied_and_pickled_whole(found):
-    for again in (copy.deepcopy(found), pickle.loads(pickle.dumps(found))):
-        assert again.as_dict() == found.as_dict()
+    for repetition in (copy.deepcopy(found), pickle.loads(pickle.dumps(found))):
+        assert repetition.as_dict() == found.as_dict()
 
 
 def test_a_notebook_shows_sentence_values_and_a_picture(found):
@@ -155,19 +155,19 @@ def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, 
     monkeypatch.setitem(sys.modules, "jinja2", None)
     monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", lambda *_: [])  # they take long
     (tmp_path / "bare").mkdir()
-    before = [tmp_path / "bare" / name for name in ("report.html", "effect_earlier.svg", "of_mine.svg")]
-    for file in before:
+    result_befores = [tmp_path / "bare" / name for name in ("report.html", "effect_earlier.svg", "of_mine.svg")]
+    for file in result_befores:
         file.write_text("<title>Diagnosis of another vehicle</title>")
     with pytest.warns(UserWarning, match=r"no page: .*pip install jinja2"):
         folder = found.report(tmp_path / "bare")
     assert (folder / "vehicle.yaml").is_file()
     assert json.loads((folder / "report.json").read_text()) == found.as_dict()
-    assert [file.exists() for file in before] == [False, False, True]  # an earlier page would contradict report.json
-    for file in before:
+    assert [file.exists() for file in result_befores] == [False, False, True]  # an earlier page would contradict report.json
+    for file in result_befores:
         file.write_text("<title>Of somebody else</title>")
     with pytest.warns(UserWarning, match="no page"):
         found.report(folder)
-    assert all(file.exists() for file in before)
+    assert all(file.exists() for file in result_befores)
 
 
 def test_a_full_disk_leaves_the_previous_diagnosis(found, tmp_path, monkeypatch):
@@ -178,26 +178,26 @@ def test_a_full_disk_leaves_the_previous_diagnosis(found, tmp_path, monkeypatch)
     monkeypatch.setattr("trackres_ros.diagnosis.report.pictures.draw_all", drawn)
     monkeypatch.setattr("trackres_ros.tasks.diagnose._plots", lambda _: "not drawn")
     folder = found.report(tmp_path / "report")
-    before = dict.fromkeys([name for name in contents(folder) if not name.startswith("rubber/")], b"of the run before")
-    before |= {"report.html": b"<title>Diagnosis of the run before</title>", "effect_before.svg": b"of the run before"}
-    before |= {"notes.txt": b"of the user"}
-    assert {"vehicle.yaml", "report.json", "believed.svg"} < set(before)
+    result_before = dict.fromkeys([name for name in contents(folder) if not name.startswith("rubber/")], b"of the run before")
+    result_before |= {"report.html": b"<title>Diagnosis of the run before</title>", "effect_before.svg": b"of the run before"}
+    result_before |= {"notes.txt": b"of the user"}
+    assert {"vehicle.yaml", "report.json", "believed.svg"} < set(result_before)
     for call in count(1, 3):
         shutil.rmtree(folder)
-        for name, content in before.items():
+        for name, content in result_before.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
         failed = True
         with Faults(folder, call, call) as faults, suppress(tr.InputError, OSError):
             found.report(folder)
             failed = False
-        after = shown(folder)
+        result_after = shown(folder)
         if failed:
-            assert after == before, (call, faults.calls)
+            assert result_after == result_before, (call, faults.calls)
             continue
-        assert "effect_before.svg" not in after
-        assert after.pop("notes.txt") == b"of the user"
-        assert b"of the run before" not in after.values(), (call, faults.calls)
+        assert "effect_before.svg" not in result_after
+        assert result_after.pop("notes.txt") == b"of the user"
+        assert b"of the run before" not in result_after.values(), (call, faults.calls)
         if not faults.hit:
             break
     assert call > 60
@@ -234,11 +234,11 @@ def test_matrices_are_computed_by_one_thread(recorded):
         raise InterruptedError
 
     with control.threadpool_limits(2, user_api="blas"):
-        before = threads()
+        result_before = threads()
         with pytest.raises(InterruptedError):
             tr.diagnose(recorded(), "xgd24d", on_stage=at_the_first_stage)
         assert used == [{1}]
-        assert threads() == before
+        assert threads() == result_before
 
 
 @pytest.mark.parametrize("command", [tr.diagnose, tr.coastdown])
@@ -247,6 +247,6 @@ def test_only_lines_in_use_give_settings(tmp_path, command, used):
     (tmp_path / "drive.csv").write_text("time_s,speed_mps,a\n0,1,20\n1,2,20\n")
     source = {"column": "a"} if used else {"topic": "/a", "type": "a/msg/A", "field": "a"}
     topics = {f"belt/{side}_left": {**source, "sensor": sensor} for side, sensor in (("front", "mean"), ("rear", "surface"))}
-    with pytest.raises(tr.InputError) as refused:  # the recording is too short too
+    with pytest.raises(tr.InputError) as error_info:  # the recording is too short too
         command(tmp_path / "drive.csv", "xgd24d", topics=topics)
-    assert ("one sensor and std_k for all belts" in str(refused.value)) == used
+    assert ("one sensor and std_k for all belts" in str(error_info.value)) == used

@@ -38,15 +38,15 @@ def with_first(recorded, loaded, tmp_path):
     def judge(change, count=2):
         first, *others = recorded(count=count)
         path = rewritten(first, tmp_path, change)
-        found = judged([path, *others], loaded)
-        return found, [n.removeprefix(f"{path}: ") for n in found.notes if n.startswith(f"{path}: ")]
+        result = judged([path, *others], loaded)
+        return result, [n.removeprefix(f"{path}: ") for n in result.notes if n.startswith(f"{path}: ")]
 
     return judge
 
 
 def filled(found):
     """Seconds in gaps that were filled."""
-    return [seconds for reason, seconds in found.excluded.items() if "filled" in reason]
+    return [seconds for reason, seconds in found.exclusions.items() if "filled" in reason]
 
 
 def scaled(name, scale=1.0, offset=0.0):
@@ -93,10 +93,10 @@ WRONG = {
 
 @pytest.mark.parametrize("what", ["ambient in kelvin", "speed in km/h", "torque in kNm", "torque with the other sign"])
 def test_what_is_wrong_is_said_with_the_line_that_mends_it(run, recorded, tmp_path, what):
-    change, said = WRONG[what]
-    done = run([rewritten(path, tmp_path, change) for path in recorded()], tmp_path / "out")
-    assert isinstance(done.exception, InputError)
-    assert said in str(done.exception)
+    change, text = WRONG[what]
+    process = run([rewritten(path, tmp_path, change) for path in recorded()], tmp_path / "out")
+    assert isinstance(process.exception, InputError)
+    assert text in str(process.exception)
     assert not (tmp_path / "out" / "vehicle.yaml").exists()
 
 
@@ -107,10 +107,10 @@ def test_a_load_in_parts_gets_the_lines_of_all_parts(parts, share, recorded, loa
     part = replace(of_all, value=share * of_all.value / 9806.65)
     series = {**{role: s for role, s in recording.series.items() if role != "load"}, **dict.fromkeys(parts, part)}
     bindings = {role: TopicBinding(column=role[-4:]) for role in parts}
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         gate([replace(recording, series=series, bindings=bindings)], loaded.known)
     lines = [f"{role}: {{column: {bindings[role].column}, scale: 9806.65}}" for role in parts]
-    assert str(refused.value).endswith(f"in the topics file should be {' and '.join(lines)}")
+    assert str(error_info.value).endswith(f"in the topics file should be {' and '.join(lines)}")
 
 
 def test_only_vehicles_with_belts_have_notes_on_belts(recorded, loaded):
@@ -145,18 +145,18 @@ def test_no_effect_that_nature_has_is_refused(tmp_path, name):
     folder = tmp_path / "cases" / "case"
     passed = judged(sorted(folder.glob("drive*.csv")), load_base(folder / "vehicle.yaml"))
     assert len(passed.sessions) >= 3
-    assert not any("filled" in reason for reason in passed.excluded)
+    assert not any("filled" in reason for reason in passed.exclusions)
     assert not any("clocks overlap" in note or "unusual" in note for note in passed.notes)
 
 
 def test_nothing_is_concluded_if_the_mean_beats_the_model():
     worse = {"nominal": -0.4, "refitted": -0.3, "with_effects": -0.2}
-    off = {"nominal": 300.0, "refitted": 290.0, "with_effects": 280.0}
-    refused = nothing_to_conclude("a.csv", worse, off, 500.0)
-    assert "R2 -0.20" in str(refused)
-    assert "no conclusion is possible" in str(refused)
-    assert nothing_to_conclude("a.csv", {**worse, "nominal": 0.1}, off, 500.0) is None
-    assert nothing_to_conclude("steady.csv", worse, off, 5000.0) is None
+    deviations = {"nominal": 300.0, "refitted": 290.0, "with_effects": 280.0}
+    refusal = nothing_to_conclude("a.csv", worse, deviations, 500.0)
+    assert "R2 -0.20" in str(refusal)
+    assert "no conclusion is possible" in str(refusal)
+    assert nothing_to_conclude("a.csv", {**worse, "nominal": 0.1}, deviations, 500.0) is None
+    assert nothing_to_conclude("steady.csv", worse, deviations, 5000.0) is None
 
 
 def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(with_first, recorded, loaded):
@@ -164,14 +164,14 @@ def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(with_first, reco
 
     def fill(columns):
         time = columns["time_s"] - columns["time_s"][0]
-        inside = (time > begin) & (time < end)
+        is_inside = (time > begin) & (time < end)
         for name in columns:
-            columns[name][inside] = np.interp(time[inside], time[~inside], columns[name][~inside])
+            columns[name][is_inside] = np.interp(time[is_inside], time[~is_inside], columns[name][~is_inside])
 
-    found, _ = with_first(fill)
-    (count,) = filled(found)
+    result, _ = with_first(fill)
+    (count,) = filled(result)
     assert end - begin - 1 <= count <= end - begin + 2
-    assert not found.sessions[0].used[round(begin) + 1 : round(end) - 1].any()
+    assert not result.sessions[0].used[round(begin) + 1 : round(end) - 1].any()
     assert not filled(judged(recorded(), loaded))
 
 
@@ -198,16 +198,16 @@ def test_lines_in_a_gap_show_within_the_resolution_of_a_sensor(with_first, recor
     speed, torque = (columns_of(recorded()[0])[name] for name in ("speed_mps", "torque_nm"))
     rises = np.abs((speed[300:] - speed[:-300]) * (torque[300:] - torque[:-300]))
     gap = slice(int(np.argmax(rises)), int(np.argmax(rises)) + 300)
-    found, _ = with_first(fill)
-    (count,) = filled(found)
+    result, _ = with_first(fill)
+    (count,) = filled(result)
     assert 56 <= count <= 62
-    assert not found.sessions[0].used[gap.start // 5 + 2 : gap.stop // 5 - 2].any()
+    assert not result.sessions[0].used[gap.start // 5 + 2 : gap.stop // 5 - 2].any()
 
 
 @pytest.mark.parametrize("sensors", SENSORS)
 def test_no_sensor_that_rounds_shows_a_filled_gap(recorded, loaded, tmp_path, sensors):
-    found = judged([rewritten(path, tmp_path, lambda c: shown(c, sensors)) for path in recorded()], loaded)
-    assert not any("filled" in reason or "repeated" in reason for reason in found.excluded)
+    result = judged([rewritten(path, tmp_path, lambda c: shown(c, sensors)) for path in recorded()], loaded)
+    assert not any("filled" in reason or "repeated" in reason for reason in result.exclusions)
 
 
 def test_a_last_value_that_is_repeated_is_left_out_and_counted(with_first):
@@ -215,9 +215,9 @@ def test_a_last_value_that_is_repeated_is_left_out_and_counted(with_first):
         for name in ("speed_mps", "torque_nm"):
             columns[name][1000:1200] = columns[name][1000]
 
-    found, _ = with_first(hold)
-    assert [seconds for reason, seconds in found.excluded.items() if "repeated" in reason] == [pytest.approx(40, abs=1)]
-    assert not found.sessions[0].used[201:239].any()
+    result, _ = with_first(hold)
+    assert [seconds for reason, seconds in result.exclusions.items() if "repeated" in reason] == [pytest.approx(40, abs=1)]
+    assert not result.sessions[0].used[201:239].any()
 
 
 def since(path, seconds):
@@ -227,11 +227,11 @@ def since(path, seconds):
 
 
 def test_two_recordings_of_one_time_are_refused_by_name(loaded, recorded, tmp_path):
-    one, other = recorded()
-    meanwhile = rewritten(other, tmp_path, since(one, 60.0))
+    item, other = recorded()
+    meanwhile = rewritten(other, tmp_path, since(item, 60.0))
     with pytest.raises(InputError, match="both recordings cover") as error:
-        judged([one, meanwhile], loaded)
-    assert error.value.where == f"{one}, {meanwhile}"
+        judged([item, meanwhile], loaded)
+    assert error.value.where == f"{item}, {meanwhile}"
 
 
 def from_zero(columns):
@@ -258,11 +258,11 @@ repeated = rows(lambda n: np.concatenate([np.arange(n // 2), np.arange(n // 2 - 
 
 @pytest.mark.parametrize("change", [None, from_zero, rounded, days_later, cut, tail, repeated])
 def test_a_drive_given_twice_is_refused_with_any_clock(recorded, loaded, tmp_path, change):
-    one, other = recorded()
-    again = rewritten(one, tmp_path, change, "again.csv") if change else one
+    item, other = recorded()
+    repetition = rewritten(item, tmp_path, change, "again.csv") if change else item
     with pytest.raises(InputError, match="each drive once") as error:
-        judged([one, other, again], loaded)
-    assert error.value.where in (f"{one}, {again}", f"{again}, {one}")
+        judged([item, other, repetition], loaded)
+    assert error.value.where in (f"{item}, {repetition}", f"{repetition}, {item}")
 
 
 def course(seconds, speed, torque, at=slice(None), begin=1.7e9):
@@ -286,9 +286,9 @@ def driven(seconds, seed, speed_step=0.0, torque_step=0.0):
 def test_any_part_of_a_drive_is_known_again(first, length, step, lacks):
     speed, torque = driven(300.0, 1, step, 10.0 * step)
     part = np.arange(first, first + length)
-    again = course(300.0, speed, torque, part, 5e8)
-    assert same_drive(course(300.0, speed, torque), again)
-    assert same_drive(again, course(300.0, speed, torque))
+    repetition = course(300.0, speed, torque, part, 5e8)
+    assert same_drive(course(300.0, speed, torque), repetition)
+    assert same_drive(repetition, course(300.0, speed, torque))
     with_others = np.sort(np.concatenate([part, part[:lacks]]))  # an overlapping export with repeated rows
     assert same_drive(course(300.0, speed, torque, slice(0, first + length)), course(300.0, speed, torque, with_others))
 
@@ -312,15 +312,15 @@ def test_a_cycle_driven_twice_with_another_torque_is_two_drives(recorded, loaded
         from_zero(columns)
         columns["torque_nm"] *= 1.01
 
-    one, _ = recorded()
-    judged([one, rewritten(one, tmp_path, other_torque, "again.csv")], loaded)
+    item, _ = recorded()
+    judged([item, rewritten(item, tmp_path, other_torque, "again.csv")], loaded)
 
 
 def test_slightly_overlapping_clocks_are_noted_unless_undated(recorded, loaded, tmp_path):
-    one, other = recorded()
+    item, other = recorded()
     length = 600.0
-    later = rewritten(other, tmp_path, since(one, length - 20.0), "later.csv")
-    (note,) = [n for n in judged([one, later], loaded).notes if "clocks overlap by" in n]
+    later = rewritten(other, tmp_path, since(item, length - 20.0), "later.csv")
+    (note,) = [n for n in judged([item, later], loaded).notes if "clocks overlap by" in n]
     assert "later.csv" in note
     undated = [rewritten(path, tmp_path, from_zero) for path in recorded()]
     assert not any("clocks overlap" in n for n in judged(undated, loaded).notes)
@@ -341,9 +341,9 @@ def off_odometer(columns):
     ],
 )
 def test_only_notes_to_act_on_are_warnings(with_first, change, warning):
-    found, _ = with_first(change)
-    assert len(found.notes) > len(found.warnings) == (warning is not None)
-    assert all(warning in note for note in found.warnings), found.warnings
+    result, _ = with_first(change)
+    assert len(result.notes) > len(result.warnings) == (warning is not None)
+    assert all(warning in note for note in result.warnings), result.warnings
 
 
 # One recording among others
@@ -351,12 +351,12 @@ def test_only_notes_to_act_on_are_warnings(with_first, change, warning):
 
 @pytest.mark.parametrize("what", WRONG)
 def test_one_wrong_recording_is_left_out_with_the_line(with_first, recorded, what):
-    change, said = WRONG[what]
-    found, notes = with_first(change, count=3)
-    assert [s.name for s in found.sessions] == [str(path) for path in recorded(count=3)[1:]]
+    change, text = WRONG[what]
+    result, notes = with_first(change, count=3)
+    assert [s.name for s in result.sessions] == [str(path) for path in recorded(count=3)[1:]]
     (note,) = [n for n in notes if n.startswith("not used: ")]
-    assert said in note
-    assert [seconds for reason, seconds in found.excluded.items() if "left out" in reason] == [pytest.approx(600, abs=1)]
+    assert text in note
+    assert [seconds for reason, seconds in result.exclusions.items() if "left out" in reason] == [pytest.approx(600, abs=1)]
 
 
 def without_torque(columns):
@@ -388,9 +388,9 @@ UNUSABLE = {
 
 @pytest.mark.parametrize("change", UNUSABLE, ids=UNUSABLE.values())
 def test_one_unusable_recording_is_left_out_with_a_reason(with_first, recorded, change):
-    found, notes = with_first(change, count=3)
-    assert [s.name for s in found.sessions] == [str(path) for path in recorded(count=3)[1:]]
-    assert {s.step for s in found.sessions} == {1.0}
+    result, notes = with_first(change, count=3)
+    assert [s.name for s in result.sessions] == [str(path) for path in recorded(count=3)[1:]]
+    assert {s.step for s in result.sessions} == {1.0}
     (note,) = [n for n in notes if n.startswith("not used: ")]
     assert UNUSABLE[change] in note
 
@@ -399,14 +399,14 @@ def test_where_no_recording_is_usable_the_error_has_each_reason(recorded, loaded
     wrong = [rewritten(path, tmp_path, change) for path, change in zip(recorded(count=3), UNUSABLE, strict=False)]
     with pytest.raises(InputError) as error:
         judged(wrong, loaded)
-    for path, said in zip(wrong, UNUSABLE.values(), strict=False):
+    for path, text in zip(wrong, UNUSABLE.values(), strict=False):
         assert path.name in str(error.value)
-        assert said in str(error.value)
+        assert text in str(error.value)
 
 
 def test_a_drive_that_is_left_out_has_warmed_the_next_one(recorded, loaded, tmp_path):
-    one, other, last = recorded(count=3)
-    begins = [float(path.read_text().splitlines()[1].split(",")[0]) for path in (one, other, last)]
+    item, other, last = recorded(count=3)
+    begins = [float(path.read_text().splitlines()[1].split(",")[0]) for path in (item, other, last)]
 
     def close_behind(columns):
         columns["time_s"] += begins[0] - begins[1] + 900.0
@@ -418,7 +418,7 @@ def test_a_drive_that_is_left_out_has_warmed_the_next_one(recorded, loaded, tmp_
     def at_last(columns):
         columns["time_s"] += begins[0] - begins[2] + 1800.0
 
-    warmed = judged([one, rewritten(other, tmp_path, left_out), rewritten(last, tmp_path, at_last)], loaded).sessions[1]
+    warmed = judged([item, rewritten(other, tmp_path, left_out), rewritten(last, tmp_path, at_last)], loaded).sessions[1]
     assert warmed.after_unseen
     assert warmed.gap == pytest.approx(300.0, abs=1.0)
 
@@ -443,20 +443,20 @@ def late(*names, by=HOUR_S):
 
 def test_a_torque_an_hour_late_is_moved_and_all_of_it_compared(with_first, recorded, loaded):
     healthy = judged(recorded(), loaded)
-    found, notes = with_first(late("torque_nm", "weight_n"))
-    assert abs(int(found.sessions[0].used.sum()) - int(healthy.sessions[0].used.sum())) <= 2
-    assert np.corrcoef(found.sessions[0].torque[20:580], healthy.sessions[0].torque[20:580])[0, 1] > 0.99
-    said = " ".join(notes)
-    assert "torque: its clock differs from the speed's by +3600 s; corrected" in said
-    assert "load: its clock differs from the speed's by +3600 s; corrected (by the torque)" in said
+    result, notes = with_first(late("torque_nm", "weight_n"))
+    assert abs(int(result.sessions[0].used.sum()) - int(healthy.sessions[0].used.sum())) <= 2
+    assert np.corrcoef(result.sessions[0].torque[20:580], healthy.sessions[0].torque[20:580])[0, 1] > 0.99
+    text = " ".join(notes)
+    assert "torque: its clock differs from the speed's by +3600 s; corrected" in text
+    assert "load: its clock differs from the speed's by +3600 s; corrected (by the torque)" in text
 
 
 def test_a_load_an_hour_late_is_not_used_and_noted(with_first):
-    found, notes = with_first(late("weight_n", "ambient_degc"))
-    assert "load" not in found.sessions[0].given
-    assert "ambient" in found.sessions[0].given
-    said = " ".join(notes)
-    assert "load is recorded from 3600 s to 4200 s, the speed from 0 s to 600 s: its clock seems to be +3600 s off" in said
+    result, notes = with_first(late("weight_n", "ambient_degc"))
+    assert "load" not in result.sessions[0].given
+    assert "ambient" in result.sessions[0].given
+    text = " ".join(notes)
+    assert "load is recorded from 3600 s to 4200 s, the speed from 0 s to 600 s: its clock seems to be +3600 s off" in text
 
 
 @pytest.mark.parametrize("change", ["late", "never", "some"])
@@ -465,25 +465,25 @@ def test_header_stamps_an_hour_late_or_never_set_are_as_the_log(recorded, loaded
     recording, series = replace(recording, zero_is_unset=True), dict(recording.series)
     for role in ["load"] if change == "late" else series:
         stamps, third = series[role].stamp_ns, np.arange(len(series[role])) % 3 == 1
-        off = {"late": stamps + 3_600_000_000_000, "never": 0 * stamps, "some": np.where(third, 0, stamps)}[change]
-        series[role] = replace(series[role], stamp_ns=off)
-    found, *_ = checked_sessions([replace(recording, series=series), other], loaded)
+        deviation = {"late": stamps + 3_600_000_000_000, "never": 0 * stamps, "some": np.where(third, 0, stamps)}[change]
+        series[role] = replace(series[role], stamp_ns=deviation)
+    result, *_ = checked_sessions([replace(recording, series=series), other], loaded)
     healthy, *_ = checked_sessions([recording, other], loaded)
-    corrected = [note for note in found.notes if note not in healthy.notes]
+    corrected = [note for note in result.notes if note not in healthy.notes]
     assert [note.partition("load: ")[2] for note in corrected] == [
         "its clock differs from the speed's by +3600 s; corrected (by the log time)"
     ] * (change == "late")
-    for of in ("weight", "speed", "torque", "ambient"):
-        np.testing.assert_array_equal(getattr(found.sessions[0], of), getattr(healthy.sessions[0], of))
+    for item in ("weight", "speed", "torque", "ambient"):
+        np.testing.assert_array_equal(getattr(result.sessions[0], item), getattr(healthy.sessions[0], item))
 
 
 def test_an_effect_without_its_input_is_named(recorded, xgd24d, effects):
     winds = replace(xgd24d, surroundings=(Active(effects["headwind"], {"from_ahead": 5.0, "from_left": 0.0}),))
     for hidden in ((), ("yaw_rate", "heading")):
-        found, *_ = checked_sessions(read_recordings(recorded(count=2), None), load_base(winds), hidden)
-        named = [note for note in found.warnings if "headwind" in note]  # once for all recordings
-        said = "headwind of the vehicle or its surroundings is left out, as heading is not known"
-        assert named == [f"{', '.join(s.name for s in found.sessions)}: {said}"] * bool(hidden)
+        result, *_ = checked_sessions(read_recordings(recorded(count=2), None), load_base(winds), hidden)
+        named = [note for note in result.warnings if "headwind" in note]  # once for all recordings
+        text = "headwind of the vehicle or its surroundings is left out, as heading is not known"
+        assert named == [f"{', '.join(s.name for s in result.sessions)}: {text}"] * bool(hidden)
 
 
 def test_an_unlike_torque_an_hour_late_is_left_out(with_first):
@@ -491,9 +491,9 @@ def test_an_unlike_torque_an_hour_late_is_left_out(with_first):
         columns["torque_nm"] = np.roll(columns["torque_nm"], 1111)
         late("torque_nm")(columns)
 
-    (said,) = with_first(change)[1]
+    (text,) = with_first(change)[1]
     for part in ("not used: torque", "from 3600 s to 4200 s", "its clock may be +3600 s off", "correct the times"):
-        assert part in said
+        assert part in text
 
 
 def test_a_torque_recorded_for_longer_is_noted_and_not_shifted(with_first):
@@ -501,9 +501,9 @@ def test_a_torque_recorded_for_longer_is_noted_and_not_shifted(with_first):
         columns["torque_nm"][:1000] = np.nan
         columns["speed_mps"][-500:] = np.nan
 
-    found, notes = with_first(change)
+    result, notes = with_first(change)
     assert any("torque is recorded from 200 s to 600 s" in note for note in notes)
-    assert not any("moved" in note for note in found.notes)
+    assert not any("moved" in note for note in result.notes)
 
 
 def set_back(columns):
@@ -520,10 +520,10 @@ def set_from_1970(columns):
 
 @pytest.mark.parametrize("change", [set_back, set_back_into_what_was, set_from_1970])
 def test_a_clock_that_was_set_is_left_out_with_the_place(with_first, change):
-    (said,) = with_first(change)[1]
-    assert "not used: speed" in said
-    assert re.search("correct the (later|earlier) times", said)
-    assert f"{19.8 if change is set_from_1970 else 299.8:.0f} s after the beginning" in said
+    (text,) = with_first(change)[1]
+    assert "not used: speed" in text
+    assert re.search("correct the (later|earlier) times", text)
+    assert f"{19.8 if change is set_from_1970 else 299.8:.0f} s after the beginning" in text
 
 
 def test_a_clock_set_forward_an_hour_is_noted(with_first):
@@ -532,5 +532,5 @@ def test_a_clock_set_forward_an_hour_is_noted(with_first):
 
 
 def test_rows_in_any_order_are_the_same_recording(with_first, recorded, loaded):
-    found, healthy = with_first(rows(lambda _: slice(None, None, -1)))[0], judged(recorded(), loaded)
-    np.testing.assert_array_equal(found.sessions[0].torque, healthy.sessions[0].torque)
+    result, healthy = with_first(rows(lambda _: slice(None, None, -1)))[0], judged(recorded(), loaded)
+    np.testing.assert_array_equal(result.sessions[0].torque, healthy.sessions[0].torque)

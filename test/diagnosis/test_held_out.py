@@ -51,20 +51,20 @@ def session(laps, lap_s=60, torque=None, name="drive", first=0):
 
 @given(st.integers(1, 40), st.integers(0, 2**31))
 def test_equal_error_is_suspected_and_smaller_error_confirmed(laps, seed):
-    rng, one = np.random.default_rng(seed), session(laps)
-    held = HeldOutLaps([one], [np.ones(len(one), dtype=bool)], rng)
-    wrong = [one.torque + rng.normal(0.0, 30.0, len(one))]
+    rng, item = np.random.default_rng(seed), session(laps)
+    held = HeldOutLaps([item], [np.ones(len(item), dtype=bool)], rng)
+    wrong = [item.torque + rng.normal(0.0, 30.0, len(item))]
     assert held.improvement(wrong, wrong).grade == SUSPECTED
-    better = [one.torque + 0.5 * (wrong[0] - one.torque)]
+    better = [item.torque + 0.5 * (wrong[0] - item.torque)]
     assert held.improvement(wrong, better).grade == CONFIRMED
     assert held.improvement(better, wrong).grade == REFUTED
 
 
 def test_many_laps_are_resampled_whole_and_few_in_minute_pieces():
-    whole = np.ones(1200, dtype=bool)
-    many = HeldOutLaps([session(20)], [whole], np.random.default_rng(1))
+    total = np.ones(1200, dtype=bool)
+    many = HeldOutLaps([session(20)], [total], np.random.default_rng(1))
     assert len(many._count) == 20
-    few = HeldOutLaps([session(2, 600)], [whole], np.random.default_rng(1))
+    few = HeldOutLaps([session(2, 600)], [total], np.random.default_rng(1))
     assert len(few._count) == 20
     eight, seven = (HeldOutLaps([session(n, 90)], [np.ones(n * 90, dtype=bool)], np.random.default_rng(1)) for n in (8, 7))
     assert len(eight._count) == 8
@@ -72,15 +72,15 @@ def test_many_laps_are_resampled_whole_and_few_in_minute_pieces():
 
 
 def test_an_interval_is_as_wide_as_laps_differ():
-    rng, one = np.random.default_rng(1), session(100)
-    laps = HeldOutLaps([one], [np.ones(6000, dtype=bool)], rng)
+    rng, item = np.random.default_rng(1), session(100)
+    laps = HeldOutLaps([item], [np.ones(6000, dtype=bool)], rng)
     gained = np.repeat(rng.normal(5.0, 2.0, 100), 60)
-    found = laps.improvement([np.full(6000, 20.0)], [20.0 - gained])
-    assert found.before == pytest.approx(20.0)
-    assert found.after == pytest.approx(20.0 - gained.mean())
+    result = laps.improvement([np.full(6000, 20.0)], [20.0 - gained])
+    assert result.before == pytest.approx(20.0)
+    assert result.after == pytest.approx(20.0 - gained.mean())
     mean, std = gained.mean(), gained.std() / 10.0
-    assert (found.low, found.high) == pytest.approx((mean - 1.96 * std, mean + 1.96 * std), abs=0.15 * std)
-    assert found.likelier == -np.inf
+    assert (result.low, result.high) == pytest.approx((mean - 1.96 * std, mean + 1.96 * std), abs=0.15 * std)
+    assert result.likelihood_bound == -np.inf
 
 
 def test_errors_are_counted_by_stage_and_by_lap():
@@ -88,22 +88,22 @@ def test_errors_are_counted_by_stage_and_by_lap():
     sessions = (session(4, 100, torque[:400], "one"), session(2, 100, torque[:200], "two", first=4))
     masks = [sessions[0].block >= 2, np.ones(200, dtype=bool)]
     laps = HeldOutLaps(sessions, masks, np.random.default_rng(1))
-    off = {"nominal": 20.0, "refitted": -10.0, "with_effects": 2.0}
-    expected = {stage: [s.torque - by * (1.0 + (s.block == 5)) for s in sessions] for stage, by in off.items()}
+    deviations = {"nominal": 20.0, "refitted": -10.0, "with_effects": 2.0}
+    expectations = {stage: [s.torque - by * (1.0 + (s.block == 5)) for s in sessions] for stage, by in deviations.items()}
     as_file = [s.torque + 15.0 * (1.0 + (s.block == 5)) for s in sessions]
-    found = held_out(laps, expected, as_file)
-    assert found.laps == ("one: 3", "one: 4", "two: 1", "two: 2")
-    for stage, by in off.items():
+    result = held_out(laps, expectations, as_file)
+    assert result.laps == ("one: 3", "one: 4", "two: 1", "two: 2")
+    for stage, by in deviations.items():
         each = np.array([1.0, 1.0, 1.0, 2.0]) * by
-        assert found.by_lap["bias"][stage] == pytest.approx(each)
-        assert found.by_lap["mae"][stage] == pytest.approx(np.abs(each))
-        assert found.by_lap["r2"][stage] == pytest.approx(1.0 - each**2 / 100.0)
-        assert found.mae[stage] == pytest.approx(1.25 * abs(by))
-        assert found.bias[stage] == pytest.approx(1.25 * by)
-        assert found.r2[stage] == pytest.approx(1.0 - 1.75 * by**2 / 100.0)
-    assert (found.of_refit.before, found.of_refit.after) == pytest.approx((25.0, 18.75))
-    assert (found.of_effects.before, found.of_effects.after) == pytest.approx((12.5, 2.5))
-    assert found.of_effects.grade == CONFIRMED
+        assert result.by_lap["bias"][stage] == pytest.approx(each)
+        assert result.by_lap["mae"][stage] == pytest.approx(np.abs(each))
+        assert result.by_lap["r2"][stage] == pytest.approx(1.0 - each**2 / 100.0)
+        assert result.mae[stage] == pytest.approx(1.25 * abs(by))
+        assert result.bias[stage] == pytest.approx(1.25 * by)
+        assert result.r2[stage] == pytest.approx(1.0 - 1.75 * by**2 / 100.0)
+    assert (result.of_refit.before, result.of_refit.after) == pytest.approx((25.0, 18.75))
+    assert (result.of_effects.before, result.of_effects.after) == pytest.approx((12.5, 2.5))
+    assert result.of_effects.grade == CONFIRMED
 
 
 @pytest.mark.parametrize(("error", "predicts"), [(0.15, True), (0.25, False)])

@@ -44,24 +44,24 @@ def test_an_instrument_stays_within_its_bounds(loaded, problem_with):
     for effect in instrument(loaded.base):
         (q,) = effect.parameters
         assert (-q.low, q.high) == (most[effect.name], most[effect.name])
-    found = fit(problem_with({"torque_offset": 300.0, "torque_gain": 0.05}))
-    assert {a.effect.name for a in found.instrument} == set(most)
-    for active in found.instrument:
+    result = fit(problem_with({"torque_offset": 300.0, "torque_gain": 0.05}))
+    assert {a.effect.name for a in result.instrument} == set(most)
+    for active in result.instrument:
         (value,) = active.values.values()
         assert abs(value) <= most[active.effect.name]
 
 
 def test_what_is_of_an_instruments_size_is_found_as_that(problem_with):
-    found = fit(problem_with(SMALL))
-    assert found.effects == ()
-    assert found.effect_names == ()
-    values = {a.effect.name: next(iter(a.values.values())) for a in found.instrument}
+    result = fit(problem_with(SMALL))
+    assert result.effects == ()
+    assert result.effect_names == ()
+    values = {a.effect.name: next(iter(a.values.values())) for a in result.instrument}
     for name, value in SMALL.items():
-        (parameter,) = (q.name for a in found.instrument if a.effect.name == name for q in a.effect.parameters)
-        assert values[name] == pytest.approx(value, abs=max(4.0 * found.std_of(name, parameter), 0.1 * value))
-    assert found.acting == found.instrument
-    by_file = [p.torque for p in found.problem.predict(found.base_values, ())]
-    shifted = np.concatenate([p.torque for p in found.predicted]) - np.concatenate(by_file)
+        (parameter,) = (q.name for a in result.instrument if a.effect.name == name for q in a.effect.parameters)
+        assert values[name] == pytest.approx(value, abs=max(4.0 * result.std_of(name, parameter), 0.1 * value))
+    assert result.acting == result.instrument
+    by_file = [p.torque for p in result.problem.predict(result.base_values, ())]
+    shifted = np.concatenate([p.torque for p in result.predicted]) - np.concatenate(by_file)
     assert np.abs(shifted).max() > 10.0
 
 
@@ -71,21 +71,21 @@ def test_a_fit_ends_where_a_closer_one_ends(problem_with, effects, monkeypatch):
     shown = problem.predict(problem.base.nominal | {"bearing_friction": 0.006}, [lacking])
     torques = [p.torque + 15.0 * rng.standard_t(3.0, len(p.torque)) for p in shown]
     sessions = tuple(replace(s, torque=t) for s, t in zip(problem.sessions, torques, strict=True))
-    found = fit(replace(problem, sessions=sessions), [stribeck])
+    result = fit(replace(problem, sessions=sessions), [stribeck])
     monkeypatch.setattr(fitting, "CLOSE", 1e-4 * fitting.CLOSE)
     monkeypatch.setattr(fitting, "NEARBY", 0.01 * fitting.NEARBY)
-    closer = fit(found.problem, [stribeck], found.estimates, found.noises)
-    assert closer.log_likelihood - found.log_likelihood < 0.05
+    closer = fit(result.problem, [stribeck], result.estimates, result.noises)
+    assert closer.log_likelihood - result.log_likelihood < 0.05
 
 
 @pytest.mark.parametrize("name", LARGE)
 def test_a_sensor_effect_replaces_the_instruments_own_term(name, problem_with, effects):
-    found = fit(problem_with({name: LARGE[name]}), [effects[name]])
-    assert name not in {a.effect.name for a in found.instrument}
-    assert len(found.instrument) == len(instrument(found.problem.base)) - 1
-    keys = [f.key for f in found.free]
+    result = fit(problem_with({name: LARGE[name]}), [effects[name]])
+    assert name not in {a.effect.name for a in result.instrument}
+    assert len(result.instrument) == len(instrument(result.problem.base)) - 1
+    keys = [f.key for f in result.free]
     assert len(set(keys)) == len(keys)
-    (value,) = found.effects[0].values.values()
+    (value,) = result.effects[0].values.values()
     assert value == pytest.approx(LARGE[name], rel=0.1)
 
 
@@ -104,21 +104,21 @@ def diagnosed_with(loaded, effects, tmp_path):
 
 @pytest.mark.long
 def test_what_is_of_an_instruments_size_is_no_finding(diagnosed_with):
-    found = diagnosed_with(SMALL)
-    assert found.found == ()
-    assert found.verdict.status == "none"
-    assert not any(found.verdict.sentence.startswith(name) for name in SMALL)
-    assert not any(a.effect.belongs_to == "sensor" for a in found.kept.effects)
+    result = diagnosed_with(SMALL)
+    assert result.found == ()
+    assert result.verdict.status == "none"
+    assert not any(result.verdict.sentence.startswith(name) for name in SMALL)
+    assert not any(a.effect.belongs_to == "sensor" for a in result.kept.effects)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["delay", "torque_offset"])  # a gain of 1.06 is named in test_payload.py
 def test_what_no_instrument_does_is_named(name, diagnosed_with):
-    found = diagnosed_with({name: LARGE[name]})
-    (first,) = found.found
+    result = diagnosed_with({name: LARGE[name]})
+    (first,) = result.found
     assert name in first.members  # a constant may be one of several here
     if first.name == name:
-        assert name not in {a.effect.name for a in found.final.instrument}
+        assert name not in {a.effect.name for a in result.final.instrument}
         (value,) = first.values.values()
         (within,) = first.intervals.values()
         assert within.low <= LARGE[name] <= within.high, (value, within)

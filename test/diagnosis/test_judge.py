@@ -37,8 +37,8 @@ def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
     assert alike <= set(members)
     assert sum(shares[m] for m in members) >= 0.8 - 1e-9 or set(members) == set(shares)
     by_share = [m for m in members if m not in alike | {name}]
-    left = [shares[m] for m in shares if m not in members]
-    assert max(left, default=0.0) <= min((shares[m] for m in by_share), default=1.0)
+    remainders = [shares[m] for m in shares if m not in members]
+    assert max(remainders, default=0.0) <= min((shares[m] for m in by_share), default=1.0)
     # And no more than that: without the smallest of those it would hold less.
     needed = {name, *by_share}
     if by_share:
@@ -61,9 +61,9 @@ def test_shares_are_of_names_and_forms_have_none():
     choice = Choice.__new__(Choice)
     choice._validation = SimpleNamespace(shares=lambda _: np.array([0.5, 0.3, 0.2]))
     scored_by = [replace(e, score=SimpleNamespace()) for e in explanations]
-    found = choice._shares(scored_by)
-    assert found == pytest.approx({"a": 0.5, "b": 0.3, "none of these": 0.2})
-    assert list(found) == ["a", "b", "none of these"]
+    result = choice._shares(scored_by)
+    assert result == pytest.approx({"a": 0.5, "b": 0.3, "none of these": 0.2})
+    assert list(result) == ["a", "b", "none of these"]
 
 
 def test_an_explanation_with_more_forms_casts_no_doubt():
@@ -98,38 +98,38 @@ def test_a_form_needs_a_larger_margin_than_a_name(gain, by_name, by_form):
     fit, score = SimpleNamespace(contribution=lambda _: np.zeros(1)), [SimpleNamespace(square=np.array([x])) for x in (9.0, 1.0)]
     name = replace(of_kinds({"a": 0}), fit=fit, score=score[0])
     others = [replace(of_kinds(kinds), fit=fit, score=score[1]) for kinds in ({"b": 0}, {"x": 1})]
-    assert [Choice._beats(choice, other, name) for other in others] == [by_name, by_form]
+    assert [Choice._beats(choice, other_item, name) for other_item in others] == [by_name, by_form]
 
 
 @pytest.mark.parametrize(("worth", "confirmed"), [(9.9, False), (10.1, True)])
 def test_terms_that_pass_only_together_need_a_margin(worth, confirmed):
     sure = SimpleNamespace(confirmed=True, before=2.0, after=1.0)
     choice = SimpleNamespace(
-        _search=SimpleNamespace(nothing=SimpleNamespace(score=None)),
+        _search=SimpleNamespace(base_explanation=SimpleNamespace(score=None)),
         _validation=SimpleNamespace(improvement=lambda *_, **__: sure),
         _hold_out_improvement=lambda _: sure, _by_file=2.0, _laps=SimpleNamespace(predicts=lambda _: True),
-        graded=lambda *_: sure,
+        grade_term=lambda *_: sure,
     )  # fmt: skip
-    pair = replace(of_kinds({"a": 0, "x": 1}), worth=worth)
+    pair = replace(of_kinds({"a": 0, "x": 1}), net_gain=worth)
     assert Choice._is_confirmed(choice, pair) == confirmed
-    assert Choice._is_confirmed(choice, replace(of_kinds({"a": 0}), worth=0.1))
+    assert Choice._is_confirmed(choice, replace(of_kinds({"a": 0}), net_gain=0.1))
 
 
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_name_stands_without_the_forms_beside_it(alone, monkeypatch):
-    monkeypatch.setattr("trackres_ros.diagnosis.search.choice.unstable", lambda *_: [])
+    monkeypatch.setattr("trackres_ros.diagnosis.search.choice.find_instabilities", lambda *_: [])
     known = {key: of_kinds(dict.fromkeys(key, 0)) for key in ("", "a")} | {"ax": of_kinds({"a": 0, "x": 1})}
     less = {("ax", "x"): "a", ("a", "a"): ""}
     search = SimpleNamespace(without=lambda e, name: known[less["".join(sorted(e.key)), name]])
     validation = SimpleNamespace(scored=(), improvement=lambda *_: SimpleNamespace(confirmed=alone))
-    choice = SimpleNamespace(_search=search, _validation=validation, _unstable=set())
+    choice = SimpleNamespace(_search=search, _validation=validation, _unstable_names=set())
     assert (not Choice._size_faults(choice, known["ax"], "a")) == alone
     assert not Choice._size_faults(choice, known["a"], "a")
 
 
 def chosen_beside(own, candidates, cost=3.0, members=()):
     """A chosen term `own`, and the candidates of the round without it."""
-    first, *others = (replace(Term(SimpleNamespace(name=""), None, share=0.1), **given) for given in (own, *candidates))
+    first, *others = (replace(Term(SimpleNamespace(name=""), None, share=0.1), **item) for item in (own, *candidates))
     return replace(first, rivals=Round(None, None, tuple(others), cost), members=members)
 
 
@@ -150,7 +150,7 @@ def test_a_name_in_place_gains_half_as_much_and_its_cost(level, rival, instead):
 
 def test_a_form_is_like_those_over_other_variables_in_its_class():
     own, *others = ({"level": 5.0, "effect": form} for form in (Corner(SPEED, STEP), Corner(AMBIENT, STEP), Corner(SPEED, ABOVE)))
-    x, y, z = (each["effect"].name for each in (own, *others))
+    x, y, z = (item["effect"].name for item in (own, *others))
     assert chosen_beside(own, others, members=(x, y, z)).alike == (VARIABLES[AMBIENT].text,)
     assert chosen_beside(own, others, members=(x, z)).alike == ()
     name = {"level": 5.0, "effect": named()["torque_gain"]}
@@ -168,7 +168,7 @@ def by_gain():
 
 @pytest.fixture(scope="module")
 def chosen(by_gain):
-    by_gain.search.expand(by_gain.search.nothing)
+    by_gain.search.expand(by_gain.search.base_explanation)
     return by_gain.choice.best()
 
 
@@ -185,7 +185,7 @@ def test_a_confirmed_explanation_has_only_confirmed_terms(by_gain, chosen):
         seen += 1
         assert all(g.grade == CONFIRMED for g in terms.values())
         for g in terms.values():
-            assert g.improvement.likelier > 0.0
+            assert g.improvement.likelihood_bound > 0.0
             assert g.improvement.after <= g.improvement.before
         kept = by_gain.laps.improvement_of(by_gain.refitted, judged.fit)
         assert kept.after <= kept.before
@@ -196,7 +196,7 @@ def test_a_confirmed_explanation_has_only_confirmed_terms(by_gain, chosen):
 def test_the_name_is_chosen_where_a_form_predicts_alike(by_gain, chosen):
     """A curve of the driving torque is the same as another scale, where that is driven."""
     rivals = [e for e in by_gain.search.known.values() if any("driving" in name for name in e.key) and len(e.key) == 1]
-    assert any(by_gain.choice._is_confirmed(by_gain.search.polished(e)) for e in rivals)
+    assert any(by_gain.choice._is_confirmed(by_gain.search.polish(e)) for e in rivals)
     assert chosen.explanation.key == {"torque_gain"}
     assert chosen.final.effect_names == ("torque_gain",)
     assert chosen.explanation.terms["torque_gain"].is_named
@@ -205,28 +205,28 @@ def test_the_name_is_chosen_where_a_form_predicts_alike(by_gain, chosen):
 def test_a_form_with_a_higher_worth_still_yields_to_the_name(by_gain, chosen):
     name = chosen.explanation
     other = next(e for e in by_gain.search.known.values() if len(e.key) == 1 and e.without_a_name)
-    better = replace(other, score=name.score, worth=name.worth + 50.0)
+    better = replace(other, score=name.score, net_gain=name.net_gain + 50.0)
     assert by_gain.choice._select([better, name]) is name
     assert by_gain.choice._select([better]) is better
-    assert by_gain.choice._select([]) is by_gain.search.nothing
-    clock = replace(better, terms={"x": Term(EFFECTS[CLOCK]("x"), None)}, worth=name.worth + 99.0)
+    assert by_gain.choice._select([]) is by_gain.search.base_explanation
+    clock = replace(better, terms={"x": Term(EFFECTS[CLOCK]("x"), None)}, net_gain=name.net_gain + 99.0)
     assert by_gain.choice._select([clock, better]) is better
 
 
 def test_of_two_names_the_one_that_predicts_better_is_chosen(by_gain, chosen):
-    name, nothing = chosen.explanation, by_gain.search.nothing
-    worse = replace(name, score=nothing.score, worth=name.worth + 50.0)
+    name, nothing = chosen.explanation, by_gain.search.base_explanation
+    worse = replace(name, score=nothing.score, net_gain=name.net_gain + 50.0)
     assert by_gain.choice._select([worse, name]) is name
-    alike = replace(name, worth=name.worth - 1.0)
+    alike = replace(name, net_gain=name.net_gain - 1.0)
     assert by_gain.choice._select([alike, name]) is name
 
 
 def test_what_held_out_laps_or_the_file_refute_is_not_confirmed(by_gain):
     effect = named()["torque_gain"]
     assert graded(by_gain, effect)[1]
-    of = judging(by_gain.refitted, {})
-    of.choice._by_file = 1.0
-    assert not graded(of, effect)[1]
+    item = judging(by_gain.refitted, {})
+    item.choice._by_file = 1.0
+    assert not graded(item, effect)[1]
     assert not graded(judging(driven(GAIN, held_out_gain=1.0, of=machine()), {}), effect)[1]
 
 
@@ -234,9 +234,9 @@ def test_a_name_on_a_bound_is_at_best_suspected(by_gain):
     narrow = copy.copy(named()["torque_gain"])
     narrow.parameters = tuple(replace(q, high=0.7 * (GAIN - 1.0)) for q in narrow.parameters)
     terms, confirmed = graded(judging(by_gain.refitted, {}), narrow)
-    one = terms["torque_gain"]
-    assert one.improvement.grade == CONFIRMED
-    assert (one.on_bounds, one.grade, confirmed) == (("error",), SUSPECTED, False)
+    item = terms["torque_gain"]
+    assert item.improvement.grade == CONFIRMED
+    assert (item.on_bounds, item.grade, confirmed) == (("error",), SUSPECTED, False)
 
 
 def test_a_name_whose_size_changes_is_suspected():
@@ -244,9 +244,9 @@ def test_a_name_whose_size_changes_is_suspected():
         late = np.where(session.time > session.time.mean(), 1.0, -1.0)
         return 1.0 + (GAIN - 1.0) * (1.0 + 0.7 * late)
 
-    one = graded(judging(driven(growing, of=machine()), {}), named()["torque_gain"])[0]["torque_gain"]
-    assert (one.improvement.grade, one.grade) == (CONFIRMED, SUSPECTED)
-    assert one.fault == "has no constant size: it is larger late in a drive than early"
+    item = graded(judging(driven(growing, of=machine()), {}), named()["torque_gain"])[0]["torque_gain"]
+    assert (item.improvement.grade, item.grade) == (CONFIRMED, SUSPECTED)
+    assert item.fault == "has no constant size: it is larger late in a drive than early"
 
 
 def wave(session, _):
@@ -259,8 +259,8 @@ def against(session, _):
 
 def test_terms_that_cancel_each_other_are_not_confirmed():
     """Two large series that differ little: what they add together is a tenth of either."""
-    found = driven(of=machine(), adds=lambda s, i: wave(s, i) + against(s, i))
-    terms, confirmed = graded(judging(found, {}), series(found, wave, name="one"), series(found, against, name="other"))
+    result = driven(of=machine(), adds=lambda s, i: wave(s, i) + against(s, i))
+    terms, confirmed = graded(judging(result, {}), series(result, wave, name="one"), series(result, against, name="other"))
     assert all(g.improvement.grade == CONFIRMED for g in terms.values())  # each helps the other
     assert not confirmed
 
@@ -271,9 +271,9 @@ def comes_and_goes(session):
 
 def helping(count, elsewhere):
     """Grade of a torque that is there in the first of four recordings, by a term that is also somewhat in the others."""
-    found = driven(of=machine(), adds=lambda s, i: comes_and_goes(s) * (i < count), count=4)
-    term = series(found, lambda s, i: comes_and_goes(s) * (1.0 if i < count else elsewhere))
-    return graded(judging(found, {}), term)[0]["series"]
+    result = driven(of=machine(), adds=lambda s, i: comes_and_goes(s) * (i < count), count=4)
+    term = series(result, lambda s, i: comes_and_goes(s) * (1.0 if i < count else elsewhere))
+    return graded(judging(result, {}), term)[0]["series"]
 
 
 def test_a_term_helps_in_most_recordings_in_which_it_acts():
@@ -292,18 +292,18 @@ def test_what_differs_between_few_recordings_is_suspected(count, grade):
     def in_every_third(session, number):
         return np.full(len(session), SIZE_NM * (number % 3 == 1))
 
-    found = driven(of=machine(), adds=in_every_third, count=count)
-    one = graded(judging(found, {}), series(found, in_every_third))[0]["series"]
-    assert (one.improvement.grade, one.grade) == (CONFIRMED, grade)
-    assert one.fault == (f"{ONLY_BETWEEN} 3 recordings, as other things may" if count == 3 else "")
+    result = driven(of=machine(), adds=in_every_third, count=count)
+    item = graded(judging(result, {}), series(result, in_every_third))[0]["series"]
+    assert (item.improvement.grade, item.grade) == (CONFIRMED, grade)
+    assert item.fault == (f"{ONLY_BETWEEN} 3 recordings, as other things may" if count == 3 else "")
 
 
 def judged_with(of, explanation, name, **changed):
     """The grade of a term of an explanation whose score has other values, by a judge that has seen nothing yet."""
     known = dict(of.search.known)
     try:
-        choice = Choice(of.search, of.search.nothing.fit, of.laps, of.use)
-        return choice.graded(replace(explanation, score=replace(explanation.score, **changed)), name)
+        choice = Choice(of.search, of.search.base_explanation.fit, of.laps, of.use)
+        return choice.grade_term(replace(explanation, score=replace(explanation.score, **changed)), name)
     finally:
         of.search.known.clear()
         of.search.known.update(known)
@@ -313,51 +313,51 @@ def judged_with(of, explanation, name, **changed):
 def hidden():
     """Three recordings with more torque above a speed, explained by that form."""
     effect = form(Corner(SPEED, STEP, 0.5, 6.0, 12.0))
-    of = judging(driven(of=machine(), adds=lambda s, _: SIZE_NM * (np.abs(s.speed) > 6.0), count=3), {})
-    return of, explained(of, effect), effect.name
+    item = judging(driven(of=machine(), adds=lambda s, _: SIZE_NM * (np.abs(s.speed) > 6.0), count=3), {})
+    return item, explained(item, effect), effect.name
 
 
 @pytest.mark.parametrize(("worse", "grade"), [(1.005, CONFIRMED), (1.02, SUSPECTED)])
 def test_a_term_may_not_predict_unseen_recordings_worse(hidden, worse, grade):
-    of, explanation, name = hidden
-    unseen = of.search.nothing.score.unseen * worse
-    found = judged_with(of, explanation, name, unseen=unseen)
-    assert found.grade == grade
-    assert ("predicts recordings left out worse" in found.fault) == (grade == SUSPECTED)
+    item, explanation, name = hidden
+    unseen = item.search.base_explanation.score.unseen * worse
+    result = judged_with(item, explanation, name, unseen=unseen)
+    assert result.grade == grade
+    assert ("predicts recordings left out worse" in result.fault) == (grade == SUSPECTED)
 
 
 def test_a_gain_is_more_than_the_best_of_as_many_by_chance(hidden):
     """Three more than the logarithm of their number."""
-    of, explanation, name = hidden
-    before, count = of.search.nothing.score, len(explanation.score.density)
+    item, explanation, name = hidden
+    result_before, count = item.search.base_explanation.score, len(explanation.score.density)
     for more, grade in ((-0.5, SUSPECTED), (0.5, CONFIRMED)):
-        gained = 3.0 + of.search.cost + more
-        found = judged_with(of, explanation, name, density=before.density + gained / count)
-        assert found.improvement.gained == pytest.approx(gained)
-        assert found.grade == grade
-        assert ("gains no more than the best of many" in found.fault) == (grade == SUSPECTED)
-    assert of.search.cost == pytest.approx(np.log(len(of.search.rounds[frozenset()].every)))
+        gained = 3.0 + item.search.cost + more
+        result = judged_with(item, explanation, name, density=result_before.density + gained / count)
+        assert result.improvement.level_gain == pytest.approx(gained)
+        assert result.grade == grade
+        assert ("gains no more than the best of many" in result.fault) == (grade == SUSPECTED)
+    assert item.search.cost == pytest.approx(np.log(len(item.search.rounds[frozenset()].by_name)))
 
 
 @pytest.mark.parametrize(("less", "level", "grade"), [(0.97, 0.99, CONFIRMED), (0.99, 0.99, SUSPECTED), (0.99, 0.9, CONFIRMED)])
 def test_an_error_falls_by_a_fiftieth_or_its_levels_by_more(hidden, less, level, grade):
-    of, explanation, name = hidden
-    before = of.search.nothing.score
-    found = judged_with(of, explanation, name, error=less * before.error, level=level * before.level)
-    assert found.grade == grade
-    assert ("hardly reduces the error" in found.fault) == (grade == SUSPECTED)
+    item, explanation, name = hidden
+    result_before = item.search.base_explanation.score
+    result = judged_with(item, explanation, name, error=less * result_before.error, level=level * result_before.level)
+    assert result.grade == grade
+    assert ("hardly reduces the error" in result.fault) == (grade == SUSPECTED)
 
 
 def test_a_term_that_grows_the_error_is_refuted(hidden):
-    of, explanation, name = hidden
-    assert judged_with(of, explanation, name).grade == CONFIRMED
-    assert judged_with(of, explanation, name, error=1.05 * of.search.nothing.score.error).grade == REFUTED
+    item, explanation, name = hidden
+    assert judged_with(item, explanation, name).grade == CONFIRMED
+    assert judged_with(item, explanation, name, error=1.05 * item.search.base_explanation.score.error).grade == REFUTED
 
 
 def test_next_to_nothing_is_not_confirmed(hidden):
-    of, explanation, name = hidden
+    item, explanation, name = hidden
     little = {name: replace(explanation.terms[name], share=0.004)}
-    assert judged_with(of, replace(explanation, terms=little), name).fault == "adds only 0.4 % of the torque"
+    assert judged_with(item, replace(explanation, terms=little), name).fault == "adds only 0.4 % of the torque"
 
 
 # A recorded channel and the clock
@@ -379,42 +379,44 @@ def warm(session, _):
 
 def with_rivals(changed):
     """Explanations of a step over the ambient temperature by that and by one over the clock."""
-    found = driven(of=machine(), adds=warm, count=3, changed=changed)
-    of = judging(found, {})
-    facts, sessions = found.problem.base.facts, found.problem.sessions
+    result = driven(of=machine(), adds=warm, count=3, changed=changed)
+    item = judging(result, {})
+    facts, sessions = result.problem.base.facts, result.problem.sessions
     half = sessions[0].time[-1] / 2.0
     shape = [np.sign(s.speed) * (s.time > half) for s in sessions]
     clock = ClockTerm("time since start", STEP, half, (0.0, 2.0 * half), shape, facts.weight * facts.radius)
     channel = form(Corner(AMBIENT, STEP, 10.0, 15.0, 20.0))
-    return of, explained(of, channel), explained(of, clock)
+    return item, explained(item, channel), explained(item, clock)
 
 
 def test_a_form_that_the_clock_explains_as_well_is_suspected():
-    of, channel, clock = with_rivals(warming)
-    for one, other in ((channel, clock), (clock, channel)):
-        (name,), (rival,) = one.key, other.key
-        found = of.choice.graded(one, name)
-        assert found.improvement.grade == CONFIRMED
-        assert (found.grade, found.fault) == (SUSPECTED, f"cannot be separated from {rival} in these drives")
+    item, channel, clock = with_rivals(warming)
+    for value, other in ((channel, clock), (clock, channel)):
+        (name,), (rival,) = value.key, other.key
+        result = item.choice.grade_term(value, name)
+        assert result.improvement.grade == CONFIRMED
+        assert (result.grade, result.fault) == (SUSPECTED, f"cannot be separated from {rival} in these drives")
 
 
 def test_a_channel_that_moves_again_and_again_is_confirmed():
-    of, channel, _ = with_rivals(changing)
-    assert of.choice.graded(channel, "step_of_ambient").grade == CONFIRMED
-    assert of.choice._is_confirmed(channel)
+    item, channel, _ = with_rivals(changing)
+    assert item.choice.grade_term(channel, "step_of_ambient").grade == CONFIRMED
+    assert item.choice._is_confirmed(channel)
 
 
 # Nothing confirmed
 
 
 def test_only_what_is_confirmed_is_chosen_unless_asked_otherwise(hidden, monkeypatch):
-    of, _, _ = hidden
+    item, _, _ = hidden
     monkeypatch.setattr(Choice, "_is_confirmed", lambda *_: False)
-    nothing, first = (Choice(of.search, of.search.nothing.fit, of.laps, of.use).best(keep) for keep in (False, True))
-    assert nothing.explanation.fit is of.search.nothing.fit
+    nothing, first = (
+        Choice(item.search, item.search.base_explanation.fit, item.laps, item.use).best(keep) for keep in (False, True)
+    )
+    assert nothing.explanation.fit is item.search.base_explanation.fit
     assert not nothing.explanation.terms
     assert nothing.shares == {"none of these": 1.0}
-    assert first.explanation.worth == max(e.worth for e in of.search.known.values() if e.settled)
+    assert first.explanation.net_gain == max(e.net_gain for e in item.search.known.values() if e.settled)
     assert all(term.grade != CONFIRMED and term.rivals for term in first.explanation.terms.values())
 
 

@@ -56,13 +56,13 @@ def left(tmp_path, loaded, own):
 
 
 def test_only_what_was_fitted_changes_in_the_text(left, loaded):
-    before, after = (path.read_text().splitlines() for path in (loaded.base.vehicle.source, left / "vehicle.yaml"))
-    lost = [line for line in before if line not in after]
+    result_before, result_after = (path.read_text().splitlines() for path in (loaded.base.vehicle.source, left / "vehicle.yaml"))
+    lost = [line for line in result_before if line not in result_after]
     assert {line.split(":")[0].strip() for line in lost} == FITTED
-    new = [line for line in after if line not in before]
+    new = [line for line in result_after if line not in result_before]
     assert new[:2] == ["# What it is.", "# Written by trackres diagnose from x."]
     assert {line.split(":")[0].strip() for line in new[2:] if line} == {*FITTED, "effects", "stribeck", "squeak", "effect_files"}
-    order = [before.index(line) for line in after if line.strip() and line in before]
+    order = [result_before.index(line) for line in result_after if line.strip() and line in result_before]
     assert order == sorted(order)
 
 
@@ -78,20 +78,20 @@ def test_the_vehicles_effects_are_in_its_file_and_no_others(left):
 
 
 def test_intervals_become_ranges_and_shrink_the_estimates_std(left):
-    before, after = load("xgd24d"), load(left / "vehicle.yaml")
+    result_before, result_after = load("xgd24d"), load(left / "vehicle.yaml")
     for name in ("chassis.bearing_friction", "chassis.drag_coefficient", "rubber.loss_modulus_scale"):
-        q, was = after.parameters[name], before.parameters[name]
-        fitted = 0.98 * was.value
-        assert (q.low, q.value, q.high) == pytest.approx((0.97 * fitted, fitted, 1.03 * fitted), rel=1e-5)
+        q, was = result_after.parameters[name], result_before.parameters[name]
+        fit_result = 0.98 * was.value
+        assert (q.low, q.value, q.high) == pytest.approx((0.97 * fit_result, fit_result, 1.03 * fit_result), rel=1e-5)
         assert q.flag == "F"
         assert "re-fitted by trackres diagnose" in q.reason
         assert was.reason in q.reason
-    loss, cooling, capacity, radius = spread(after, "triangular").relative
+    loss, cooling, capacity, radius = spread(result_after, "triangular").relative
     assert loss == pytest.approx(0.015, rel=0.05)  # a quarter of the range of +-3 %
-    assert max(cooling, capacity) < 0.02 < 0.1 < spread(before, "triangular").relative[1]
+    assert max(cooling, capacity) < 0.02 < 0.1 < spread(result_before, "triangular").relative[1]
     assert radius < 1e-3
     shares = []
-    for vehicle in (before, after):
+    for vehicle in (result_before, result_after):
         estimator = Estimator(vehicle)
         inputs = estimator.inputs(10.0, ambient=15.0)
         _, estimate = estimator.step(estimator.cold_start(inputs, belt_degc=40.0, belt_std_k=0.5), inputs, 0.1)
@@ -101,14 +101,14 @@ def test_intervals_become_ranges_and_shrink_the_estimates_std(left):
 
 
 def test_a_second_diagnosis_starts_surer_within_the_same_bounds(left, loaded):
-    again = load_base(left / "vehicle.yaml")
-    for first, second in zip(loaded.base.parameters, again.base.parameters, strict=True):
+    repetition = load_base(left / "vehicle.yaml")
+    for first, second in zip(loaded.base.parameters, repetition.base.parameters, strict=True):
         assert second.std < first.std
         as_factor = second.nominal / first.nominal if first.nominal == 1.0 and second.nominal == 1.0 else 1.0
         assert second.low <= 1.05 * first.low * as_factor
         assert second.high >= 0.95 * first.high * as_factor
-    assert {"stribeck", "squeak"} <= set(again.base.includes)
-    assert "grade_profile" not in again.base.includes
+    assert {"stribeck", "squeak"} <= set(repetition.base.includes)
+    assert "grade_profile" not in repetition.base.includes
     assert "grade_profile" in load_base(left / "vehicle.yaml", surroundings=left / "surroundings.yaml").base.includes
 
 
@@ -117,8 +117,8 @@ def test_whatever_is_fitted_loads_again(loaded, tmp_path):
         values = {q.name: getattr(q, end) for q in loaded.base.parameters}
         intervals = {("", q.name): Interval(q.low, q.high, True) for q in loaded.base.parameters}
         loaded.base.write(tmp_path / f"{end}.yaml", FileChanges(values, (), intervals), "at a bound")
-        again = load(tmp_path / f"{end}.yaml")
-        assert again.chassis.bearing_friction == pytest.approx(values["bearing_friction"])
+        repetition = load(tmp_path / f"{end}.yaml")
+        assert repetition.chassis.bearing_friction == pytest.approx(values["bearing_friction"])
 
 
 @pytest.mark.parametrize("name", ["xgd24d", "emps"])
@@ -129,10 +129,10 @@ def test_an_effect_at_its_bounds_loads_again(tmp_path, name):
     for end in ("low", "high"):
         active = tuple(Active(e, {q.name: getattr(q, end) for q in e.parameters}) for e in suited)
         base.write(tmp_path / "v.yaml", FileChanges(None, active, {}), "at a bound")
-        again = {a.effect.name: a.values for a in load_any(tmp_path / "v.yaml").effects}
-        assert again.keys() == {a.effect.name for a in active}
-        for one in active:
-            assert again[one.effect.name] == pytest.approx(one.values, rel=1e-5)
+        repetitions = {a.effect.name: a.values for a in load_any(tmp_path / "v.yaml").effects}
+        assert repetitions.keys() == {a.effect.name for a in active}
+        for item in active:
+            assert repetitions[item.effect.name] == pytest.approx(item.values, rel=1e-5)
 
 
 def test_nothing_kept_leaves_the_file_as_it_was(loaded, tmp_path):
@@ -181,13 +181,13 @@ def test_commands_refuse_a_vehicle_file_with_foreign_effects(tmp_path):
     drive = tmp_path / "drive.csv"
     drive.write_text(DRIVE)
     source = load("xgd24d").source
-    for effect, said in (("grade: {grade: 0.02}", "--surroundings"), ("torque_gain: {error: 0.02}", "topics file")):
+    for effect, text_here in (("grade: {grade: 0.02}", "--surroundings"), ("torque_gain: {error: 0.02}", "topics file")):
         text = source.read_text().replace("rubber/nr", f"{source.parent}/rubber/nr")
         (tmp_path / "v.yaml").write_text(f"{text}\neffects: {{{effect}}}\n")
         command = ["replay", str(drive), "--vehicle", str(tmp_path / "v.yaml"), "-o", str(tmp_path / "o.csv")]
-        done = CliRunner().invoke(cli, command)
-        assert isinstance(done.exception, InputError)
-        assert said in str(done.exception)
+        outcome = CliRunner().invoke(cli, command)
+        assert isinstance(outcome.exception, InputError)
+        assert text_here in str(outcome.exception)
 
 
 @pytest.mark.parametrize(
@@ -216,11 +216,11 @@ def test_the_surroundings_of_an_earlier_diagnosis_do_not_stay(left, loaded):
 
 
 def test_from_a_written_file_it_goes_on(left, tmp_path):
-    again = load_base(left / "vehicle.yaml", surroundings=left / "surroundings.yaml").base
+    repetition = load_base(left / "vehicle.yaml", surroundings=left / "surroundings.yaml").base
     warm = Active(catalogue()["warmup"], catalogue()["warmup"].values())
     for folder in (tmp_path / "other", left):  # elsewhere, and over itself
         folder.mkdir(exist_ok=True)
-        again.write(folder / "vehicle.yaml", kept_of(again, [warm]), "More.\nWritten by trackres diagnose from y.")
+        repetition.write(folder / "vehicle.yaml", kept_of(repetition, [warm]), "More.\nWritten by trackres diagnose from y.")
         vehicle = with_surroundings(load(folder / "vehicle.yaml"), folder / "surroundings.yaml")
         assert [a.effect.name for a in vehicle.active] == ["stribeck", "squeak", "warmup", "grade_profile"]
         text = (folder / "vehicle.yaml").read_text()
@@ -289,20 +289,22 @@ def test_with_the_line_that_is_printed_a_sensor_shows_what_is_so(wrong, loaded, 
 def test_lines_of_two_sides_correct_the_sum_of_their_torques(wrong):
     known, raw = catalogue(), {"torque/left": 700.0, "torque/right": -90.0}
     active = [Active(known[name], {known[name].parameters[0].name: value}) for name, value in wrong.items()]
-    given = {"torque/left": {"column": "l", "scale": 2.0, "offset": 5.0}, "torque/right": {"column": "r", "delay_s": 0.1}}
-    before = Topics.parse(given)
-    recorded = {"a.csv": {role: before[role] for role in given}, "b.csv": {"torque": TopicBinding(column="m")}}
-    lines, other = (sensor_lines(active, {name: of}, 0.3) for name, of in recorded.items())
+    given_valuess = {"torque/left": {"column": "l", "scale": 2.0, "offset": 5.0}, "torque/right": {"column": "r", "delay_s": 0.1}}
+    result_before = Topics.parse(given_valuess)
+    recorded = {"a.csv": {role: result_before[role] for role in given_valuess}, "b.csv": {"torque": TopicBinding(column="m")}}
+    lines, other = (sensor_lines(active, {name: values}, 0.3) for name, values in recorded.items())
     each = [("a.csv", *line) for line in lines.items()] + [("b.csv", *line) for line in other.items()]
     assert sensor_lines(active, recorded, 0.3) == {f"{role} of {name}": f"{line}  # {name}" for name, role, line in each}
     assert sensor_lines(active, {"a.csv": recorded["a.csv"], "c.csv": recorded["a.csv"]}, 0.3) == lines
-    assert lines.keys() == given.keys()
-    after = Topics.parse(yaml.safe_load("\n".join(lines.values())))
-    measured, corrected = (sum(of[role].scale * x + of[role].offset for role, x in raw.items()) for of in (before, after))
+    assert lines.keys() == given_valuess.keys()
+    result_after = Topics.parse(yaml.safe_load("\n".join(lines.values())))
+    measured, corrected = (
+        sum(values[role].scale * x + values[role].offset for role, x in raw.items()) for values in (result_before, result_after)
+    )
     gain, offset = 1.0 + wrong.get("torque_gain", 0.0), wrong.get("torque_offset", 0.0)
     assert corrected == pytest.approx((measured - 0.3 * offset) / gain, rel=1e-5)  # the sensor shows 0.3 times the torque
-    for role in given:
-        assert after[role].delay_s == pytest.approx(before[role].delay_s + wrong.get("delay", 0.0))
+    for role in given_valuess:
+        assert result_after[role].delay_s == pytest.approx(result_before[role].delay_s + wrong.get("delay", 0.0))
 
 
 @pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "(1.0 if at.speed < 2.0 else p.nothing)"])
@@ -320,18 +322,18 @@ def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(good, run, loade
     sessions = drives(loaded.base, loaded.known.max_speed, 2, 6.0, rng)
     tilted = Active(effects["grade_profile"], {"rise_ahead": 0.02, "rise_left": 0.0})
     paths = write_recordings(loaded.base, tmp_path, sessions, [tilted], rng)
-    out = tmp_path / "report"
-    done = run(paths, out, page=True)
-    found = json.loads((out / "report.json").read_text())
-    assert found["effects"][0]["belongs_to"] == "surroundings"
-    assert found["kept"] == {"vehicle": [], "surroundings": ["grade_profile"], "sensor": []}
-    assert "surroundings.yaml" in done.output
-    assert "surroundings.yaml" in (out / "report.html").read_text()
-    assert not load(out / "vehicle.yaml").effects
+    output = tmp_path / "report"
+    process = run(paths, output, page=True)
+    result = json.loads((output / "report.json").read_text())
+    assert result["effects"][0]["belongs_to"] == "surroundings"
+    assert result["kept"] == {"vehicle": [], "surroundings": ["grade_profile"], "sensor": []}
+    assert "surroundings.yaml" in process.output
+    assert "surroundings.yaml" in (output / "report.html").read_text()
+    assert not load(output / "vehicle.yaml").effects
     drive = tmp_path / "drive.csv"
     drive.write_text(DRIVE)
-    for around in ((), ("--surroundings", out / "surroundings.yaml")):
-        good("replay", drive, "--vehicle", out / "vehicle.yaml", *around, "-o", tmp_path / "r.csv")
+    for around in ((), ("--surroundings", output / "surroundings.yaml")):
+        good("replay", drive, "--vehicle", output / "vehicle.yaml", *around, "-o", tmp_path / "r.csv")
         row = np.genfromtxt(tmp_path / "r.csv", delimiter=",", names=True)[-1]
         assert row["feedforward_torque_nm"] == 0.0
         assert (abs(row["effects_nm"]) > 1500.0) == bool(around)

@@ -63,15 +63,15 @@ def by_force(found, own, extra):
     def log_density(columns, stds, means, fold):
         error = np.empty(len(y))
         for left_out in np.unique(fold):
-            at, weight = fold == left_out, (fold != left_out).astype(float)
+            place, weight = fold == left_out, (fold != left_out).astype(float)
             for _ in range(3):
                 rows = np.sqrt(weight)[:, np.newaxis] * columns / unit
-                whole = np.concatenate((rows, np.diag(1.0 / stds)))
+                total = np.concatenate((rows, np.diag(1.0 / stds)))
                 right = np.concatenate((np.sqrt(weight) * y / unit, means / stds))
-                values = np.linalg.lstsq(whole, right, rcond=None)[0]
+                values = np.linalg.lstsq(total, right, rcond=None)[0]
                 rest = y / unit - columns @ values / unit
                 weight = (fold != left_out) / np.maximum(1.0, np.abs(rest) / 1.5)
-            error[at] = rest[at]
+            error[place] = rest[place]
         scale = np.abs(error).mean()
         return student.logpdf(error / scale, 4.0).sum() - len(y) * math.log(scale)
 
@@ -79,20 +79,20 @@ def by_force(found, own, extra):
     means = np.array([f.nominal for f in found.free]) - found.point
     gains = []
     for fold in (piece, recording):
-        before = log_density(x, stds, means, fold)
-        after = log_density(np.column_stack([x, z]), np.append(stds, 5.0), np.append(means, 0.0), fold)
-        gains.append(after - before)
+        result_before = log_density(x, stds, means, fold)
+        result_after = log_density(np.column_stack([x, z]), np.append(stds, 5.0), np.append(means, 0.0), fold)
+        gains.append(result_after - result_before)
     return float(np.mean(gains))
 
 
 @pytest.mark.parametrize("of", [step, lambda s, _: 50.0 * np.cos(s.time / 40.0), lambda s, i: np.full(len(s), 80.0 * (i == 1))])
 def test_a_gain_is_that_of_fits_without_each_fold(stepped, explained, of):
-    for found in (stepped, explained):
-        own, known = base_columns(found), scored(found)
-        extra = np.concatenate([of(s, i) * np.sign(s.speed) for i, s in enumerate(found.problem.sessions)])
-        levels = Levels(found, own, known)
-        expected = by_force(found, own, extra)
-        assert levels.gain(as_candidate(levels, found, of)) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+    for result in (stepped, explained):
+        own, known = base_columns(result), scored(result)
+        extra = np.concatenate([of(s, i) * np.sign(s.speed) for i, s in enumerate(result.problem.sessions)])
+        levels = Levels(result, own, known)
+        expectation = by_force(result, own, extra)
+        assert levels.gain(as_candidate(levels, result, of)) == pytest.approx(expectation, rel=1e-3, abs=1e-3)
 
 
 def test_what_was_hidden_gains_most_and_with_its_size(stepped, levels):
@@ -112,10 +112,10 @@ def test_what_the_base_explains_already_gains_nothing(stepped, own, levels):
 
 
 def test_each_amplitude_beyond_the_first_costs_one(stepped, levels):
-    one = as_candidate(levels, stepped, step)
-    none = np.zeros_like(one.columns)
+    item = as_candidate(levels, stepped, step)
+    none = np.zeros_like(item.columns)
     ends = np.array([-np.inf, -np.inf]), np.array([np.inf, np.inf])
-    assert levels.gain(Amplitudes(np.column_stack([one.columns, none]), *ends)) == pytest.approx(levels.gain(one) - 1.0)
+    assert levels.gain(Amplitudes(np.column_stack([item.columns, none]), *ends)) == pytest.approx(levels.gain(item) - 1.0)
 
 
 def test_an_amplitude_stays_within_its_bounds(stepped, levels):
@@ -130,13 +130,13 @@ def test_no_fold_sees_its_own_blocks(stepped, own):
     for folds in ("_pieces", "_recordings"):
         levels = Levels(stepped, own, scored(stepped))
         candidate = as_candidate(levels, stepped, step)
-        before = levels._solved(candidate, ~getattr(levels, folds))[0]
+        result_before = levels._solve(candidate, ~getattr(levels, folds))[0]
         for number, fold in enumerate(getattr(levels, folds)):
             levels.residual = np.where(fold, levels.residual + 7.0, levels.residual)
-            after = levels._solved(candidate, ~getattr(levels, folds))[0]
-            np.testing.assert_allclose(after[number], before[number])
-            others = np.arange(len(after)) != number
-            assert np.all(np.abs(after - before)[others].max(axis=1) > 1e-3)
+            result_after = levels._solve(candidate, ~getattr(levels, folds))[0]
+            np.testing.assert_allclose(result_after[number], result_before[number])
+            others = np.arange(len(result_after)) != number
+            assert np.all(np.abs(result_after - result_before)[others].max(axis=1) > 1e-3)
             levels.residual = np.where(fold, levels.residual - 7.0, levels.residual)
 
 
@@ -144,32 +144,32 @@ def test_every_block_is_left_out_once_each_way(levels):
     for folds in (levels._pieces, levels._recordings):
         np.testing.assert_array_equal(folds.sum(axis=0), 1)
     assert len(levels._recordings) == COUNT
-    assert all(np.isfinite(error).all() for error in levels.nothing)
+    assert all(np.isfinite(error).all() for error in levels.base_errors)
 
 
 @pytest.mark.parametrize(("laps", "left_out"), [(2, 0), (4, 2)])
 def test_the_only_piece_of_a_drive_is_not_left_out(laps, left_out):
     """Without it there would be nothing to fit; of two pieces, each is predicted by the other."""
-    found = driven(of=machine(), laps=laps, count=1)
-    levels = Levels(found, base_columns(found), scored(found))
+    result = driven(of=machine(), laps=laps, count=1)
+    levels = Levels(result, base_columns(result), scored(result))
     assert len(levels._pieces) == left_out
-    assert np.isfinite(levels.nothing.pieces).all() == (left_out > 0)
+    assert np.isfinite(levels.base_errors.pieces).all() == (left_out > 0)
 
 
 def test_the_fall_of_a_column_is_that_of_the_errors_without_it(stepped, levels):
     adds = np.concatenate([step(s, 0) * np.sign(s.speed) for s in stepped.problem.sessions])
-    before, after = (np.abs(levels.errors(c).pieces).mean() for c in (None, as_candidate(levels, stepped, step)))
-    assert levels.falls(adds) == pytest.approx(1.0 - after / before)
+    result_before, result_after = (np.abs(levels.errors(c).pieces).mean() for c in (None, as_candidate(levels, stepped, step)))
+    assert levels.falls(adds) == pytest.approx(1.0 - result_after / result_before)
     assert levels.falls(adds) > 0.2
     assert levels.falls(np.zeros_like(adds)) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_with_two_recordings_only_pieces_are_left_out():
-    found = driven(adds=step)
-    levels = Levels(found, base_columns(found), scored(found))
-    assert np.isfinite(levels.nothing.pieces).all()
-    assert np.isnan(levels.nothing.recordings).all()
-    assert levels.gain(as_candidate(levels, found, step)) > 10.0
+    result = driven(adds=step)
+    levels = Levels(result, base_columns(result), scored(result))
+    assert np.isfinite(levels.base_errors.pieces).all()
+    assert np.isnan(levels.base_errors.recordings).all()
+    assert levels.gain(as_candidate(levels, result, step)) > 10.0
 
 
 def test_blocks_hold_the_used_samples_alone(stepped, own):
@@ -177,9 +177,9 @@ def test_blocks_hold_the_used_samples_alone(stepped, own):
     rows = np.random.default_rng(2).normal(size=len(own))
     known = scored(stepped)
     levels = Levels(stepped, own, known)
-    expected = moving_means(stepped, rows, 15.0, known)
+    expectation = moving_means(stepped, rows, 15.0, known)
     unit = np.median(np.abs(list(moving_means(stepped, np.concatenate(stepped.residuals), 15.0, known).values()))) * 1.4826
-    np.testing.assert_allclose(levels.means(rows), np.array(list(expected.values())) / unit, rtol=1e-3)
+    np.testing.assert_allclose(levels.means(rows), np.array(list(expectation.values())) / unit, rtol=1e-3)
     spoilt = np.where(np.concatenate(known), rows, np.nan)
     np.testing.assert_array_equal(levels.means(spoilt), levels.means(rows))
 
@@ -187,14 +187,14 @@ def test_blocks_hold_the_used_samples_alone(stepped, own):
 def test_belts_of_another_scatter_have_their_own_unit():
     """A measured belt temperature weighs as it scatters, whatever it scatters; the torque's unit is its own."""
     quiet, loud = (driven(adds=step, belt_noise=kelvin) for kelvin in (0.5, 5.0))
-    for found in (quiet, loud):
-        levels = Levels(found, base_columns(found), scored(found))
+    for result in (quiet, loud):
+        levels = Levels(result, base_columns(result), scored(result))
         of_belts = ~levels.of_torque
         assert 10 < of_belts.sum() < levels.blocks - 10
-        for of in (of_belts, levels.of_torque):
-            assert 1.4826 * np.median(np.abs(levels.residual[of])) == pytest.approx(1.0, rel=1e-3)
+        for item in (of_belts, levels.of_torque):
+            assert 1.4826 * np.median(np.abs(levels.residual[item])) == pytest.approx(1.0, rel=1e-3)
         assert np.ptp(levels._unit[levels.of_torque]) == np.ptp(levels._unit[of_belts]) == 0.0
-        assert not as_candidate(levels, found, step).columns[of_belts].any()
+        assert not as_candidate(levels, result, step).columns[of_belts].any()
         assert levels.scatter_nm == levels._unit[levels.of_torque][0]
     small, large = (Levels(f, base_columns(f), scored(f))._unit[-1] for f in (quiet, loud))
     assert large > 3.0 * small
@@ -235,15 +235,15 @@ def test_a_change_and_its_deviation_are_those_by_force(explained):
     for _ in range(3):
         values = by_least_squares(x, levels.residual, stds, means, weight)
         weight = 1.0 / np.maximum(1.0, np.abs(levels.residual - x @ values) / 1.5)
-    left = np.clip(levels.residual - x @ values, -4.0, 4.0)
+    remainder = np.clip(levels.residual - x @ values, -4.0, 4.0)
     unit = np.minimum(stds, 1e3)
     inverse = np.linalg.inv((x.T @ x + np.diag(stds**-2.0)) * np.outer(unit, unit)) * np.outer(unit, unit)
     together = {}
-    for at, recording, row, error in zip(levels.time, levels.recording, x, left, strict=True):
-        together[recording, at // 60.0] = together.get((recording, at // 60.0), 0.0) + row * error
+    for place, recording, row, error in zip(levels.time, levels.recording, x, remainder, strict=True):
+        together[recording, place // 60.0] = together.get((recording, place // 60.0), 0.0) + row * error
     deviation = inverse @ np.array(list(together.values())).T
     assert len(together) < levels.blocks / 3.0
-    assert np.abs(left).max() == 4.0
+    assert np.abs(remainder).max() == 4.0
     assert levels.change_of(adds, more, 60.0) == pytest.approx((values[-1], np.sqrt((deviation[-1] ** 2).sum())), rel=1e-3)
 
 
@@ -251,9 +251,9 @@ def test_beyond_the_base_is_what_its_priors_leave(explained):
     levels = Levels(explained, base_columns(explained), scored(explained))
     own, stds = levels.means(base_columns(explained)), np.array([f.std for f in explained.free])
     columns = np.random.default_rng(7).normal(size=(levels.blocks, 2)) + 0.1 * own[:, :2] * stds[:2]
-    for column, left in zip(columns.T, levels.beyond(columns).T, strict=True):
-        expected = column - own @ by_least_squares(own, column, stds, np.zeros(len(stds)))
-        np.testing.assert_allclose(left, expected, rtol=1e-5, atol=1e-6)
+    for column, remainder in zip(columns.T, levels.beyond(columns).T, strict=True):
+        expectation = column - own @ by_least_squares(own, column, stds, np.zeros(len(stds)))
+        np.testing.assert_allclose(remainder, expectation, rtol=1e-5, atol=1e-6)
 
 
 def test_blocks_of_a_quick_machine_are_as_much_shorter(stepped, own, levels):
@@ -262,7 +262,7 @@ def test_blocks_of_a_quick_machine_are_as_much_shorter(stepped, own, levels):
     quick = Levels(replace(stepped, problem=replace(stepped.problem, sessions=tuple(quicker))), own, scored(stepped))
     np.testing.assert_array_equal(quick.time, 0.25 * levels.time)
     np.testing.assert_array_equal(quick.residual, levels.residual)
-    np.testing.assert_array_equal(quick.nothing.pieces, levels.nothing.pieces)
+    np.testing.assert_array_equal(quick.base_errors.pieces, levels.base_errors.pieces)
 
 
 def test_no_columns_have_no_block_means(levels, own):

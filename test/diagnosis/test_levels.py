@@ -27,17 +27,17 @@ def street(seed, road, slow_nm=60.0, slow_s=120.0, quick_nm=12.0, misfit=0.06):
     rng, base = np.random.default_rng(seed), road.base
     sessions = drives(base, road.known.max_speed / 2.0, TRAINED + 1, MINUTES, rng, STEP_S)
     true = {q.name: q.nominal + 0.7 * q.std for q in base.parameters}
-    found = []
-    for session, predicted in zip(sessions, base.predict(sessions, true, ()), strict=True):
+    results = []
+    for session, prediction in zip(sessions, base.predict(sessions, true, ()), strict=True):
         n = len(session)
         keep = np.exp(-STEP_S / slow_s)
         slow = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.normal(0.0, slow_nm, n))
         leaning = rng.exponential(quick_nm, n) * (rng.random(n) < 0.5)
         inertia = base.facts.radius * session.weight / 9.81 * session.accel
-        shown = predicted.torque + slow + leaning - leaning.mean() + misfit * np.maximum(inertia, 0.0)
+        shown = prediction.torque + slow + leaning - leaning.mean() + misfit * np.maximum(inertia, 0.0)
         used = np.abs(session.speed) > road.known.slowest
-        found.append(replace(session, torque=shown, used=used, torque_course=None))
-    return tuple(found)
+        results.append(replace(session, torque=shown, used=used, torque_course=None))
+    return tuple(results)
 
 
 def problem_of(sessions, road):
@@ -46,8 +46,8 @@ def problem_of(sessions, road):
 
 
 def errors(found, trained):
-    of = [(s.torque - p.torque)[s.used] for s, p in zip(found.problem.sessions, found.predicted, strict=True)]
-    return np.concatenate(of[:TRAINED] if trained else of[TRAINED:])
+    item = [(s.torque - p.torque)[s.used] for s, p in zip(found.problem.sessions, found.predicted, strict=True)]
+    return np.concatenate(item[:TRAINED] if trained else item[TRAINED:])
 
 
 @pytest.mark.long
@@ -71,24 +71,26 @@ def test_near_a_unit_root_the_level_fit_halves_the_bias(road):
     leaning = [fit(problem_of(street(seed, road), road)) for seed in range(3)]
     for tested in leaning:
         assert np.abs(np.roots(np.concatenate(([1.0], -tested.noise.phi)))).max() > 0.9
-    before = np.mean([abs(errors(tested, trained=True).mean()) for tested in leaning])
-    after = np.mean([abs(errors(with_levels(tested), trained=True).mean()) for tested in leaning])
-    assert after < 0.5 * before
+    result_before = np.mean([abs(errors(tested, trained=True).mean()) for tested in leaning])
+    result_after = np.mean([abs(errors(with_levels(tested), trained=True).mean()) for tested in leaning])
+    assert result_after < 0.5 * result_before
 
 
 def test_where_noise_is_short_both_are_one(loaded):
     rng, base = np.random.default_rng(4), loaded.base
     sessions = drives(base, loaded.known.max_speed, 2, 10.0, rng, STEP_S)
-    predicted = base.predict(sessions, base.nominal, ())
-    shown = tuple(replace(s, torque=p.torque + rng.normal(0.0, 20.0, len(s))) for s, p in zip(sessions, predicted, strict=True))
-    found = fit(Problem(base, shown, tuple(s.used for s in shown)))
-    levelled = with_levels(found)
-    for f in found.free:
-        assert levelled.estimates[f.key] == pytest.approx(found.estimates[f.key], abs=0.3 * found.std_of(*f.key))
+    prediction = base.predict(sessions, base.nominal, ())
+    shown_text = tuple(
+        replace(s, torque=p.torque + rng.normal(0.0, 20.0, len(s))) for s, p in zip(sessions, prediction, strict=True)
+    )
+    result = fit(Problem(base, shown_text, tuple(s.used for s in shown_text)))
+    levelled = with_levels(result)
+    for f in result.free:
+        assert levelled.estimates[f.key] == pytest.approx(result.estimates[f.key], abs=0.3 * result.std_of(*f.key))
 
 
 def test_the_noise_for_tests_is_whitened_as_far_as_it_goes(road):
     levelled = with_levels(fit(problem_of(street(1, road), road)))
     e = np.concatenate([w[np.isfinite(w)] for w in for_tests(levelled).white])
-    left = np.concatenate([w[np.isfinite(w)] for w in levelled.white])
-    assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.1 < np.corrcoef(left[1:], left[:-1])[0, 1]
+    remainder = np.concatenate([w[np.isfinite(w)] for w in levelled.white])
+    assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.1 < np.corrcoef(remainder[1:], remainder[:-1])[0, 1]

@@ -74,28 +74,28 @@ class Recorded:
         when = np.repeat(stamps(self.session), len(names))
         role = np.tile(np.arange(len(names), dtype=np.int16), len(self.session))
         for i in range(0, len(when), max_rows):
-            chosen = slice(i, i + max_rows)
-            yield SampleBlock(role[chosen], when[chosen], when[chosen], value[chosen])
+            choice = slice(i, i + max_rows)
+            yield SampleBlock(role[choice], when[choice], when[choice], value[choice])
 
 
 def driven(estimator, sessions, rows_of):
     """Driving torque and mean belt temperature of each session after the rest before it."""
-    state, found = None, []
+    state, result = None, []
     for session in sessions:
         running = estimator.session()
         if state is not None:
             running.begin(estimator.rest(state, float(session.ambient[0]), session.gap))
-        found.append(picked(estimator, np.concatenate(list(rows_of(running, session)))))
+        result.append(picked(estimator, np.concatenate(list(rows_of(running, session)))))
         state = running.state
-    return found
+    return result
 
 
 def live(running, session):
     """Rows, all channels sent with each speed."""
-    for i, now in enumerate(stamps(session).tolist()):
+    for i, time_now in enumerate(stamps(session).tolist()):
         for channel, name in CHANNELS.items():
-            running.handle(running.channel(channel), now, now, float(getattr(session, name)[i]))
-        yield running.handle(at.SPEED, now, now, float(session.speed[i])).row[np.newaxis]
+            running.handle(running.channel(channel), time_now, time_now, float(getattr(session, name)[i]))
+        yield running.handle(at.SPEED, time_now, time_now, float(session.speed[i])).row[np.newaxis]
 
 
 def replayed(running, session):
@@ -144,12 +144,12 @@ def test_live_replayed_and_fitted_are_one_without_belts(name, names):
     active = tuple(Active(effects[name], effects[name].values()) for name in names)
     estimator = Estimator(replace(known.base.vehicle, effects=active))
     as_live, as_replayed, in_a_fit = (
-        [torque for torque, _ in found]
-        for found in (*(driven(estimator, sessions, how) for how in (live, replayed)), simulated(known.base, sessions, active))
+        [torque for torque, _ in result]
+        for result in (*(driven(estimator, sessions, how) for how in (live, replayed)), simulated(known.base, sessions, active))
     )
-    for torque, too, fitted in zip(as_live, as_replayed, in_a_fit, strict=True):
+    for torque, too, fit_result in zip(as_live, as_replayed, in_a_fit, strict=True):
         np.testing.assert_array_equal(torque, too)
-        np.testing.assert_allclose(torque, fitted, rtol=0.0, atol=1e-12 * np.abs(fitted).max())
+        np.testing.assert_allclose(torque, fit_result, rtol=0.0, atol=1e-12 * np.abs(fit_result).max())
 
 
 @pytest.mark.parametrize("names", [(), ("drivetrain_efficiency", "warmup")], ids="+".join)
@@ -163,9 +163,9 @@ def test_a_torque_by_place_is_the_same_live_and_in_a_fit(loaded, effects, drive,
         begin, drive.time, drive.speed, drive.weight, drive.ambient, drive.accel, math.nan, drive.yaw_rate, drive.heading,
         ground=GroundSeries(unknown, soft, unknown, np.ones_like(unknown)),
     )  # fmt: skip
-    fitted = simulated(loaded.base, [replace(drive, torque_by_place=soft)], active)
-    agree([picked(estimator, rows)], fitted)
-    (bare, _), (ground, _) = *simulated(loaded.base, [drive], active), *fitted
+    fit_result = simulated(loaded.base, [replace(drive, torque_by_place=soft)], active)
+    agree([picked(estimator, rows)], fit_result)
+    (bare, _), (ground, _) = *simulated(loaded.base, [drive], active), *fit_result
     assert np.abs(ground - bare).max() > 600.0
 
 
@@ -184,17 +184,17 @@ def test_belts_of_two_kinds_are_fitted_as_they_are_written(two_nodes, drive):
     bounds = next(q for q in base.parameters if q.name == "surface_share")
     for share, places in ((bounds.nominal, 12), (bounds.low, 5), (bounds.high, 5), (0.24, 5)):  # figures of a file
         values = base.nominal | {"capacity_scale": 1.1 if share == 0.24 else 1.0, "surface_share": share}
-        now = base.as_written(values)
-        (fit,), (file,) = base.predict([drive], values, ()), now.predict([drive], now.nominal, ())
+        time_now = base.as_written(values)
+        (fit,), (file,) = base.predict([drive], values, ()), time_now.predict([drive], time_now.nominal, ())
         np.testing.assert_allclose(file.belt, fit.belt, rtol=10.0**-places)
     base.write(path, FileChanges(values, (), {("", "surface_share"): Interval(0.21, 0.26, True)}), "with its interval")
     front, rear = (load(path).parameters[f"tracks.{name}.belt.surface_share"] for name in ("triangular", "rear"))
     assert (rear.value, rear.low, rear.high) == pytest.approx([0.32 / 0.2 * x for x in (0.24, 0.21, 0.26)])
     assert (front.value, front.low, front.high) == pytest.approx((0.24, 0.21, 0.26))
     vehicle, rubber = estimator.vehicle, estimator.vehicle.rubber
-    learned = next(one for one in learnables(vehicle) if one.state == at.OF_CAPACITY)  # of all belts together
-    warmer = replace(rubber, heat_capacity=rubber.heat_capacity * (1.0 + 0.1 * learned.factor))
-    heat = [sum(heat_capacity(vehicle.track_of(one).belt, of) for one in vehicle.assemblies) for of in (rubber, warmer)]
+    learned_values = next(entry for entry in learnables(vehicle) if entry.state == at.OF_CAPACITY)  # of all belts together
+    warmer = replace(rubber, heat_capacity=rubber.heat_capacity * (1.0 + 0.1 * learned_values.factor))
+    heat = [sum(heat_capacity(vehicle.track_of(entry).belt, item) for entry in vehicle.assemblies) for item in (rubber, warmer)]
     assert heat[1] == pytest.approx(1.1 * heat[0])
 
 
@@ -228,8 +228,13 @@ def test_what_was_saved_goes_on_as_if_it_had_not_stopped(effects, tmp_path, driv
         session.handle(at.SPEED, START_NS + i * 10**8, START_NS + i * 10**8, 5.0)
     snapshot.save(session, tmp_path / "state", saved_at=0.0)
     resumed = snapshot.resume(estimator, tmp_path / "state")
-    now = START_NS + 600 * 10**8
-    np.testing.assert_array_equal(session.handle(at.SPEED, now, now, 5.0).row, resumed.handle(at.SPEED, now, now, 5.0).row)
+    time_now = START_NS + 600 * 10**8
+    np.testing.assert_array_equal(
+        session.handle(at.SPEED, time_now, time_now, 5.0).row, resumed.handle(at.SPEED, time_now, time_now, 5.0).row
+    )
     cold, _ = snapshot.after_time_off(estimator, tmp_path / "state", wall_s=1e6)
-    after, before = cold.handle(at.SPEED, now, now, 5.0), resumed.handle(at.SPEED, now + 10**8, now + 10**8, 5.0)
-    assert after["effects_nm"] > before["effects_nm"] + 10.0  # the oil has cooled too
+    result_after, result_before = (
+        cold.handle(at.SPEED, time_now, time_now, 5.0),
+        resumed.handle(at.SPEED, time_now + 10**8, time_now + 10**8, 5.0),
+    )
+    assert result_after["effects_nm"] > result_before["effects_nm"] + 10.0  # the oil has cooled too

@@ -14,7 +14,7 @@ import trackres_ros as tr
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.empirical import finders
 from trackres_ros.diagnosis.inference.failures import attempt, failures
-from trackres_ros.diagnosis.inference.noise import solved
+from trackres_ros.diagnosis.inference.noise import solve_normal
 from trackres_ros.diagnosis.preparation import checked_sessions
 
 
@@ -54,11 +54,11 @@ def pump_runs(folder):
 
 
 def test_a_pump_that_only_turns_forward_is_diagnosed(diagnosed):
-    found = diagnosed("pump_runs")
-    (lacks,) = found.effects  # forward only, three names are one
+    result = diagnosed("pump_runs")
+    (lacks,) = result.effects  # forward only, three names are one
     assert lacks.grade == "confirmed"
     assert {"coulomb_friction", "torque_offset"} <= set(lacks.members)
-    assert not any("failed" in warning for warning in found.warnings)
+    assert not any("failed" in warning for warning in result.warnings)
 
 
 def test_a_finder_that_fails_is_a_note_and_ends_nothing(tmp_path, monkeypatch):
@@ -67,23 +67,23 @@ def test_a_finder_that_fails_is_a_note_and_ends_nothing(tmp_path, monkeypatch):
 
     for finder in ("find_place", "find_wave", "find_chain", "find_payload", "by_recording"):
         monkeypatch.setattr(finders, finder, singular)
-    found = tr.diagnose(*pump_runs(tmp_path), quick=True)
-    assert len(found.effects) == 1
-    assert sum("LinAlgError" in warning for warning in found.warnings) >= 4
+    result = tr.diagnose(*pump_runs(tmp_path), quick=True)
+    assert len(result.effects) == 1
+    assert sum("LinAlgError" in warning for warning in result.warnings) >= 4
 
 
 def test_an_error_is_raised_where_nobody_reads_notes():
-    with failures() as found:
+    with failures() as result:
         assert attempt("a wave", lambda: 1 // 0) is None
         assert attempt("a place", lambda: 3) == 3
-    (note,) = found
+    (note,) = result
     assert "a wave" in note
     with pytest.raises(ZeroDivisionError):
         attempt("a wave", lambda: 1 // 0)
 
 
 def test_equations_that_determine_nothing_have_a_solution():
-    assert not solved(np.zeros((3, 3)), np.zeros(3), 1e-9).any()
+    assert not solve_normal(np.zeros((3, 3)), np.zeros(3), 1e-9).any()
 
 
 def rough_motor(folder):
@@ -130,10 +130,10 @@ def test_a_wrong_sign_or_unit_of_a_machine_is_refused(tmp_path, scale, said):
     for run in runs:
         time, speed, torque = np.loadtxt(run, delimiter=",", skiprows=1).T
         written(run, time, speed, scale * torque)
-    with pytest.raises(tr.InputError) as refused:
+    with pytest.raises(tr.InputError) as error_info:
         gated(runs, model)
-    assert said in str(refused.value)
-    assert not any(word in str(refused.value) for word in ("sprocket", "wheel", "gear", "vehicle", "driving"))
+    assert said in str(error_info.value)
+    assert not any(word in str(error_info.value) for word in ("sprocket", "wheel", "gear", "vehicle", "driving"))
 
 
 def cogging_motor(folder):
@@ -185,24 +185,24 @@ def diagnosed(tmp_path_factory):
 
 @pytest.mark.parametrize("name", FRICTION)
 def test_dry_friction_of_a_machine_is_confirmed(diagnosed, name):
-    found = diagnosed(name)
-    (friction,) = found.effects
+    result = diagnosed(name)
+    (friction,) = result.effects
     assert (friction.name, friction.grade) == ("coulomb_friction", "confirmed")
     assert friction.values["friction"] == pytest.approx(FRICTION[name], rel=0.1)
-    assert not any(word in warning for warning in found.warnings for word in ("times the", "failed", "clock"))
+    assert not any(word in warning for warning in result.warnings for word in ("times the", "failed", "clock"))
 
 
 def test_a_motor_without_a_delay_is_given_none(diagnosed):
-    found = diagnosed("cogging_motor")
-    assert "delay" not in found.sentence
-    assert "delay" not in {name for effect in found.effects for name in effect.members}
+    result = diagnosed("cogging_motor")
+    assert "delay" not in result.sentence
+    assert "delay" not in {name for effect in result.effects for name in effect.members}
 
 
 def test_drag_of_a_quadrotor_is_a_curve_of_its_speed(diagnosed):
-    found = diagnosed("quadrotor_flight")
-    assert found.status == "described"
-    assert any(term.variable == "speed" and term.grade == "confirmed" for term in found.described)
-    mae = found.diagnosis.held_out.mae
+    result = diagnosed("quadrotor_flight")
+    assert result.status == "described"
+    assert any(term.variable == "speed" and term.grade == "confirmed" for term in result.described)
+    mae = result.diagnosis.held_out.mae
     assert mae["with_effects"] < 0.3 * mae["refitted"]
 
 
@@ -211,12 +211,12 @@ OF_VEHICLES = ("vehicle", "sprocket", "film", "wheel", "belt", "mud", "tyre", "s
 
 @pytest.mark.parametrize("name", MADE)
 def test_texts_on_a_machine_have_no_words_of_vehicles(diagnosed, name, tmp_path):
-    found = diagnosed(name)
-    found.report(tmp_path, page=False)
+    result = diagnosed(name)
+    result.report(tmp_path, page=False)
     report = json.loads((tmp_path / "report.json").read_text())
-    said = [found.sentence, *found.warnings, *(term["sentence"] for term in report["described"])]
-    said += [part for term in report["described"] for part in term["mechanisms"]]
-    said += [text for of in report["effects"] for text in (of["text"], of["acts"]["size"])]
-    said += [of["why"] for of in report["not_visible"]]
+    texts = [result.sentence, *result.warnings, *(term["sentence"] for term in report["described"])]
+    texts += [part for term in report["described"] for part in term["mechanisms"]]
+    texts += [text for item in report["effects"] for text in (item["text"], item["acts"]["size"])]
+    texts += [item["why"] for item in report["not_visible"]]
     assert not report["advice"]  # manoeuvres for drivers
-    assert not [(word, text) for text in said for word in OF_VEHICLES if re.search(rf"\b{word}", text.lower())]
+    assert not [(word, text) for text in texts for word in OF_VEHICLES if re.search(rf"\b{word}", text.lower())]

@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.findings.next_drives import (
 )
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import lap_name, split
+from trackres_ros.diagnosis.prepare.session import lap_name, split_laps
 from trackres_ros.errors import InputError
 
 FASTEST_MPS = 14.0
@@ -66,14 +66,14 @@ def test_a_manoeuvre_that_shows_none_of_the_tied_is_worth_less():
 def tied(recorded, loaded, effects):
     """A round in which drag and offset are tied, as they are as long as one drives forwards only."""
     sessions = gate(read_recordings(recorded("drivetrain_drag"), None), loaded.known).sessions
-    before = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
+    result_before = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
     fits = {
-        name: fit(before.problem, [effects[name]], before.estimates, before.noises)
+        name: fit(result_before.problem, [effects[name]], result_before.estimates, result_before.noises)
         for name in ("drivetrain_drag", "torque_offset")
     }
-    found = [term_of_fit(before, with_it, effects[name]) for name, with_it in fits.items()]
-    drag, offset = (replace(term, level=term.gain) for term in found)
-    return replace(drag, rivals=Round(before, None, (offset,), 5.0), members=tuple(fits), weights=dict.fromkeys(fits, 0.5))
+    results = [term_of_fit(result_before, with_it, effects[name]) for name, with_it in fits.items()]
+    drag, offset = (replace(term, level=term.gain) for term in results)
+    return replace(drag, rivals=Round(result_before, None, (offset,), 5.0), members=tuple(fits), weights=dict.fromkeys(fits, 0.5))
 
 
 def test_drag_and_offset_are_told_apart_in_reverse(tied):
@@ -100,18 +100,20 @@ def test_standing_adds_no_evidence_beyond_the_models_own_error(tied):
 
 def test_laps_can_be_held_out_by_name(tied):
     sessions = tied.rivals.before.problem.sessions
-    usual = split(sessions)
+    usual = split_laps(sessions)
     laps = [lap_name(s, b) for s in sessions for b in sorted(set(s.block.tolist())) if b in usual.held_out]
-    by_name = split(sessions, laps)
+    by_name = split_laps(sessions, laps)
     assert (by_name.training, by_name.held_out) == (usual.training, usual.held_out)
     with pytest.raises(InputError):
-        split(sessions, [lap_name(s, b) for s in sessions for b in set(s.block.tolist())])
+        split_laps(sessions, [lap_name(s, b) for s in sessions for b in set(s.block.tolist())])
 
 
 def test_a_series_of_the_recordings_is_unknown_in_another_drive(tied):
-    facts, before = tied.rivals.before.problem.base.facts, tied.rivals.before
-    shape = [np.ones(len(s)) for s in before.problem.sessions]
+    facts, result_before = tied.rivals.before.problem.base.facts, tied.rivals.before
+    shape = [np.ones(len(s)) for s in result_before.problem.sessions]
     watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)
-    with_watched = fit(before.problem, [watched], before.estimates, before.noises)
-    drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](before.problem.sessions[0])
-    assert np.isfinite(squared_distances([with_watched, before], drive)).all()
+    with_watched = fit(result_before.problem, [watched], result_before.estimates, result_before.noises)
+    drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](
+        result_before.problem.sessions[0]
+    )
+    assert np.isfinite(squared_distances([with_watched, result_before], drive)).all()

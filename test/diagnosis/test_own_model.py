@@ -32,20 +32,20 @@ def motor(inputs, p):
 
 
 def model(**changed):
-    given = {"name": "motor", "torque": motor, "parameters": PARAMETERS, "max_speed": 200.0, "max_torque": 0.6}
-    return tr.OwnModel(**{**given, **changed})
+    given_valuess = {"name": "motor", "torque": motor, "parameters": PARAMETERS, "max_speed": 200.0, "max_torque": 0.6}
+    return tr.OwnModel(**{**given_valuess, **changed})
 
 
 @pytest.fixture(scope="module")
 def page(repository, tmp_path_factory):
     """The folder in which the blocks of the page were run, what they print, and the diagnosis they make."""
-    folder, printed = tmp_path_factory.mktemp("page"), io.StringIO()
-    with pytest.MonkeyPatch.context() as changed, redirect_stdout(printed):
+    folder, printed_text = tmp_path_factory.mktemp("page"), io.StringIO()
+    with pytest.MonkeyPatch.context() as changed, redirect_stdout(printed_text):
         changed.chdir(folder)
         for title, text in BLOCK.findall((repository / "docs" / "own-model.md").read_text(encoding="utf-8")):
             (folder / title).write_text(text, encoding="utf-8")
             names = runpy.run_path(title)
-    return SimpleNamespace(folder=folder, printed=printed.getvalue(), found=names["found"])
+    return SimpleNamespace(folder=folder, printed=printed_text.getvalue(), found=names["found"])
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +73,8 @@ def test_the_found_model_lacks_nothing(page):
 def test_a_fit_finds_the_values_that_made_the_torque(session):
     base = OwnBase(model())
     made = replace(session, torque=motor(session, {"inertia": 6e-4, "drag": 2e-3}), torque_course=None)
-    found = fit(Problem(base, (made,), (made.used,)))
-    assert found.base_values == pytest.approx({"inertia": 6e-4, "drag": 2e-3}, rel=0.01)
+    result = fit(Problem(base, (made,), (made.used,)))
+    assert result.base_values == pytest.approx({"inertia": 6e-4, "drag": 2e-3}, rel=0.01)
 
 
 def test_an_effect_adds_to_what_the_function_says(session):
@@ -90,8 +90,8 @@ def test_an_effect_adds_to_what_the_function_says(session):
 def test_a_parameter_without_a_range_is_held(session):
     base = OwnBase(model(parameters={**PARAMETERS, "drag": (1e-3, 1e-3, 1e-3, "Nm s")}))
     assert [q.name for q in base.parameters] == ["inertia"]
-    (found,) = base.predict([session], {"inertia": 4e-4}, ())
-    assert found.torque == pytest.approx(motor(session, {"inertia": 4e-4, "drag": 1e-3}), abs=1e-15)
+    (result,) = base.predict([session], {"inertia": 4e-4}, ())
+    assert result.torque == pytest.approx(motor(session, {"inertia": 4e-4, "drag": 1e-3}), abs=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_function_that_changes_its_inputs_changes_no_result(session):
     friction = Active(catalogue(size=0.6)["coulomb_friction"], {"friction": 0.1})
     values = {"inertia": 4e-4, "drag": 1e-3}
     bases = (OwnBase(model(torque=torque)) for torque in (motor, careless))
-    pure, other = ([one.torque for one in base.predict([session] * 2, values, [friction])] for base in bases)
+    pure, other = ([item.torque for item in base.predict([session] * 2, values, [friction])] for base in bases)
     np.testing.assert_array_equal(pure, other)
 
 

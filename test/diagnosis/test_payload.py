@@ -65,9 +65,9 @@ def fitted(base, loaded_kg, seed=1, mean_kg=0.0, gain=1.0, later_kg=0.0):
     shown = []
     for session, torque in zip(sessions, torques, strict=True):
         noise = lfilter([1.0], [1.0, -NOISE_PHI], rng.normal(0.0, NOISE_NM, len(torque)))
-        moving = np.abs(session.speed) > 0.5
+        is_moving = np.abs(session.speed) > 0.5
         of_file = np.full(len(torque), base.facts.weight)
-        shown.append(replace(session, torque=gain * torque + noise, weight=of_file, given=frozenset({"grade"}), used=moving))
+        shown.append(replace(session, torque=gain * torque + noise, weight=of_file, given=frozenset({"grade"}), used=is_moving))
     problem = Problem(base, tuple(shown), tuple(s.used & (s.time < FITTED_S) for s in shown))
     return fit(problem), masses
 
@@ -79,33 +79,33 @@ def looked_for(found):
 @pytest.fixture(scope="module")
 def carried(car):
     """A fit to drives with loads, their masses, and the term that is found."""
-    found, masses = fitted(car, 250.0)
-    return found, masses, looked_for(found)
+    result, masses = fitted(car, 250.0)
+    return result, masses, looked_for(result)
 
 
 def check_masses(stretches, masses):
     """Errors are as large as the std says; the mean is the model's own mass."""
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
     mass, std = (np.array([getattr(s, name) for s in stretches]) for name in ("mass", "std"))
-    off = (mass - mass.mean()) - (true - true.mean())
-    assert np.sqrt(np.mean((off / std) ** 2)) < 1.5
-    assert np.sqrt(np.mean(off**2)) < 0.4 * true.std()
+    deviation = (mass - mass.mean()) - (true - true.mean())
+    assert np.sqrt(np.mean((deviation / std) ** 2)) < 1.5
+    assert np.sqrt(np.mean(deviation**2)) < 0.4 * true.std()
 
 
 def test_masses_are_found_as_sure_as_is_said(car, carried):
     other, other_masses = fitted(car, 250.0, seed=2)
     for masses, term in (carried[1:], (other_masses, looked_for(other))):
-        told = describe(term, term.fit)
-        check_masses(told.pattern.stretches, masses)
-        assert "kg less and" in told.sentence
+        statement = describe(term, term.fit)
+        check_masses(statement.pattern.stretches, masses)
+        assert "kg less and" in statement.sentence
 
 
 def test_masses_do_not_depend_on_where_the_last_fit_ended(carried):
-    found = carried[0]
-    point = found.point + [0.01 * (f.key[0] == "torque_gain") for f in found.free]
-    moved = replace(found, point=point, predicted=found.problem.predict(*found.model_at(point)))
-    mean, moved_mean = (np.mean([s.mass for s in find_payload(f, torque_residuals(f)).stretches]) for f in (found, moved))
-    assert moved_mean == pytest.approx(mean, abs=0.001 * mass_of(found))
+    result = carried[0]
+    point = result.point + [0.01 * (f.key[0] == "torque_gain") for f in result.free]
+    moved = replace(result, point=point, predicted=result.problem.predict(*result.model_at(point)))
+    mean, moved_mean = (np.mean([s.mass for s in find_payload(f, torque_residuals(f)).stretches]) for f in (result, moved))
+    assert moved_mean == pytest.approx(mean, abs=0.001 * mass_of(result))
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -114,38 +114,38 @@ def test_a_vehicle_that_weighs_the_same_has_no_payload(car, seed):
 
 
 def test_nothing_is_looked_for_where_loads_are_recorded(carried):
-    found = carried[0]
-    sessions = tuple(replace(s, given=s.given | {"load"}) for s in found.problem.sessions)
-    found = replace(found, problem=replace(found.problem, sessions=sessions))
-    assert find_payload(found, [np.zeros(len(s)) for s in found.problem.sessions]) is None
+    result = carried[0]
+    sessions = tuple(replace(s, given=s.given | {"load"}) for s in result.problem.sessions)
+    result = replace(result, problem=replace(result.problem, sessions=sessions))
+    assert find_payload(result, [np.zeros(len(s)) for s in result.problem.sessions]) is None
 
 
 def test_earlier_payload_measurements_improve_unfitted_laps(carried):
-    found, _, term = carried
-    with_term, problem = term.fit, found.problem
+    result, _, term = carried
+    with_term, problem = term.fit, result.problem
     without = residuals_without(with_term, PAYLOAD)
     later = [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
     adds = with_term.contribution(PAYLOAD)
-    before, after = (
-        np.mean(np.abs(np.concatenate([r[m] for r, m in zip(of, later, strict=True)])))
-        for of in (without, [r - x for r, x in zip(without, adds, strict=True)])
+    result_before, result_after = (
+        np.mean(np.abs(np.concatenate([r[m] for r, m in zip(item, later, strict=True)])))
+        for item in (without, [r - x for r, x in zip(without, adds, strict=True)])
     )
-    assert after < 0.95 * before
+    assert result_after < 0.95 * result_before
 
 
 def test_the_other_half_of_a_stretch_forecasts_its_mass(carried):
-    found = carried[0]
-    session, mask = found.problem.sessions[0], found.problem.masks[0]
+    result = carried[0]
+    session, mask = result.problem.sessions[0], result.problem.masks[0]
     number = stretch_numbers(session)
     early = mask & (number == 3) & (halves(number, mask) == 0)
-    residuals = torque_residuals(found)
-    heavier = [residuals[0] + early * torque_per_kilogram(found, mass_of(found))[0] * LOADED_KG, *residuals[1:]]
-    before, after = (find_payload(found, r) for r in (residuals, heavier))
-    fitted, forecast = (np.abs(after.level * y[0] - before.level * x[0]) for x, y in
-                        ((before.shape, after.shape), (before.ahead, after.ahead)))  # fmt: skip
+    residuals = torque_residuals(result)
+    heavier = [residuals[0] + early * torque_per_kilogram(result, mass_of(result))[0] * LOADED_KG, *residuals[1:]]
+    result_before, result_after = (find_payload(result, r) for r in (residuals, heavier))
+    fit_result, forecast = (np.abs(result_after.level * y[0] - result_before.level * x[0]) for x, y in
+                        ((result_before.shape, result_after.shape), (result_before.ahead, result_after.ahead)))  # fmt: skip
     later = mask & (number == 3) & ~early
-    assert forecast[early].mean() < 0.2 * fitted[early].mean()
-    assert forecast[later].mean() > fitted[later].mean()
+    assert forecast[early].mean() < 0.2 * fit_result[early].mean()
+    assert forecast[later].mean() > fit_result[later].mean()
 
 
 def test_a_vehicle_that_stands_is_not_pushed(carried):
@@ -155,23 +155,23 @@ def test_a_vehicle_that_stands_is_not_pushed(carried):
 
 
 def test_mass_errors_match_their_std_with_learned_slopes(car, carried):
-    found, masses, _ = carried
-    problem, rng = found.problem, np.random.default_rng(1)
+    result, masses, _ = carried
+    problem, rng = result.problem, np.random.default_rng(1)
     radius, places = car.facts.radius, STRETCH_S
     slope = rng.normal(0.0, SLOPE, places)
-    at = [(s.time % STRETCH_S).astype(int) for s in problem.sessions]  # it speeds up at the same places, loaded or not
+    places_here = [(s.time % STRETCH_S).astype(int) for s in problem.sessions]  # it speeds up at the same places, loaded or not
     columns = tuple(
         sparse.csr_matrix((s.weight * radius, (np.arange(len(s)), place)), (len(s), places))
-        for s, place in zip(problem.sessions, at, strict=True)
+        for s, place in zip(problem.sessions, places_here, strict=True)
     )
-    left = [s.torque - p.torque + z @ slope for s, p, z in zip(problem.sessions, found.predicted, columns, strict=True)]
+    remainders = [s.torque - p.torque + z @ slope for s, p, z in zip(problem.sessions, result.predicted, columns, strict=True)]
     count, total = np.zeros(places), np.zeros(places)
-    for residual, place, mask, session in zip(left, at, problem.masks, problem.sessions, strict=True):
+    for residual, place, mask, session in zip(remainders, places_here, problem.masks, problem.sessions, strict=True):
         np.add.at(total, place[mask], residual[mask] / (session.weight[mask] * radius))
         np.add.at(count, place[mask], 1.0)
     adds = tuple(z @ (total / np.maximum(count, 1.0)) for z in columns)
     slopes = JointValues(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc(), np.zeros(places))
-    payload = find_payload(found, [r - x for r, x in zip(left, adds, strict=True)], slopes)
+    payload = find_payload(result, [r - x for r, x in zip(remainders, adds, strict=True)], slopes)
     check_masses(payload.stretches, masses)
 
 
@@ -181,19 +181,19 @@ def chosen(explained):
 
     def choose(found):
         facts = found.problem.base.facts
-        whole = catalogue(None, facts.weight * facts.radius)
-        return explained(found, {name: whole[name] for name in ("torque_gain", "rotating_inertia")}).chosen
+        total = catalogue(None, facts.weight * facts.radius)
+        return explained(found, {name: total[name] for name in ("torque_gain", "rotating_inertia")}).chosen
 
     return choose
 
 
 def test_loads_with_a_mean_offset_are_payload_not_torque_scale(track, chosen):
-    found, masses = fitted(track, 900.0, mean_kg=1800.0)
-    of = chosen(found)
-    assert of.explanation.key == {PAYLOAD}
-    told = describe(of.explanation.terms[PAYLOAD], of.final)
+    result, masses = fitted(track, 900.0, mean_kg=1800.0)
+    item = chosen(result)
+    assert item.explanation.key == {PAYLOAD}
+    statement = describe(item.explanation.terms[PAYLOAD], item.final)
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
-    mass = np.array([s.mass for s in told.pattern.stretches])
+    mass = np.array([s.mass for s in statement.pattern.stretches])
     assert mass.mean() == pytest.approx(true.mean(), rel=0.25)
     assert np.corrcoef(mass, true)[0, 1] > 0.8
 
@@ -205,9 +205,9 @@ def test_a_torque_of_another_scale_is_named_and_no_payload(track, chosen):
 
 
 def test_a_term_that_laps_refute_yields_to_a_confirmed_payload(track, chosen):
-    of = chosen(fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)[0])
-    assert of.explanation.key == {PAYLOAD}
-    assert of.explanation.terms[PAYLOAD].confirmed
+    item = chosen(fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)[0])
+    assert item.explanation.key == {PAYLOAD}
+    assert item.explanation.terms[PAYLOAD].confirmed
 
 
 def test_a_stop_ends_its_stretch_and_a_short_stop_begins_none(car):

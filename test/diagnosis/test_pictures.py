@@ -86,15 +86,15 @@ def test_both_back_ends_draw_the_same_series(drawn, diagnosed, tmp_path):
         titles = [plot["title"].attributes["text"] for plot in plots]
         assert sorted(titles) == sorted(axis.get_title(loc="left") for axis in axes)
         for panel, plot in zip(chart.panels, plots, strict=True):
-            renderers = [(of.attributes["glyph"].name, of.attributes["data_source"]) for of in plot["renderers"]]
+            renderers = [(item.attributes["glyph"].name, item.attributes["data_source"]) for item in plot["renderers"]]
             columns_of = [(glyph, source.attributes["data"]) for glyph, source in renderers]
             for number, line in enumerate(panel.lines):
-                shown = next(columns[f"y{number}"] for glyph, columns in columns_of if glyph == "Line")
+                shown_text = next(columns[f"y{number}"] for glyph, columns in columns_of if glyph == "Line")
                 wanted = np.concatenate([[*y, np.nan] for _, y in line.pieces])
-                np.testing.assert_allclose(shown, wanted, atol=0.01 * max(1.0, np.nanmax(np.abs(wanted))))
+                np.testing.assert_allclose(shown_text, wanted, atol=0.01 * max(1.0, np.nanmax(np.abs(wanted))))
             tops = [columns["top"] for glyph, columns in columns_of if glyph == "VBar"]
-            for bars, shown in zip([of for of in panel.elements if isinstance(of, Bars)], tops, strict=True):
-                np.testing.assert_allclose(shown, bars.height, atol=0.1)
+            for bars, shown_text in zip([item for item in panel.elements if isinstance(item, Bars)], tops, strict=True):
+                np.testing.assert_allclose(shown_text, bars.height, atol=0.1)
 
 
 @pytest.mark.parametrize("named", [True, False])
@@ -136,25 +136,25 @@ def test_the_first_picture_has_the_residual_and_its_terms(drawn, diagnosed, noth
 
 def test_the_terms_and_what_is_left_add_up_to_the_residual(drawn, diagnosed, tmp_path):
     """Several terms: each less what a re-fit takes up of it; the wrong one is dashed."""
-    (one,) = diagnosed.found
+    (item,) = diagnosed.found
     other = replace(
-        one,
+        item,
         effect=SimpleNamespace(name="another_with_a_long_name_that_takes_its_room"),
         adds=[np.where(s.used, 5.0 * np.sin(s.time / 40.0), 0.0) for s in diagnosed.sessions],
     )
-    unsure = replace(other, improvement=replace(one.improvement, low=-9.0, likelier=-1.0))
-    for d in (diagnosed, replace(diagnosed, terms=(one, unsure))):
+    unsure = replace(other, improvement=replace(item.improvement, low=-9.0, likelihood_bound=-1.0))
+    for d in (diagnosed, replace(diagnosed, terms=(item, unsure))):
         draw(timeline(d), tmp_path / "b.png")
         assert not drawn.faults(drawn.figures[-1])
         above, below = timeline(d).panels
         *terms, residual = above.lines
-        (left,) = below.lines
+        (remainder,) = below.lines
         assert [t.is_dashed for t in terms] == [False, True][: len(terms)]
         assert len({line.colour for panel in (above, below) for line in panel.lines}) == len(terms) + 2
         for i in range(len(d.sessions)):
-            of_terms, (_, rest), (_, whole) = (t.pieces[i][1] for t in terms), left.pieces[i], residual.pieces[i]
-            np.testing.assert_allclose(sum(of_terms) + rest, whole, atol=1e-6)
-    scrub = one.adds
+            of_terms, (_, rest), (_, total) = (t.pieces[i][1] for t in terms), remainder.pieces[i], residual.pieces[i]
+            np.testing.assert_allclose(sum(of_terms) + rest, total, atol=1e-6)
+    scrub = item.adds
     share = [np.nanstd(t.pieces[0][1]) / np.std(scrub[0]) for t in terms]
     assert share[0] > 0.3 > share[1]
 
@@ -183,9 +183,9 @@ def test_of_a_long_lap_the_part_with_the_most_mismatch_is_drawn(diagnosed, longe
     lap = np.flatnonzero(session.block == session.block[rows[0]])
     assert text == ("a hold-out lap" if len(rows) == len(lap) else f"the worst {len(rows)} s of a hold-out lap")
     assert len(rows) == min(len(lap), longest_s)
-    off = np.where(session.used, np.abs(session.torque - d.refitted.predicted[index].torque), 0.0)
-    others = [off[lap[i : i + len(rows)]].sum() for i in range(len(lap) - len(rows) + 1)]
-    assert off[rows].sum() == pytest.approx(max(others))
+    deviation = np.where(session.used, np.abs(session.torque - d.refitted.predicted[index].torque), 0.0)
+    others = [deviation[lap[i : i + len(rows)]].sum() for i in range(len(lap) - len(rows) + 1)]
+    assert deviation[rows].sum() == pytest.approx(max(others))
 
 
 @pytest.mark.parametrize("cuts", [[1], [400], [100, 700, 950]])
@@ -200,11 +200,11 @@ def test_the_regime_of_an_effect_has_the_mean_over_marked_times(diagnosed):
     d = diagnosed
     warmer = replace(d.final, predicted=[replace(p, belt=p.belt + 7.0) for p in d.final.predicted])
     belts = np.concatenate([p.belt for p in warmer.predicted])
-    where = Location("belt temperature", "degC", float(np.median(belts)), belts.max(), belts.min(), belts.max(), 0.0, 1.0, 1.0)
-    (here, *_) = regime_of(d.refitted, warmer, d.at_base, where)
-    d = replace(d, final=warmer, terms=(replace(d.found[0], location=where),), verdict=NAMED)
+    location = Location("belt temperature", "degC", float(np.median(belts)), belts.max(), belts.min(), belts.max(), 0.0, 1.0, 1.0)
+    (here, *_) = regime_of(d.refitted, warmer, d.at_base, location)
+    d = replace(d, final=warmer, terms=(replace(d.found[0], location=location),), verdict=NAMED)
     text, marked = marked_times(d)
-    assert text == where.text
+    assert text == location.text
     middle = np.concatenate([minutes(d, i) + s.step / 120.0 for i, s in enumerate(d.sessions)])
     inside = np.any([(begin < middle) & (middle < end) for begin, end in marked], axis=0)
     residual = np.concatenate(against_travel(d.sessions, torque_residuals(d.refitted)))
@@ -215,12 +215,12 @@ def test_the_regime_of_an_effect_has_the_mean_over_marked_times(diagnosed):
 def test_the_size_of_an_effect_is_its_mean_where_it_acts(diagnosed):
     """Not the mean residual of a base that absorbed a part of it."""
     sessions = diagnosed.sessions
-    where = locate(diagnosed.final, [100.0 * (s.speed > 2.0) for s in sessions])
+    location = locate(diagnosed.final, [100.0 * (s.speed > 2.0) for s in sessions])
     speed = np.concatenate([s.speed[s.used] for s in sessions])
-    inside = (speed >= where.low) & (speed <= where.high)
-    assert where.variable == "speed"
-    assert where.mean == pytest.approx(100.0 * np.mean(speed[inside] > 2.0))
-    assert where.rms == pytest.approx(100.0 * np.sqrt(np.mean(speed > 2.0)))
+    is_inside = (speed >= location.low) & (speed <= location.high)
+    assert location.variable == "speed"
+    assert location.mean == pytest.approx(100.0 * np.mean(speed[is_inside] > 2.0))
+    assert location.rms == pytest.approx(100.0 * np.sqrt(np.mean(speed > 2.0)))
 
 
 def test_a_sided_gain_is_drawn_of_steps_where_it_acts(drawn, diagnosed, tmp_path):
@@ -234,9 +234,9 @@ def test_a_sided_gain_is_drawn_of_steps_where_it_acts(drawn, diagnosed, tmp_path
 
 @pytest.mark.parametrize("count", [1, 9, 70])
 def test_any_number_of_recordings_with_any_names(drawn, diagnosed, tmp_path, count):
-    of = [i % 2 for i in range(count)]
-    sessions = [replace(diagnosed.sessions[i], name=f"{k}/{LONG}") for k, i in enumerate(of)]
-    picture = draw(times(with_sessions(diagnosed, sessions, of)), tmp_path / "t.png")
+    item = [i % 2 for i in range(count)]
+    sessions = [replace(diagnosed.sessions[i], name=f"{k}/{LONG}") for k, i in enumerate(item)]
+    picture = draw(times(with_sessions(diagnosed, sessions, item)), tmp_path / "t.png")
     (figure,) = drawn.figures
     assert not drawn.faults(figure)
     titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
@@ -264,6 +264,6 @@ def test_any_regimes(drawn, diagnosed, tmp_path, edges):
         for name in ("speed", "yaw rate to the left", "load", "time since start")
         for low, high in pairwise(edges)
     )
-    found = RegimeMap(bins, 0.01, 1000)
-    draw(regimes(replace(diagnosed, at_base=found, at_end=found)), tmp_path / "r.png")
+    result = RegimeMap(bins, 0.01, 1000)
+    draw(regimes(replace(diagnosed, at_base=result, at_end=result)), tmp_path / "r.png")
     assert not drawn.faults(drawn.figures[0])

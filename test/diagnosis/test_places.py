@@ -33,13 +33,13 @@ def driven(seed, size=0.0, lap_m=LAP_M, lengths=LONG, seconds=3.0, besides=lambd
     for n in lengths:
         corners = np.arange(0, n + 1, 60)
         speed = np.interp(np.arange(n), corners, rng.uniform(2.0, 9.0, len(corners)))
-        for at in rng.integers(0, n, 3):
-            speed[at : at + 20] = 0.0
+        for integer in rng.integers(0, n, 3):
+            speed[integer : integer + 20] = 0.0
         distance = np.cumsum(speed)
         place = distance % lap_m
         residual = autoregression(n, rng, seconds, COLOURED_NM) + rng.normal(0.0, WHITE_NM, n) + besides(n, rng)
         drives.append((distance, residual + size * ((place > BEGIN_M) & (place < END_M)), speed > 0.1, np.ones(n)))
-    return [list(of) for of in zip(*drives, strict=True)]
+    return [list(item) for item in zip(*drives, strict=True)]
 
 
 NOWHERE = {
@@ -60,26 +60,26 @@ def test_what_comes_again_nowhere_has_no_place(kind):
 @pytest.mark.parametrize(("seed", "size"), [(50, 150.0), (51, 300.0), (52, -300.0), (53, 600.0)])
 def test_a_place_is_found_where_it_is_with_its_size(seed, size):
     distances, *others = driven(seed, size)
-    found = find_place(distances, *others)
-    assert found.folded
-    assert found.lap_m == pytest.approx(LAP_M, rel=0.005)
-    assert found.begin_m == pytest.approx(BEGIN_M, abs=25.0)
-    assert found.end_m == pytest.approx(END_M, abs=25.0)
-    assert found.size == pytest.approx(size, rel=0.15)
+    result = find_place(distances, *others)
+    assert result.is_folded
+    assert result.lap_m == pytest.approx(LAP_M, rel=0.005)
+    assert result.begin_m == pytest.approx(BEGIN_M, abs=25.0)
+    assert result.end_m == pytest.approx(END_M, abs=25.0)
+    assert result.size == pytest.approx(size, rel=0.15)
     ends = [d[-1] for d in distances]
-    assert found.passes == pytest.approx(sum(end // LAP_M for end in ends), abs=2)
-    for shape, distance in zip(found.shape, distances, strict=True):
+    assert result.passes == pytest.approx(sum(end // LAP_M for end in ends), abs=2)
+    for shape, distance in zip(result.shape, distances, strict=True):
         there = (distance % LAP_M > BEGIN_M) & (distance % LAP_M < END_M)
         assert np.corrcoef(shape, there)[0, 1] > 0.8
 
 
 def test_it_is_known_where_it_was_not_learned():
     distances, residuals, masks, loads = driven(54, 300.0)
-    fitted = [masks[0], masks[1] & (np.arange(LONG[1]) < 600)]
-    found = find_place(distances, residuals, fitted, loads)
-    later = masks[1] & ~fitted[1]
-    left = residuals[1] - found.size * found.shape[1]
-    assert np.var(left[later]) < 0.6 * np.var(residuals[1][later])
+    fit_results = [masks[0], masks[1] & (np.arange(LONG[1]) < 600)]
+    result = find_place(distances, residuals, fit_results, loads)
+    later = masks[1] & ~fit_results[1]
+    remainder = residuals[1] - result.size * result.shape[1]
+    assert np.var(remainder[later]) < 0.6 * np.var(residuals[1][later])
 
 
 def test_the_larger_the_torque_the_larger_what_is_found():
@@ -88,8 +88,8 @@ def test_the_larger_the_torque_the_larger_what_is_found():
 
 
 def test_where_too_little_was_driven_there_is_no_place():
-    course, zero, one = np.linspace(0.0, SHORTEST_LAP_M, 200), np.zeros(200), np.ones(200)
-    assert find_place([course], [zero], [one > 0.0], [one]) is None
+    course, zero, item = np.linspace(0.0, SHORTEST_LAP_M, 200), np.zeros(200), np.ones(200)
+    assert find_place([course], [zero], [item > 0.0], [item]) is None
 
 
 def session(speed, way=1.0, given=frozenset({"yaw_rate"})):
@@ -101,24 +101,24 @@ def session(speed, way=1.0, given=frozenset({"yaw_rate"})):
 def test_positions_fall_on_laps_the_other_way_and_in_reverse():
     forward = np.full(1000, 6.0)
     with_reversing = np.where(np.arange(1000) % 100 < 20, -3.0, 6.0)
-    one, two, three, four = driven_along(
+    item, two, three, four = driven_along(
         [session(forward), session(forward, -1.0), session(with_reversing), session(-forward, way=1.0)]
     )
-    assert one[-1] == pytest.approx(6.0 * 999)
-    np.testing.assert_allclose(two, -one)
+    assert item[-1] == pytest.approx(6.0 * 999)
+    np.testing.assert_allclose(two, -item)
     assert three[-1] == pytest.approx(np.sum(with_reversing[1:]))
-    np.testing.assert_allclose(four, -one)
+    np.testing.assert_allclose(four, -item)
     unknown = [session(forward, given=frozenset()), session(forward, -1.0, given=frozenset())]
     assert all(d[-1] > 0.0 for d in driven_along(unknown))
 
 
 @pytest.mark.parametrize(("scale", "known_as"), [(1.03, 1.03), (0.0, 1.0), (2.0, 1.0)])
 def test_an_odometer_that_agrees_with_speed_gives_the_distance(recorded, loaded, scale, known_as):
-    (one, *_) = read_recordings(recorded(), None)
-    speed = one.series["speed"]
+    (item, *_) = read_recordings(recorded(), None)
+    speed = item.series["speed"]
     driven_m = np.cumsum(np.abs(speed.value) * np.gradient(speed.stamp_ns * 1e-9))
-    odometer = replace(one, series={**one.series, "distance": replace(speed, value=scale * driven_m)})
-    (session,), (as_driven,) = (gate([r], loaded.known, frozenset(), []).sessions for r in (odometer, one))
+    odometer = replace(item, series={**item.series, "distance": replace(speed, value=scale * driven_m)})
+    (session,), (as_driven,) = (gate([r], loaded.known, frozenset(), []).sessions for r in (odometer, item))
     assert np.ptp(session.distance) == pytest.approx(known_as * np.ptp(as_driven.distance), rel=0.005)
 
 
@@ -128,22 +128,22 @@ def test_a_place_is_found_on_laps_that_are_driven_both_ways(seed):
     for way, load in ((1.0, 0.8), (-1.0, 1.2), (1.0, 1.0)):
         speed = np.interp(np.arange(1200), np.arange(0, 1201, 60), rng.uniform(2.0, 9.0, 21))
         speed[600:630] = -4.0
-        at = way * np.cumsum(speed)
-        there = (at % LAP_M > BEGIN_M) & (at % LAP_M < END_M)
+        sample_times = way * np.cumsum(speed)
+        there = (sample_times % LAP_M > BEGIN_M) & (sample_times % LAP_M < END_M)
         residual = autoregression(1200, rng, 3.0, COLOURED_NM) + rng.normal(0.0, WHITE_NM, 1200)
-        drives.append((at, residual + 300.0 * load * there, speed != 0.0, np.full(1200, load)))
-    found = find_place(*(list(of) for of in zip(*drives, strict=True)))
-    assert found.lap_m == pytest.approx(LAP_M, rel=0.003)
-    assert (found.begin_m, found.end_m) == pytest.approx((BEGIN_M, END_M), abs=25.0)
-    assert found.size == pytest.approx(300.0, rel=0.15)
-    typical = [np.max(np.abs(shape)) for shape in found.shape]
+        drives.append((sample_times, residual + 300.0 * load * there, speed != 0.0, np.full(1200, load)))
+    result = find_place(*(list(item) for item in zip(*drives, strict=True)))
+    assert result.lap_m == pytest.approx(LAP_M, rel=0.003)
+    assert (result.begin_m, result.end_m) == pytest.approx((BEGIN_M, END_M), abs=25.0)
+    assert result.size == pytest.approx(300.0, rel=0.15)
+    typical = [np.max(np.abs(shape)) for shape in result.shape]
     assert typical[1] / typical[0] == pytest.approx(1.5, rel=0.05)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_recordings_starting_at_one_place_are_passes_of_a_route(seed):
-    found = find_place(*driven(seed, 600.0, lap_m=1e9, lengths=(600,) * 6))
-    assert not found.folded
-    assert found.passes == 6
-    assert (found.begin_m, found.end_m) == pytest.approx((BEGIN_M, END_M), abs=25.0)
-    assert found.size == pytest.approx(600.0, rel=0.15)
+    result = find_place(*driven(seed, 600.0, lap_m=1e9, lengths=(600,) * 6))
+    assert not result.is_folded
+    assert result.passes == 6
+    assert (result.begin_m, result.end_m) == pytest.approx((BEGIN_M, END_M), abs=25.0)
+    assert result.size == pytest.approx(600.0, rel=0.15)

@@ -31,37 +31,37 @@ def in_the_cold(session, _):
 @pytest.fixture(scope="module")
 def cold():
     """A step over the ambient temperature in a noise that is nearly a random walk, and what is proposed for it."""
-    found = driven(adds=in_the_cold, changed=weather, count=4, phi=0.985)
-    return found, Proposer(found, named(), scored(found)).proposals(found)
+    result = driven(adds=in_the_cold, changed=weather, count=4, phi=0.985)
+    return result, Proposer(result, named(), scored(result)).proposals(result)
 
 
 @pytest.fixture(scope="module")
 def delayed():
     """A torque that is recorded late, and what is proposed for it."""
-    found = driven(shows=[Active(named()["delay"], {"time": LATE_S})])
+    result = driven(shows=[Active(named()["delay"], {"time": LATE_S})])
     names = {name: named()[name] for name in ("delay", "warmup", "torque_gain", "rotating_inertia", "speed_scale")}
-    return found, Proposer(found, names, scored(found)).proposals(found)
+    return result, Proposer(result, names, scored(result)).proposals(result)
 
 
 def rank(proposals, name, by):
-    return sorted((getattr(p, by) for p in proposals.every.values()), reverse=True).index(getattr(proposals.every[name], by))
+    return sorted((getattr(p, by) for p in proposals.by_name.values()), reverse=True).index(getattr(proposals.by_name[name], by))
 
 
 def test_a_slow_step_in_a_random_walk_is_first_by_its_level(cold):
-    found, proposals = cold
-    assert found.problem.noises(found.residuals)["torque"].phi.sum() > 0.9
-    first = max(proposals.every.values(), key=lambda p: p.level)
+    result, proposals = cold
+    assert result.problem.noises(result.residuals)["torque"].phi.sum() > 0.9
+    first = max(proposals.by_name.values(), key=lambda p: p.level)
     assert first.effect.name == "step_of_ambient"
     assert first in proposals.best(())
     assert first.start["threshold"] == pytest.approx(COLD_DEGC, abs=0.5)
     assert first.start["y1"] == pytest.approx(-COLD_NM, rel=0.4)  # the base takes a part
     # To the whitened residual it is nearly nothing.
-    assert first.fast < 0.2 * first.level
+    assert first.fast_gain < 0.2 * first.level
 
 
 def test_a_form_at_a_found_threshold_has_the_size_of_the_vehicle():
-    found = driven(of=machine(), adds=lambda s, _: COLD_NM * (np.abs(s.speed) > 6.0))
-    proposed = Proposer(found, {}, scored(found)).proposals(found).every["step_of_speed"].effect
+    result = driven(of=machine(), adds=lambda s, _: COLD_NM * (np.abs(s.speed) > 6.0))
+    proposed = Proposer(result, {}, scored(result)).proposals(result).by_name["step_of_speed"].effect
     facts = machine().facts
     of_vehicle = sized_effect(Corner(SPEED, STEP), facts.weight * facts.radius)
     sizes = [[q for q in effect.parameters if q.off is not None] for effect in (proposed, of_vehicle, Corner(SPEED, STEP))]
@@ -71,37 +71,37 @@ def test_a_form_at_a_found_threshold_has_the_size_of_the_vehicle():
 def test_a_delay_is_proposed_by_the_whitened_residual(delayed):
     _, proposals = delayed
     assert rank(proposals, "delay", "fast") == 0
-    of = proposals.every["delay"]
-    assert of in proposals.best(())
-    assert of.level < 0.2 * of.fast
-    assert of.start["time"] > 0.0
+    item = proposals.by_name["delay"]
+    assert item in proposals.best(())
+    assert item.level < 0.2 * item.fast_gain
+    assert item.start["time"] > 0.0
 
 
 def test_the_best_of_both_lists_are_proposed_if_beyond_chance(cold, delayed):
     for _, proposals in (cold, delayed):
-        every, least = proposals.every.values(), np.log(len(proposals.every))
+        every, least = proposals.by_name.values(), np.log(len(proposals.by_name))
         lists = [sorted(every, key=lambda p, by=by: -getattr(p, by))[:4] for by in ("level", "fast")]
-        expected = {p.effect.name for p in (*lists[0], *lists[1]) if max(p.level, p.fast) > least}
-        if expected & set(TIED):
-            expected |= set(TIED) & proposals.every.keys()
-        assert {p.effect.name for p in proposals.best(())} == expected
-        assert len(expected) > BEST
+        expectations = {p.effect.name for p in (*lists[0], *lists[1]) if max(p.level, p.fast_gain) > least}
+        if expectations & set(TIED):
+            expectations |= set(TIED) & proposals.by_name.keys()
+        assert {p.effect.name for p in proposals.best(())} == expectations
+        assert len(expectations) > BEST
 
 
 def test_nothing_is_proposed_twice_nor_what_is_there_already(delayed):
-    found, proposals = delayed
+    result, proposals = delayed
     names = [p.effect.name for p in proposals.best(())]
     assert len(names) == len(set(names))
-    assert all(name == p.effect.name for name, p in proposals.every.items())
-    with_it = replace(found, effects=(Active(named()["delay"], {"time": LATE_S}),))
+    assert all(name == p.effect.name for name, p in proposals.by_name.items())
+    with_it = replace(result, effects=(Active(named()["delay"], {"time": LATE_S}),))
     over_speed = form(Corner(SPEED, STEP))
-    assert any(same_variable(p.effect, over_speed) for p in proposals.every.values())
+    assert any(same_variable(p.effect, over_speed) for p in proposals.by_name.values())
     with_it = replace(with_it, effects=(*with_it.effects, Active(over_speed, {q.name: q.start for q in over_speed.parameters})))
-    again = Proposer(found, {name: named()[name] for name in ("delay", "warmup")}, scored(found)).proposals(with_it)
-    assert "delay" not in again.every
-    assert "warmup" in again.every
-    assert not any(same_variable(p.effect, over_speed) for p in again.every.values())
-    assert any(isinstance(p.effect, Curve | Corner) for p in again.every.values())  # over another variable
+    repetition = Proposer(result, {name: named()[name] for name in ("delay", "warmup")}, scored(result)).proposals(with_it)
+    assert "delay" not in repetition.by_name
+    assert "warmup" in repetition.by_name
+    assert not any(same_variable(p.effect, over_speed) for p in repetition.by_name.values())
+    assert any(isinstance(p.effect, Curve | Corner) for p in repetition.by_name.values())  # over another variable
 
 
 def test_each_start_is_within_bounds_and_not_at_zero(cold, delayed):
@@ -153,39 +153,40 @@ def test_a_start_is_on_the_side_that_bounds_allow(low, high, moved, sizes):
 @pytest.mark.parametrize("turned", [False, True])
 def test_of_two_starts_the_one_that_gains_more_is_fitted(turned):
     """In either list it has the gain of the better one."""
-    slow, fast = proposal(None, {"at": 1.0}, level=5.0, fast=1.0), proposal(None, {"at": 2.0}, level=2.0, fast=9.0)
-    found = _stronger(fast, slow) if turned else _stronger(slow, fast)
-    assert (found.start["at"], found.level, found.fast) == (2.0, 5.0, 9.0)
+    slow, fast = proposal(None, {"at": 1.0}, level=5.0, fast_gain=1.0), proposal(None, {"at": 2.0}, level=2.0, fast_gain=9.0)
+    result = _stronger(fast, slow) if turned else _stronger(slow, fast)
+    assert (result.start["at"], result.level, result.fast_gain) == (2.0, 5.0, 9.0)
 
 
 def test_derivatives_are_those_of_sizes_and_not_of_a_shape():
     parameters = [
-        Parameter(n, "Nm", 0.0, 9.0, 1.0, "of it", off=off) for n, off in (("one", 0.0), ("shape", None), ("other", 0.0))
+        Parameter(n, "Nm", 0.0, 9.0, 1.0, "of it", off=deviation)
+        for n, deviation in (("one", 0.0), ("shape", None), ("other", 0.0))
     ]
     effect = SimpleNamespace(name="any", parameters=tuple(parameters))
-    found = proposal(effect, columns=np.array([[1.0, 2.0], [3.0, 4.0]])).derivatives
-    assert {key: column.tolist() for key, column in found.items()} == {("any", "one"): [1.0, 3.0], ("any", "other"): [2.0, 4.0]}
+    result = proposal(effect, columns=np.array([[1.0, 2.0], [3.0, 4.0]])).derivatives
+    assert {key: column.tolist() for key, column in result.items()} == {("any", "one"): [1.0, 3.0], ("any", "other"): [2.0, 4.0]}
 
 
 def test_where_nothing_is_visible_nothing_is_proposed():
     """A single effect that gains something has no rivals that do so by chance."""
     assert Proposals(None, {}, None).best(()) == ()
-    one = proposal(SimpleNamespace(name="one"), level=0.1, fast=-2.0)
-    assert Proposals(None, {"one": one}, None).best(()) == (one,)
-    assert Proposals(None, {"one": replace(one, level=0.0)}, None).best(()) == ()
+    item = proposal(SimpleNamespace(name="one"), level=0.1, fast_gain=-2.0)
+    assert Proposals(None, {"one": item}, None).best(()) == (item,)
+    assert Proposals(None, {"one": replace(item, level=0.0)}, None).best(()) == ()
 
 
 def test_nothing_hidden_proposes_next_to_nothing():
-    found = driven(count=3)
+    result = driven(count=3)
     names = {name: named()[name] for name in ("delay", "warmup", "stribeck", "mullins")}
-    proposals = Proposer(found, names, scored(found)).proposals(found)
-    assert len(proposals.every) > 20
+    proposals = Proposer(result, names, scored(result)).proposals(result)
+    assert len(proposals.by_name) > 20
     assert all(p.level < 12.0 for p in proposals.best(()))
 
 
 def test_what_is_left_out_is_not_proposed_again():
     names = [f"effect_{i}" for i in range(BEST + 2)]
-    every = {n: proposal(SimpleNamespace(name=n), level=50.0 - i, fast=0.0) for i, n in enumerate(names)}
+    every = {n: proposal(SimpleNamespace(name=n), level=50.0 - i, fast_gain=0.0) for i, n in enumerate(names)}
     proposals = Proposals(None, every, None)
     assert [p.effect.name for p in proposals.best(())][:BEST] == names[:BEST]
     assert [p.effect.name for p in proposals.best({names[0]})][:BEST] == names[1 : BEST + 1]

@@ -23,10 +23,10 @@ EMPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "real" / "emps"
 
 def to_and_fro(half_period, rate_hz, seconds, size=1.0, noise=0.0):
     """A speed along trapezoids: a tenth of a half period to turn round."""
-    at = np.arange(0.0, seconds, 1.0 / rate_hz)
-    wave = 2.0 / np.pi * np.arcsin(np.sin(np.pi * at / half_period))
-    speed = size * np.clip(10.0 * wave, -1.0, 1.0) + np.random.default_rng(1).normal(0.0, noise, len(at))
-    stamps = np.round(at * 1e9).astype(np.int64)
+    sample_times = np.arange(0.0, seconds, 1.0 / rate_hz)
+    wave = 2.0 / np.pi * np.arcsin(np.sin(np.pi * sample_times / half_period))
+    speed = size * np.clip(10.0 * wave, -1.0, 1.0) + np.random.default_rng(1).normal(0.0, noise, len(sample_times))
+    stamps = np.round(sample_times * 1e9).astype(np.int64)
     series = {"speed": Series(stamps, stamps, speed), "torque": Series(stamps, stamps, speed)}
     return Recording("made", series, zero_is_unset=False)
 
@@ -67,11 +67,11 @@ def test_steps_of_a_second_or_more_have_the_pace_of_a_drive():
 
 
 def test_a_position_gives_its_change_as_speed(tmp_path):
-    at = np.arange(0.0, 30.0, 0.01)
-    columns = {"time_s": at, "position_m": 0.05 * np.sin(2.0 * at), "force_n": np.ones(len(at))}
+    sample_times = np.arange(0.0, 30.0, 0.01)
+    columns = {"time_s": sample_times, "position_m": 0.05 * np.sin(2.0 * sample_times), "force_n": np.ones(len(sample_times))}
     path = written(tmp_path / "slide.csv", columns, "%.18e")
     (read,) = read_recordings([path], Topics.load("emps"))
-    assert read.series["speed"].value[1:-1] == pytest.approx(0.1 * np.cos(2.0 * at[1:-1]), abs=1e-4)
+    assert read.series["speed"].value[1:-1] == pytest.approx(0.1 * np.cos(2.0 * sample_times[1:-1]), abs=1e-4)
     assert "the change of column position_m" in " ".join(read.notes)
 
 
@@ -84,20 +84,20 @@ def tried(tmp_path_factory):
 
 
 def test_a_slide_lacks_dry_friction(tried):
-    found = tried.lacking
-    assert found.sessions[0].step < 0.1
-    assert {f.name: f.grade for f in found.found}[COULOMB] == "confirmed"
-    errors = [force_error(found, fit) for fit in (found.refitted, only(found, (COULOMB,)), only(found, (COULOMB, DIRECTION)))]
+    result = tried.lacking
+    assert result.sessions[0].step < 0.1
+    assert {f.name: f.grade for f in result.found}[COULOMB] == "confirmed"
+    errors = [force_error(result, fit) for fit in (result.refitted, only(result, (COULOMB,)), only(result, (COULOMB, DIRECTION)))]
     published = (0.173, 0.034, 0.020)
     assert errors == pytest.approx(published, rel=0.25)
-    assert force_error(found, found.final, held_out=True) < 0.04
+    assert force_error(result, result.final, held_out=True) < 0.04
 
 
 def test_with_it_friction_differs_by_direction(tried):
-    found = tried.with_friction
-    assert {f.name: f.grade for f in found.found} == {DIRECTION: "confirmed"}
-    assert found.found[0].values["forward"] == pytest.approx(0.5 * (168.0 - 242.0), rel=0.25)
-    assert force_error(found, found.final) < 0.03
+    result = tried.with_friction
+    assert {f.name: f.grade for f in result.found} == {DIRECTION: "confirmed"}
+    assert result.found[0].values["forward"] == pytest.approx(0.5 * (168.0 - 242.0), rel=0.25)
+    assert force_error(result, result.final) < 0.03
 
 
 def test_the_sentence_counts_what_resists_against_travel(tried):
@@ -106,7 +106,7 @@ def test_the_sentence_counts_what_resists_against_travel(tried):
 
 
 def test_the_whole_drive_of_a_slide_is_compared(tried):
-    assert not any("brake" in reason for reason in tried.lacking.gated.excluded)
-    again = gate(read_recordings([EMPS], Topics.load("emps")), load_base("emps").known).sessions[0]
-    assert again.used.mean() > 0.9
-    assert (again.speed[again.used] < 0.0).any()
+    assert not any("brake" in reason for reason in tried.lacking.gated.exclusions)
+    repetition = gate(read_recordings([EMPS], Topics.load("emps")), load_base("emps").known).sessions[0]
+    assert repetition.used.mean() > 0.9
+    assert (repetition.speed[repetition.used] < 0.0).any()

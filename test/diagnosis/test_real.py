@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.inference.fitting import Problem, fit, with_levels
 from trackres_ros.diagnosis.preparation import checked_sessions
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import split
+from trackres_ros.diagnosis.prepare.session import split_laps
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import config_dir
 
@@ -31,26 +31,26 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on
 @pytest.fixture
 def report_of(run):
     def diagnosed(vehicle, out, *given):
-        done = run((), out, *given, vehicle=vehicle)
-        if done.exception and not isinstance(done.exception, SystemExit):
-            raise done.exception
+        process = run((), out, *given, vehicle=vehicle)
+        if process.exception and not isinstance(process.exception, SystemExit):
+            raise process.exception
         return json.loads((out / "report.json").read_text())
 
     return diagnosed
 
 
 def test_a_robot_off_the_ground_neither_rolls_nor_turns(report_of, tmp_path):
-    found = report_of("husky", tmp_path / "out", robot(DATA, "husky_avide2", tmp_path))
-    assert {"turning_scrub", "cornering", "soft_ground", "grade"}.isdisjoint(n for e in found["effects"] for n in e["class"])
+    result = report_of("husky", tmp_path / "out", robot(DATA, "husky_avide2", tmp_path))
+    assert {"turning_scrub", "cornering", "soft_ground", "grade"}.isdisjoint(n for e in result["effects"] for n in e["class"])
 
 
 def test_a_robot_on_wet_grass_shows_scrub_with_a_known_yaw_rate(report_of, tmp_path):
     path = robot(DATA, "husky_wetgrass", tmp_path)
-    found = report_of("husky", tmp_path / "known", path)
-    (effect,) = found["effects"]
+    result = report_of("husky", tmp_path / "known", path)
+    (effect,) = result["effects"]
     assert effect["class"] == ["turning_scrub"]
     assert 0.2 < effect["parameters"]["friction"]["value"] < 1.2
-    assert found["heldout"]["mae"]["with_effects"] < 0.6 * found["heldout"]["mae"]["refitted"]
+    assert result["heldout"]["mae"]["with_effects"] < 0.6 * result["heldout"]["mae"]["refitted"]
     nothing_turns = [word for channel in SHOWS_TURNING for word in ("--hide", channel)]
     assert not any(
         "turning_scrub" in e["class"] for e in report_of("husky", tmp_path / "hidden", path, *nothing_turns)["effects"]
@@ -93,15 +93,15 @@ def bus():
 @needs_bus
 def test_bus_notes_cover_altitude_brakes_passengers_and_wheels(bus):
     recording, loaded = bus
-    found = gate([recording], loaded.known)
-    said = " ".join(found.notes)
+    result = gate([recording], loaded.known)
+    text = " ".join(result.notes)
     for part in ("no usable slope", "brakes on in", "passengers of 70 kg", "wheels that turn faster than front_"):
-        assert part in said
-    (session,) = found.sessions
+        assert part in text
+    (session,) = result.sessions
     assert "grade" not in session.given
     assert np.isfinite(session.latitude).mean() > 0.9
     assert 20.0 * 70.0 * 9.8 < session.payload.max() < 120.0 * 70.0 * 9.8
-    left_out = found.excluded
+    left_out = result.exclusions
     assert left_out["brakes on"] < 0.25 * session.used.sum() * session.step
     assert (session.torque[session.used] < 0.0).mean() > 0.2  # what its motors brake is compared
 
@@ -115,11 +115,11 @@ def test_of_wheels_that_are_hidden_nothing_is_said(bus):
 @needs_bus
 def test_a_refitted_bus_is_no_worse_than_its_file_or_robust_fit(bus, robust_least_squares):
     recording, loaded = bus
-    gated, nominal, _ = checked_sessions([recording], loaded)
-    chosen = split(gated.sessions)
-    (session,) = gated.sessions
-    problem = Problem(loaded.base, gated.sessions, (chosen.training_mask(session),))
-    held = chosen.held_out_mask(session)
+    gate_result, nominal, _ = checked_sessions([recording], loaded)
+    choice = split_laps(gate_result.sessions)
+    (session,) = gate_result.sessions
+    problem = Problem(loaded.base, gate_result.sessions, (choice.training_mask(session),))
+    held = choice.held_out_mask(session)
     refitted = with_levels(fit(problem)).predicted[0].torque
     models = {"file": nominal[0], "refitted": refitted, "robust": robust_least_squares(problem)[0].torque}
     error = {name: float(np.abs(session.torque - torque)[held].mean()) for name, torque in models.items()}
@@ -135,10 +135,10 @@ def test_a_bag_without_a_torque_has_nothing_to_diagnose(report_of, tmp_path):
 
 @needs_bus
 def test_three_short_rollings_out_of_a_bus_tell_nothing():
-    found = tr.coastdown(BUS, "ztbus_hess19", topics=config_dir() / "topics" / "ztbus.yaml")
-    assert len(found.coastdown.runs.stretches) == 3
-    assert not any(p.determined for p in found.coastdown.parameters)
-    assert not found.better
+    result = tr.coastdown(BUS, "ztbus_hess19", topics=config_dir() / "topics" / "ztbus.yaml")
+    assert len(result.coastdown.runs.stretches) == 3
+    assert not any(p.determined for p in result.coastdown.parameters)
+    assert not result.better
 
 
 RIDES = DATA / "bicycle"
@@ -157,12 +157,12 @@ def test_a_ride_over_hills_is_not_refused(ride, hidden):
 @needs_rides
 def test_a_ride_past_no_place_twice_ends_in_no_crash():
     with suppress(InputError):  # a model without rider and wind may explain too little for a conclusion
-        found = tr.diagnose(RIDES / "ride_b.csv.gz", RIDES / "bicycle.yaml", quick=True)
-        assert not any("failed" in warning for warning in found.warnings)
+        result = tr.diagnose(RIDES / "ride_b.csv.gz", RIDES / "bicycle.yaml", quick=True)
+        assert not any("failed" in warning for warning in result.warnings)
 
 
 @needs_rides
 def test_a_ride_without_its_altitude_has_an_unrecorded_slope():
-    found = tr.diagnose(RIDES / "ride_a.csv.gz", RIDES / "bicycle.yaml", hide=["altitude"], quick=True)
-    assert not any("failed" in warning or "scale: -1.0" in warning for warning in found.warnings)
-    assert "slope" in found.sentence
+    result = tr.diagnose(RIDES / "ride_a.csv.gz", RIDES / "bicycle.yaml", hide=["altitude"], quick=True)
+    assert not any("failed" in warning or "scale: -1.0" in warning for warning in result.warnings)
+    assert "slope" in result.sentence

@@ -40,8 +40,8 @@ def test_position_altitude_and_steering_exist_where_measured(tmp_path):
     longitude = np.where(tunnel, np.nan, 180.0 - 1e-5 * (time - 300.0))
     longitude = np.where(longitude > 180.0, longitude - 360.0, longitude)
     position, flat = {"latitude_deg": latitude, "longitude_deg": longitude}, 400.0 + 0.0 * time
-    found = gated(tmp_path, **position, altitude_m=flat, steering_angle_rad=0.1 + 0.0 * time)
-    (session,) = found.sessions
+    result = gated(tmp_path, **position, altitude_m=flat, steering_angle_rad=0.1 + 0.0 * time)
+    (session,) = result.sessions
     middle = session.time + 0.5
     known = np.isfinite(session.latitude)
     assert not known[102:148].any()
@@ -62,14 +62,14 @@ def test_passengers_are_carried_on_and_weigh(tmp_path):
     count = np.full(SECONDS, np.nan)
     count[[100, 300]] = 10.0, 40.0
     topics = {"passengers": {"column": "passengers"}}
-    found = gated(tmp_path, topics, passengers=count)
-    (session,) = found.sessions
+    result = gated(tmp_path, topics, passengers=count)
+    (session,) = result.sessions
     assert np.isnan(session.passengers[:99]).all()
     assert (session.passengers[101:299] == 10.0).all()
     assert (session.passengers[301:] == 40.0).all()
     np.testing.assert_allclose(session.payload, np.nan_to_num(session.passengers) * 70.0 * GRAVITY)
     np.testing.assert_allclose(session.weight, EMPTY_KG * GRAVITY + session.payload)
-    assert any("empty until the first count, 100 s" in note for note in found.notes)
+    assert any("empty until the first count, 100 s" in note for note in result.notes)
     loaded = gated(tmp_path, passengers=count, weight_n=np.full(SECONDS, 200e3)).sessions[0]
     np.testing.assert_allclose(loaded.weight, 200e3)
     assert not loaded.payload.any()
@@ -86,8 +86,8 @@ def test_loads_of_parts_weigh_what_they_weigh_in_a_replay(tmp_path, of):
     sides = {f"load/{side}": {"column": f"weight_n/{side}"} for side in ("left", "right")}
     topics = sides if of == "left right" else None
     weight = gate([tr.read(path, topics=topics)], load_base("xgd24d").known).sessions[0].weight
-    expected = 250e3 if topics else tr.replay(path, "xgd24d")["weight_n"][0]
-    np.testing.assert_allclose(weight, expected)
+    expectation = 250e3 if topics else tr.replay(path, "xgd24d")["weight_n"][0]
+    np.testing.assert_allclose(weight, expectation)
 
 
 def test_mass_and_passengers_are_one_weight_in_the_base(tmp_path):
@@ -106,17 +106,17 @@ def test_a_recorded_brake_excludes_only_the_times_it_is_on(tmp_path):
     pressure = np.zeros(SECONDS)
     pressure[20:25] = 2e5
     pressure[200] = 500.0  # none at all
-    found = gated(tmp_path, brake_pa=pressure)
-    (session,) = found.sessions
+    result = gated(tmp_path, brake_pa=pressure)
+    (session,) = result.sessions
     assert not session.used[19:25].any()
     assert session.used[25]
     assert session.used[200]
-    assert found.excluded["brakes on"] == 6
-    assert "may brake" not in found.excluded
+    assert result.exclusions["brakes on"] == 6
+    assert "may brake" not in result.exclusions
     assert (session.torque[session.used] < 0.0).any()
-    assert any("brakes on in 6 s of" in note for note in found.notes)
+    assert any("brakes on in 6 s of" in note for note in result.notes)
     unknown = gated(tmp_path)
-    assert unknown.excluded["may brake"] > 100
+    assert unknown.exclusions["may brake"] > 100
 
 
 @pytest.mark.parametrize(("column", "topics"), [("brake_on", None), ("valve", {"brake": {"column": "valve", "threshold": 3.0}})])
@@ -124,4 +124,4 @@ def test_a_switch_and_a_threshold_do_as_well(tmp_path, column, topics):
     value = np.zeros(SECONDS)
     value[20:25] = 1.0 if column == "brake_on" else 3.0
     value[100] = 0.0 if column == "brake_on" else 2.9
-    assert gated(tmp_path, topics, **{column: value}).excluded["brakes on"] == 6
+    assert gated(tmp_path, topics, **{column: value}).exclusions["brakes on"] == 6

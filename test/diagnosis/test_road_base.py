@@ -48,16 +48,16 @@ def fitted(base, given=frozenset({"grade"}), **true):
 def test_the_mass_is_found_if_the_torque_scale_is_known(tmp_path):
     base = car(tmp_path, torque_scale={"range": [1.0, 1.0]})
     assert "torque_scale" not in {q.name for q in base.parameters}
-    found = fitted(base, mass=1500.0)
-    assert found.base_values["mass"] == pytest.approx(1500.0, rel=0.02)
-    assert found.std_of("", "mass") < 0.5 * next(q.std for q in base.parameters if q.name == "mass")
+    result = fitted(base, mass=1500.0)
+    assert result.base_values["mass"] == pytest.approx(1500.0, rel=0.02)
+    assert result.std_of("", "mass") < 0.5 * next(q.std for q in base.parameters if q.name == "mass")
 
 
 def test_the_scale_is_found_where_the_mass_is_known(tmp_path):
     base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, drag_area={"range": [0.69, 0.69]}, efficiency={"range": [0.97, 0.97]})
-    found = fitted(base, frozenset({"grade", "load"}), torque_scale=0.93)
-    assert found.base_values["torque_scale"] == pytest.approx(0.93, rel=0.01)
-    assert "mass" not in found.base_values
+    result = fitted(base, frozenset({"grade", "load"}), torque_scale=0.93)
+    assert result.base_values["torque_scale"] == pytest.approx(0.93, rel=0.01)
+    assert "mass" not in result.base_values
 
 
 def test_the_torque_of_simulated_drives_has_their_load(tmp_path):
@@ -72,8 +72,8 @@ def test_simulated_drives_record_the_torque_that_a_sensor_shows(tmp_path):
     base = car(tmp_path, torque_scale={"value": 0.5, "range": [0.5, 0.5]})
     drive = drives(base, 30.0, 1, 5.0, np.random.default_rng(1))
     (path,) = write_recordings(base, tmp_path, drive, (), np.random.default_rng(2))
-    shown, expected = read_recordings([path], None)[0].series["torque"].value, base.predict(drive, base.nominal, ())[0].torque
-    assert np.abs(shown).mean() == pytest.approx(0.5 * np.abs(expected).mean(), rel=0.1)
+    shown, expectation = read_recordings([path], None)[0].series["torque"].value, base.predict(drive, base.nominal, ())[0].torque
+    assert np.abs(shown).mean() == pytest.approx(0.5 * np.abs(expectation).mean(), rel=0.1)
 
 
 def prepared_drive(base, folder, scale):
@@ -98,14 +98,17 @@ def test_torques_are_at_the_wheels_whatever_the_sensor_shows(tmp_path):
     seen = []
     for scale in (1.0, 0.05):
         base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, torque_scale={"value": scale, "range": [0.9 * scale, 1.1 * scale]})
-        gated, expected = prepared_drive(base, tmp_path, scale)
+        gate_result, expectation = prepared_drive(base, tmp_path, scale)
         values = base.nominal | {"torque_scale": 1.05 * scale}
-        now = base.as_written(values)
-        fit_nm, file_nm = (of.predict(gated.sessions, at, ())[0].torque for of, at in ((base, values), (now, now.nominal)))
+        time_now = base.as_written(values)
+        fit_nm, file_nm = (
+            content.predict(gate_result.sessions, place, ())[0].torque
+            for content, place in ((base, values), (time_now, time_now.nominal))
+        )
         assert file_nm == pytest.approx(fit_nm, rel=1e-5)
-        seen.append((gated.sessions[0].torque, expected[0], fit_nm))
-    for one, other in zip(*seen, strict=True):
-        assert one == pytest.approx(other, rel=1e-6)
+        seen.append((gate_result.sessions[0].torque, expectation[0], fit_nm))
+    for value, other in zip(*seen, strict=True):
+        assert value == pytest.approx(other, rel=1e-6)
 
 
 def test_mass_and_torque_scale_are_not_refitted_if_both_are_open(tmp_path):
@@ -115,11 +118,11 @@ def test_mass_and_torque_scale_are_not_refitted_if_both_are_open(tmp_path):
 def test_a_zero_width_range_fixes_its_value_in_the_written_file(tmp_path):
     base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, torque_delay={"range": [0.1, 0.1]})
     assert {q.name for q in base.parameters} == set(FITTED) - {"mass", "torque_delay"}
-    found = fitted(base, rolling_coefficient=0.015)
-    base.write(tmp_path / "written.yaml", FileChanges(found.base_values, (), {}), "for a test")
-    again = load_base(tmp_path / "written.yaml").base.vehicle.values
-    assert again["mass"] == 1400.0
-    assert again["rolling_coefficient"] == pytest.approx(0.015, rel=0.05)
+    result = fitted(base, rolling_coefficient=0.015)
+    base.write(tmp_path / "written.yaml", FileChanges(result.base_values, (), {}), "for a test")
+    repetition = load_base(tmp_path / "written.yaml").base.vehicle.values
+    assert repetition["mass"] == 1400.0
+    assert repetition["rolling_coefficient"] == pytest.approx(0.015, rel=0.05)
 
 
 def test_a_gain_is_no_effect_beside_a_scale_that_is_re_fitted(tmp_path):
@@ -132,18 +135,19 @@ def test_the_mass_is_found_however_slowly_samples_come(rate_hz, step, tmp_path):
     """What happens between two samples hides a part of the inertia, unless a step has several of them."""
     base = car(tmp_path, torque_scale={"range": [1.0, 1.0]}, rotating_mass_factor={"range": [1.05, 1.05]})
     rng = np.random.default_rng(3)
-    at = np.arange(0.0, 1200.0, 0.01)
+    sample_times = np.arange(0.0, 1200.0, 0.01)
     pushes = sum(
-        rng.uniform(0.1, 0.5) * np.sin(2.0 * np.pi * at / s + rng.uniform(0.0, 6.0)) for s in (1.7, 2.9, 5.3, 17.0, 41.0)
+        rng.uniform(0.1, 0.5) * np.sin(2.0 * np.pi * sample_times / s + rng.uniform(0.0, 6.0))
+        for s in (1.7, 2.9, 5.3, 17.0, 41.0)
     )
     speed = 12.0 + np.cumsum(pushes) * 0.01
     v = base.vehicle.values
     force = v["mass"] * (1.05 * pushes + 9.80665 * (v["rolling_coefficient"] + v["rolling_rise"] * speed))
     force += 0.5 * v["air_density"] * v["drag_area"] * speed**2
-    torque = force * v["wheel_radius"] / v["efficiency"] ** np.sign(force) + rng.normal(0.0, 5.0, len(at))
-    columns = {"time_s": at, "speed_mps": speed, "torque_nm": torque}
+    torque = force * v["wheel_radius"] / v["efficiency"] ** np.sign(force) + rng.normal(0.0, 5.0, len(sample_times))
+    columns = {"time_s": sample_times, "speed_mps": speed, "torque_nm": torque}
     path = written(tmp_path / "drive.csv", {name: x[:: round(100.0 / rate_hz)] for name, x in columns.items()}, "%.18e")
-    gated = gate(read_recordings([path], None), replace(load_base(tmp_path / "car.yaml").known, friction_brakes=False))
-    assert gated.sessions[0].step == step
-    found = fit(Problem(base, gated.sessions, tuple(s.used for s in gated.sessions)))
-    assert found.base_values["mass"] == pytest.approx(1400.0, rel=0.04)
+    gate_result = gate(read_recordings([path], None), replace(load_base(tmp_path / "car.yaml").known, friction_brakes=False))
+    assert gate_result.sessions[0].step == step
+    result = fit(Problem(base, gate_result.sessions, tuple(s.used for s in gate_result.sessions)))
+    assert result.base_values["mass"] == pytest.approx(1400.0, rel=0.04)

@@ -42,23 +42,23 @@ def base():
 
 def session_of(base, seed, rounds, slope=0.0, soft_nm=0.0, loads=(1.0,), with_positions=True, noise_nm=150.0, wanders_nm=0.0):
     """A drive round the block with a slope that is not recorded, or with soft ground on a part of it."""
-    one, rng = drive(seed, rounds), np.random.default_rng(seed + 50)
-    n = len(one.speed)
+    item, rng = drive(seed, rounds), np.random.default_rng(seed + 50)
+    n = len(item.speed)
     nan = np.full(n, np.nan)
-    latitude, longitude = position_of(one) if with_positions else (nan, nan)
+    latitude, longitude = position_of(item) if with_positions else (nan, nan)
     load = np.array(loads)[np.arange(n) * len(loads) // n]
     made = DriveSession(
-        "round", 1.0, np.arange(n, dtype=float), one.speed, np.gradient(one.speed), base.facts.weight * load, np.full(n, 15.0),
-        slope * slope_at(one.way) * one.direction, nan, nan, one.distance, nan, nan, one.speed > 1.0,
-        (one.distance // LAP_M).astype(np.int64), given=frozenset({"grade", "load", "position"}), latitude=latitude,
+        "round", 1.0, np.arange(n, dtype=float), item.speed, np.gradient(item.speed), base.facts.weight * load, np.full(n, 15.0),
+        slope * slope_at(item.way) * item.direction, nan, nan, item.distance, nan, nan, item.speed > 1.0,
+        (item.distance // LAP_M).astype(np.int64), given=frozenset({"grade", "load", "position"}), latitude=latitude,
         longitude=longitude,
     )  # fmt: skip
-    torque = base.predict([made], base.nominal, ())[0].torque + soft_nm * ((one.way > 600.0) & (one.way < 1000.0))
+    torque = base.predict([made], base.nominal, ())[0].torque + soft_nm * ((item.way > 600.0) & (item.way < 1000.0))
     torque = (
         torque + autoregression(n, rng, 3.0, noise_nm) + rng.normal(0.0, noise_nm, n) + autoregression(n, rng, 150.0, wanders_nm)
     )
-    given = frozenset({"load", "position"})
-    return DriveSession(**{**made.__dict__, "torque": torque, "grade": np.zeros(n), "given": given}), one
+    given_values = frozenset({"load", "position"})
+    return DriveSession(**{**made.__dict__, "torque": torque, "grade": np.zeros(n), "given": given_values}), item
 
 
 def found_in(base, session, fitted_rounds):
@@ -75,11 +75,11 @@ def test_a_two_way_street_slope_is_found_and_holds_on_new_laps(base):
     assert route.is_slope
     assert isinstance(route.effect, SlopeByPlace)
     held = session.used & (session.block == 4)
-    before, after = (np.abs(session.torque - f.predicted[0].torque)[held].mean() for f in (current, route.fit))
-    assert after < 0.4 * before
+    result_before, result_after = (np.abs(session.torque - f.predicted[0].torque)[held].mean() for f in (current, route.fit))
+    assert result_after < 0.4 * result_before
     assert route.pattern.metres == pytest.approx(LAP_M, rel=0.4)
-    learned = route.learned(route.fit)
-    assert np.array_equal(learned.value[:, 0], -learned.value[:, 1], equal_nan=True)
+    learned_values = route.learned(route.fit)
+    assert np.array_equal(learned_values.value[:, 0], -learned_values.value[:, 1], equal_nan=True)
 
 
 def test_different_loads_identify_a_slope_on_one_way_streets(base):
@@ -88,21 +88,24 @@ def test_different_loads_identify_a_slope_on_one_way_streets(base):
     assert route is not None
     assert route.is_slope
     assert "one way" not in route.effect.text
-    learned, final = route.effect.route, route.fit
-    assert abs(np.nanmean(learned.value[:, 0])) < 0.002  # a closed loop has no rise
+    learned_values, final = route.effect.route, route.fit
+    assert abs(np.nanmean(learned_values.value[:, 0])) < 0.002  # a closed loop has no rise
     assert abs(final.base_values["rolling_coefficient"] - base.nominal["rolling_coefficient"]) < 0.002
 
 
 def test_on_an_open_one_way_road_the_std_has_the_unknown_mean(base):
     """And no sample without a known place teaches a mean that the road has not."""
-    session, one = session_of(base, 7, (1, 1, 1), slope=1.0, loads=LOADS)
+    session, item = session_of(base, 7, (1, 1, 1), slope=1.0, loads=LOADS)
     current, roads = fit(Problem(base, (session,), (session.used,))), roads_of((session,))
-    roads = replace(roads, streets=replace(roads.streets, closed=roads.streets.closed[:0]))
+    roads = replace(roads, streets=replace(roads.streets, closed_loops=roads.streets.closed_loops[:0]))
     effect = find_route(current, roads).effect
-    learned = effect.route
-    at, way = learned.frame.metres(learned.latitude, learned.longitude), learned.frame.metres(*position_of(one))
-    near = np.argmin(np.hypot(*(np.subtract.outer(x, of) for x, of in zip(at, way, strict=True))), axis=1)
-    error, std = learned.value[:, 0] - slope_at(one.way[near]), learned.std[:, 0]
+    learned_values = effect.route
+    at, way = (
+        learned_values.frame.metres(learned_values.latitude, learned_values.longitude),
+        learned_values.frame.metres(*position_of(item)),
+    )
+    near = np.argmin(np.hypot(*(np.subtract.outer(x, value) for x, value in zip(at, way, strict=True))), axis=1)
+    error, std = learned_values.value[:, 0] - slope_at(item.way[near]), learned_values.std[:, 0]
     assert abs(np.nanmean(error)) < np.nanmedian(std)
     assert 0.0015 < np.nanmedian(std) < 0.004  # as of the rolling coefficient in the vehicle file
     assert np.sqrt(np.nanmean((error / std) ** 2)) < 2.0
@@ -110,15 +113,15 @@ def test_on_an_open_one_way_road_the_std_has_the_unknown_mean(base):
 
 
 def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):
-    session, one = session_of(base, 4, (1, -1, 1, -1), soft_nm=2500.0, loads=(1.0,))
+    session, item = session_of(base, 4, (1, -1, 1, -1), soft_nm=2500.0, loads=(1.0,))
     _, route = found_in(base, session, 4)
     assert route is not None
     assert not route.is_slope
     assert route.pattern.slope_gain < 0.0
     assert isinstance(route.effect, TorqueByPlace)
     adds = route.fit.contribution("place")[0]
-    soft = (one.way > 650.0) & (one.way < 950.0) & session.used
-    level = (one.way > 1150.0) & session.used
+    soft = (item.way > 650.0) & (item.way < 950.0) & session.used
+    level = (item.way > 1150.0) & session.used
     assert adds[soft].mean() - adds[level].mean() == pytest.approx(2500.0, rel=0.25)
 
 
@@ -174,9 +177,9 @@ def diagnose(run):
     """The report of `trackres diagnose`."""
 
     def report_of(recording, out, vehicle="ztbus_hess19", surroundings=None, page=False):
-        given = ("--surroundings", surroundings) if surroundings else ()
-        done = run([recording], out, *given, page=page, vehicle=vehicle)
-        assert done.exit_code == 0, done.output
+        given_values = ("--surroundings", surroundings) if surroundings else ()
+        process = run([recording], out, *given_values, page=page, vehicle=vehicle)
+        assert process.exit_code == 0, process.output
         return json.loads((out / "report.json").read_text())
 
     return report_of
@@ -193,9 +196,9 @@ def hilly(base, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def diagnosed(hilly, diagnose, tmp_path_factory):
-    out = tmp_path_factory.mktemp("diagnosed")
-    diagnose(hilly, out, page=True)
-    return out
+    output = tmp_path_factory.mktemp("diagnosed")
+    diagnose(hilly, output, page=True)
+    return output
 
 
 @pytest.fixture(scope="module")
@@ -225,13 +228,13 @@ def test_the_slopes_are_written_for_where_they_hold(diagnosed):
     assert report["kept"]["surroundings"] == ["grade"]
     assert "grade" in report["written"]["effects"]
     (route,) = load_route(diagnosed / "surroundings.yaml", 1e5)
-    one = drive(21, (1,), scatter_m=0.0)
-    x, y = route.frame.metres(*position_of(one))
+    item = drive(21, (1,), scatter_m=0.0)
+    x, y = route.frame.metres(*position_of(item))
     slope = learned_by(route)
-    found = np.array([slope(*at)[0] for at in zip(x[:-1], y[:-1], *unit(np.diff(x), np.diff(y)), strict=True)])
-    known = np.isfinite(found) & (one.speed[:-1] > 2.0)
+    result = np.array([slope(*entry)[0] for entry in zip(x[:-1], y[:-1], *unit(np.diff(x), np.diff(y)), strict=True)])
+    known = np.isfinite(result) & (item.speed[:-1] > 2.0)
     assert known.mean() > 0.7
-    assert np.abs(found - slope_at(one.way[:-1]))[known].mean() < 0.006
+    assert np.abs(result - slope_at(item.way[:-1]))[known].mean() < 0.006
 
 
 def unit(east, north):
@@ -240,27 +243,28 @@ def unit(east, north):
 
 
 def test_a_route_that_is_given_is_taken_as_recorded(hilly, diagnosed):
-    given = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
-    passed = gate(read_recordings([hilly], None), given.known)
-    gated = on_route(passed, given.route)
-    session = gated.sessions[0]
+    given_values = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
+    passed = gate(read_recordings([hilly], None), given_values.known)
+    gate_result = on_route(passed, given_values.route)
+    session = gate_result.sessions[0]
     lost = (passed.sessions[0].used & ~session.used).sum() * session.step
-    assert sum(gated.excluded.values()) - sum(passed.excluded.values()) == round(lost) > 0
+    assert sum(gate_result.exclusions.values()) - sum(passed.exclusions.values()) == round(lost) > 0
     assert "grade" in session.given
-    assert any("of it is on the route" in note for note in gated.notes)
+    assert any("of it is on the route" in note for note in gate_result.notes)
     level = replace(session, grade=np.zeros(len(session)))
     errors = [
-        np.abs(s.torque - given.base.predict([s], given.base.nominal, ())[0].torque)[s.used].mean() for s in (session, level)
+        np.abs(s.torque - given_values.base.predict([s], given_values.base.nominal, ())[0].torque)[s.used].mean()
+        for s in (session, level)
     ]
     assert errors[0] < 0.5 * errors[1]
 
 
 def test_a_route_elsewhere_is_not_used(hilly, diagnosed):
-    given = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
-    away = replace(given.route[0], latitude=given.route[0].latitude + 0.001)
-    gated = on_route(gate(read_recordings([hilly], None), given.known), [away])
-    assert "grade" not in gated.sessions[0].given
-    assert gated.notes[-1].endswith("0 % of it is on the route with known slopes; they are not used")
+    given_values = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
+    distance = replace(given_values.route[0], latitude=given_values.route[0].latitude + 0.001)
+    gate_result = on_route(gate(read_recordings([hilly], None), given_values.known), [distance])
+    assert "grade" not in gate_result.sessions[0].given
+    assert gate_result.notes[-1].endswith("0 % of it is on the route with known slopes; they are not used")
 
 
 def test_soft_ground_is_described_confirmed_and_written_each_way(soft):
@@ -273,26 +277,26 @@ def test_soft_ground_is_described_confirmed_and_written_each_way(soft):
     (route,) = load_route(folder / "out" / "surroundings.yaml", 1e5)
     assert route.kind == TORQUE
     x, y = route.frame.metres(*position_of(drive(22, (1,), scatter_m=0.0)))
-    way, learned = drive(22, (1,), scatter_m=0.0).way[:-1], learned_by(route)
+    way, learned_values = drive(22, (1,), scatter_m=0.0).way[:-1], learned_by(route)
     for sign in (1.0, -1.0):
         headings = (sign * part for part in unit(np.diff(x), np.diff(y)))
-        at = [learned(*place) for place in zip(x[:-1], y[:-1], *headings, strict=True)]
+        at = [learned_values(*place) for place in zip(x[:-1], y[:-1], *headings, strict=True)]
         value, std = np.array(at).T
-        on_it, off = (way > 650.0) & (way < 950.0), (way > 1150.0) | (way < 500.0)
-        assert np.nanmedian(value[on_it]) - np.nanmedian(value[off]) == pytest.approx(2500.0, rel=0.25)
+        on_it, deviation = (way > 650.0) & (way < 950.0), (way > 1150.0) | (way < 500.0)
+        assert np.nanmedian(value[on_it]) - np.nanmedian(value[deviation]) == pytest.approx(2500.0, rel=0.25)
         assert 20.0 < np.nanmedian(std) < 600.0
 
 
 def test_with_its_written_files_a_rerun_finds_nothing_new(soft, diagnose):
     _, _, path, folder, report = soft
-    out = folder / "out"
-    again = diagnose(path, folder / "again", out / "vehicle.yaml", out / "surroundings.yaml")
-    assert again["route"] is None
-    assert not [*again["effects"], *again["described"]], again["verdict"]["sentence"]
+    output = folder / "out"
+    repetition = diagnose(path, folder / "again", output / "vehicle.yaml", output / "surroundings.yaml")
+    assert repetition["route"] is None
+    assert not [*repetition["effects"], *repetition["described"]], repetition["verdict"]["sentence"]
     # The base keeps the file's values, as its re-fit alone, without the places, would be worse on held-out rounds.
     assert report["written"]["base"] is False
-    assert again["heldout"]["mae"]["nominal"] < 1.2 * report["heldout"]["mae"]["with_effects"]
-    assert again["heldout"]["mae"]["nominal"] < 0.7 * report["heldout"]["mae"]["nominal"]
+    assert repetition["heldout"]["mae"]["nominal"] < 1.2 * report["heldout"]["mae"]["with_effects"]
+    assert repetition["heldout"]["mae"]["nominal"] < 0.7 * report["heldout"]["mae"]["nominal"]
     written, kept = (load_route(folder / name / "surroundings.yaml", 1e5)[0] for name in ("out", "again"))
     np.testing.assert_array_equal(written.value, kept.value)  # what was given is written on
 
@@ -303,24 +307,24 @@ def test_given_the_slope_the_torque_is_found_and_written_with_it(base, diagnosed
     report = diagnose(path, tmp_path / "out", diagnosed / "vehicle.yaml", diagnosed / "surroundings.yaml")
     assert report["route"]["kind"] == "torque"
     assert "grade" not in [effect["name"] for effect in report["effects"]]
-    (given,), found = (load_route(folder / "surroundings.yaml", 1e5) for folder in (diagnosed, tmp_path / "out"))
-    np.testing.assert_array_equal(of_kind(found, SLOPE).value, given.value)
-    soft = of_kind(found, TORQUE).value
+    (given_values,), result = (load_route(folder / "surroundings.yaml", 1e5) for folder in (diagnosed, tmp_path / "out"))
+    np.testing.assert_array_equal(of_kind(result, SLOPE).value, given_values.value)
+    soft = of_kind(result, TORQUE).value
     assert np.nanmax(soft) - np.nanmedian(soft) == pytest.approx(2500.0, rel=0.3)
     errors = []
     for folder in (diagnosed, tmp_path / "out"):
-        given = load_base(folder / "vehicle.yaml", surroundings=folder / "surroundings.yaml")
-        gated, expected, _ = checked_sessions(read_recordings([path], None), given)
-        errors.append(np.abs(gated.sessions[0].torque - expected[0])[gated.sessions[0].used].mean())
+        given_values = load_base(folder / "vehicle.yaml", surroundings=folder / "surroundings.yaml")
+        gate_result, expectation, _ = checked_sessions(read_recordings([path], None), given_values)
+        errors.append(np.abs(gate_result.sessions[0].torque - expectation[0])[gate_result.sessions[0].used].mean())
     assert errors[1] < 0.8 * errors[0]
 
 
 def test_spells_on_a_hilly_route_are_beside_the_slopes(base, diagnose, tmp_path):
     """A live watch sees the torque that the written slopes leave, so its levels have none of them."""
-    session, one = session_of(base, 21, (*ROUNDS, 1, -1), slope=1.0)
+    session, item = session_of(base, 21, (*ROUNDS, 1, -1), slope=1.0)
     lengths = np.random.default_rng(21).uniform(50.0, 150.0, 100).astype(int)
     on = np.repeat(np.arange(100) % 2, lengths)[: len(session)]
-    path = as_table(tmp_path / "rounds.csv", replace(session, torque=session.torque + 1500.0 * on * (session.speed > 0.5)), one)
+    path = as_table(tmp_path / "rounds.csv", replace(session, torque=session.torque + 1500.0 * on * (session.speed > 0.5)), item)
     report = diagnose(path, tmp_path / "out")
     assert report["kept"]["surroundings"] == ["grade"]
     spells = load_any(tmp_path / "out" / "vehicle.yaml").disturbance
@@ -332,7 +336,7 @@ def expected_live(vehicle, sessions):
     """What the torque sensor would show by the live step, of sessions that begin soaked."""
     estimator = Estimator(vehicle)
     late = Acting.of([Active(Delay(), {"time": vehicle.values["torque_delay"]})], vehicle.constants)
-    found = []
+    results = []
     for session in sessions:
         begin = estimator.cold_start(estimator.inputs(float(session.speed[0]), ambient=float(session.ambient[0])))
         unknown = np.full(len(session), np.nan)
@@ -340,18 +344,18 @@ def expected_live(vehicle, sessions):
             begin, session.time, session.speed, session.weight, session.ambient, session.accel, session.grade, session.yaw_rate,
             session.heading, ground=GroundSeries(unknown, session.torque_by_place, unknown, np.ones_like(unknown)),
         )  # fmt: skip
-        found.append(vehicle.values["torque_scale"] * late.sensed(rows[:, at.Results.drive_torque_nm], session))
-    return found
+        results.append(vehicle.values["torque_scale"] * late.sensor_torque(rows[:, at.Results.drive_torque_nm], session))
+    return results
 
 
 def test_live_errs_as_the_diagnosis_reports(hilly, diagnosed):
     files = diagnosed / "vehicle.yaml", diagnosed / "surroundings.yaml"
     result = tr.diagnose(hilly, files[0], surroundings=files[1], quick=True)
-    again, sessions = result.diagnosis, result.diagnosis.gated.sessions
-    assert [one.kind for one in result.vehicle.route] == [SLOPE]  # a vehicle in the given surroundings
+    repetition, sessions = result.diagnosis, result.diagnosis.gated.sessions
+    assert [value.kind for value in result.vehicle.route] == [SLOPE]  # a vehicle in the given surroundings
     shown = expected_live(with_surroundings(load_any(files[0]), files[1]), sessions)
-    errors = [np.abs(s.torque - one)[again.split.held_out_mask(s)] for s, one in zip(sessions, shown, strict=True)]
-    assert np.concatenate(errors).mean() == pytest.approx(again.held_out.mae["nominal"], rel=1e-9)
+    errors = [np.abs(s.torque - value)[repetition.split.held_out_mask(s)] for s, value in zip(sessions, shown, strict=True)]
+    assert np.concatenate(errors).mean() == pytest.approx(repetition.held_out.mae["nominal"], rel=1e-9)
 
 
 def test_a_replay_follows_the_slopes_that_were_written(hilly, diagnosed, good, tmp_path):
@@ -368,10 +372,10 @@ def test_a_replay_follows_the_slopes_that_were_written(hilly, diagnosed, good, t
 @pytest.mark.skipif(not BUS.is_file(), reason="no recording of the bus")
 def test_on_a_bus_live_expects_what_the_diagnosis_does():
     known = load_base("ztbus_hess19")
-    gated = gate(read_recordings([BUS], Topics.load("ztbus")), known.known)
-    (expected,) = known.base.predict(gated.sessions, known.base.nominal, ())
-    (shown,) = expected_live(known.base.vehicle, gated.sessions)
-    np.testing.assert_allclose(shown, expected.torque, rtol=0.0, atol=1e-9)
-    (session,) = gated.sessions
-    errors = [np.abs(session.torque - one)[session.used].mean() for one in (shown, expected.torque)]
+    gate_result = gate(read_recordings([BUS], Topics.load("ztbus")), known.known)
+    (expectation,) = known.base.predict(gate_result.sessions, known.base.nominal, ())
+    (shown,) = expected_live(known.base.vehicle, gate_result.sessions)
+    np.testing.assert_allclose(shown, expectation.torque, rtol=0.0, atol=1e-9)
+    (session,) = gate_result.sessions
+    errors = [np.abs(session.torque - item)[session.used].mean() for item in (shown, expectation.torque)]
     assert errors[0] == pytest.approx(errors[1], rel=1e-12)

@@ -23,9 +23,9 @@ def both():
     def touching(session, _):
         return LEVEL_NM * (np.abs(session.speed) > 6.0)
 
-    of = judging(driven(GAIN, touching), {name: named()[name] for name in ("torque_gain", "torque_offset")})
-    of.search.run()
-    return of
+    item = judging(driven(GAIN, touching), {name: named()[name] for name in ("torque_gain", "torque_offset")})
+    item.search.run()
+    return item
 
 
 def test_each_explanation_is_a_unique_set_of_its_fits_terms(both):
@@ -58,14 +58,14 @@ def test_a_worth_is_the_level_score_less_the_cost_of_a_term(both):
     proposed = [frozenset({p.effect.name}) for p in search.rounds[frozenset()].best(())]
     assert len(proposed) >= 3
     for explanation in (search.known[key] for key in proposed):
-        whole = validation.gain(search.nothing.score, explanation.score)
-        assert explanation.worth == pytest.approx(whole - search.cost, abs=1e-6)
+        total = validation.gain(search.base_explanation.score, explanation.score)
+        assert explanation.net_gain == pytest.approx(total - search.cost, abs=1e-6)
 
 
 def test_what_was_hidden_is_worth_most(both):
-    best = max(both.search.known.values(), key=lambda e: e.worth)
+    best = max(both.search.known.values(), key=lambda e: e.net_gain)
     assert any(name.endswith("_of_speed") for name in best.key)
-    assert both.search.known[frozenset()].worth == 0.0
+    assert both.search.known[frozenset()].net_gain == 0.0
 
 
 def test_a_set_that_two_ways_reach_is_one_the_better(both):
@@ -74,10 +74,12 @@ def test_a_set_that_two_ways_reach_is_one_the_better(both):
     (candidate,) = known.terms.values()
     count = len(search.known)
     for nm, kept in ((1e4, True), (0.0, False)):
-        search.known[key] = replace(known, worth=known.worth + nm)
-        search._add(search.nothing, candidate, None)
+        search.known[key] = replace(known, net_gain=known.net_gain + nm)
+        search._add(search.base_explanation, candidate, None)
         assert len(search.known) == count
-        assert (search.known[key].worth == known.worth + nm) == kept or search.known[key].worth == pytest.approx(known.worth)
+        assert (search.known[key].net_gain == known.net_gain + nm) == kept or search.known[key].net_gain == pytest.approx(
+            known.net_gain
+        )
     search.known[key] = known
 
 
@@ -92,16 +94,16 @@ def test_without_a_term_it_is_the_set_without_it(both):
 
 def test_without_a_term_the_others_are_fitted_anew(both):
     search = both.search
-    pair = max((e for e in search.known.values() if len(e.key) == 2), key=lambda e: e.worth)
+    pair = max((e for e in search.known.values() if len(e.key) == 2), key=lambda e: e.net_gain)
     name = next(iter(pair.key))
     single = search.known.pop(pair.key - {name})
     try:
-        fitted = search.polished(search.without(pair, name))
-        assert fitted.terms.keys() == single.key
-        again = fit_with(both.refitted, *(a.effect for a in fitted.fit.effects))
-        assert fitted.fit.log_likelihood == pytest.approx(again.log_likelihood, abs=3.0)
-        gained = both.validation.gain(search.nothing.score, fitted.score)
-        assert fitted.worth == pytest.approx(gained - search.cost, abs=1e-6)
+        fit_result = search.polish(search.without(pair, name))
+        assert fit_result.terms.keys() == single.key
+        repetition = fit_with(both.refitted, *(a.effect for a in fit_result.fit.effects))
+        assert fit_result.fit.log_likelihood == pytest.approx(repetition.log_likelihood, abs=3.0)
+        gained = both.validation.gain(search.base_explanation.score, fit_result.score)
+        assert fit_result.net_gain == pytest.approx(gained - search.cost, abs=1e-6)
     finally:
         search.known[single.key] = single
 
@@ -109,22 +111,22 @@ def test_without_a_term_the_others_are_fitted_anew(both):
 def test_a_polished_explanation_has_a_settled_fit_and_its_score(both):
     search = both.search
     rough = next(e for e in search.known.values() if not e.settled)
-    fine = search.polished(rough)
+    fine = search.polish(rough)
     assert fine.settled
-    assert fine is search.known[rough.key] is search.polished(rough)
+    assert fine is search.known[rough.key] is search.polish(rough)
     assert fine.key == rough.key
     assert fine.fit.log_likelihood >= rough.fit.log_likelihood - 1.0
-    again = both.validation.score(fine.fit)
-    np.testing.assert_allclose(fine.score.density, again.density)
-    gained = both.validation.gain(search.nothing.score, again)
-    assert fine.worth == pytest.approx(gained - search.cost * len(fine.key), abs=1e-6)
+    repetition = both.validation.score(fine.fit)
+    np.testing.assert_allclose(fine.score.density, repetition.density)
+    gained = both.validation.gain(search.base_explanation.score, repetition)
+    assert fine.net_gain == pytest.approx(gained - search.cost * len(fine.key), abs=1e-6)
 
 
 def test_an_expanded_explanation_is_expanded_once(both):
     search = both.search
-    before = dict(search.known)
-    assert search.expand(search.nothing) is search.rounds[frozenset()]
-    assert search.known == before
+    result_before = dict(search.known)
+    assert search.expand(search.base_explanation) is search.rounds[frozenset()]
+    assert search.known == result_before
 
 
 @pytest.mark.parametrize(("slow", "like"), [(0.4, False), (0.6, True)])
@@ -133,8 +135,8 @@ def test_a_slope_may_be_what_varies_slowly(slow, like, offset, monkeypatch):
     """Of a variance of 1 Nm2 beside an offset; where the slope is measured, it is none."""
     residual = offset + np.tile([-1.0, 1.0], 50)
     monkeypatch.setattr(locate, "torque_residuals", lambda _: [residual])
-    found = SimpleNamespace(problem=SimpleNamespace(masks=[np.ones(100, dtype=bool)]))
-    for slope, expected in ((0.01, like), (np.nan, False)):
+    result = SimpleNamespace(problem=SimpleNamespace(masks=[np.ones(100, dtype=bool)]))
+    for slope, expectation in ((0.01, like), (np.nan, False)):
         left = locate.SlowResidual(float(np.sqrt(slow + offset**2)), 0.1, slope)
         monkeypatch.setattr(locate, "slow_residual", lambda _, left=left: left)
-        assert locate.is_like_slope(found) == expected
+        assert locate.is_like_slope(result) == expectation

@@ -66,7 +66,7 @@ def test_two_levels_are_found_with_their_size_length_and_share(seed):
     gain, chain = likelier(made(mean))
     assert gain > SURE
     if chain.level < chain.rest:  # which of the two is the rest is for the caller to say
-        chain = Chain(chain.rest, chain.level, chain.goes, chain.comes, chain.noise)
+        chain = Chain(chain.rest, chain.level, chain.go_rate, chain.come_rate, chain.noise)
     assert is_spells(chain)
     per_block = NOISE_NM / math.sqrt(COUNT)
     error = per_block * math.sqrt(1.0 / truth.sum() + 1.0 / (~truth).sum())
@@ -101,22 +101,22 @@ def test_what_is_expected_hangs_on_the_past_alone(at):
     b = made(two_levels(400, np.random.default_rng(2))[0])
     changed = b.mean.copy()
     changed[at] += 30.0 if changed[at] < 0.5 * LEVEL_NM else -30.0
-    before, after = (expected_there(one, CHAIN) for one in (b, replace(b, mean=changed)))
-    np.testing.assert_array_equal(before[: at + 1], after[: at + 1])
+    result_before, result_after = (expected_there(item, CHAIN) for item in (b, replace(b, mean=changed)))
+    np.testing.assert_array_equal(result_before[: at + 1], result_after[: at + 1])
     if at + 1 < len(changed) and not b.first[at + 1]:
-        assert before[at + 1] != after[at + 1]
+        assert result_before[at + 1] != result_after[at + 1]
     rest = np.flatnonzero(b.first & (np.arange(len(changed)) > at))
     if len(rest):  # a piece restarts
-        np.testing.assert_array_equal(before[rest[0] :], after[rest[0] :])
+        np.testing.assert_array_equal(result_before[rest[0] :], result_after[rest[0] :])
 
 
 def test_what_is_expected_is_right_as_often_as_it_says():
     mean, truth = two_levels(8000, np.random.default_rng(3))
-    expected = expected_there(made(mean), CHAIN)
-    assert np.all((expected > 0.0) & (expected < 1.0))
+    expectation = expected_there(made(mean), CHAIN)
+    assert np.all((expectation > 0.0) & (expectation < 1.0))
     for low, high in ((0.0, 0.1), (0.9, 1.0)):
-        some = (expected >= low) & (expected <= high)
-        assert truth[some].mean() == pytest.approx(expected[some].mean(), abs=4.0 * math.sqrt(0.05 / some.sum()))
+        some = (expectation >= low) & (expectation <= high)
+        assert truth[some].mean() == pytest.approx(expectation[some].mean(), abs=4.0 * math.sqrt(0.05 / some.sum()))
 
 
 def test_blocks_are_means_of_what_may_be_compared():

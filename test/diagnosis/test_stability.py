@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from worlds import LAP_S, base, driven, fit_with, machine, named, scored
 
-from trackres_ros.diagnosis.search.stability import unstable
+from trackres_ros.diagnosis.search.stability import find_instabilities
 from trackres_ros.diagnosis.selection.level_errors import Levels
 
 ERROR = 0.1
@@ -21,8 +21,8 @@ def late(session, _):
 
 
 def hot(session, _):
-    (predicted,) = base().predict([session], base().nominal, ())
-    return np.clip((predicted.belt - 25.0) / 8.0, -2.0, 2.0)
+    (prediction,) = base().predict([session], base().nominal, ())
+    return np.clip((prediction.belt - 25.0) / 8.0, -2.0, 2.0)
 
 
 def fast(session, _):
@@ -48,9 +48,9 @@ def shown(over=None, share=0.0, error=ERROR):
 
     Only a track vehicle has belts that get hot.
     """
-    given = {"changed": weather, "count": 4} if over is hot else {"of": machine()}
-    found = driven(1.0 + error if over is None else lambda s, i: 1.0 + error * (1.0 + share * over(s, i)), **given)
-    return fit_with(found, named()[NAME])
+    given_values = {"changed": weather, "count": 4} if over is hot else {"of": machine()}
+    result = driven(1.0 + error if over is None else lambda s, i: 1.0 + error * (1.0 + share * over(s, i)), **given_values)
+    return fit_with(result, named()[NAME])
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def weights(monkeypatch):
     def of(found):
         heard, used = [], np.concatenate(scored(found))
         monkeypatch.setattr(Levels, "change_of", lambda _, adds, more, __: (heard.append(more[used] / adds[used]), (0.0, 1.0))[1])
-        assert unstable(found, NAME, scored(found)) == []
+        assert find_instabilities(found, NAME, scored(found)) == []
         return heard
 
     return of
@@ -82,8 +82,8 @@ def test_each_condition_weighs_by_its_scatter(stable, weights):
     late, hot, fast, later = weights(stable)
     half = [s.time > 0.5 * (s.time[0] + s.time[-1] + s.step) for s in sessions]
     np.testing.assert_array_equal(late > 0.0, np.concatenate([x[m] for x, m in zip(half, used, strict=True)]))
-    for found, given in ((hot, [p.belt for p in stable.predicted]), (fast, [np.abs(s.speed) for s in sessions])):
-        np.testing.assert_allclose(found, scaled(np.concatenate([x[m] for x, m in zip(given, used, strict=True)])))
+    for result, given_values in ((hot, [p.belt for p in stable.predicted]), (fast, [np.abs(s.speed) for s in sessions])):
+        np.testing.assert_allclose(result, scaled(np.concatenate([x[m] for x, m in zip(given_values, used, strict=True)])))
     np.testing.assert_allclose(later, scaled(np.concatenate([np.full(m.sum(), float(i)) for i, m in enumerate(used)])))
 
 
@@ -114,27 +114,27 @@ def test_a_change_is_sure_and_more_than_an_error_of_a_function(monkeypatch, stab
     """Beyond two and a half standard deviations it is still a fifth of the size."""
     monkeypatch.setattr(Levels, "change_of", lambda *_: (change, std))
     monkeypatch.setattr(Levels, "falls", lambda *_: 1.0)
-    assert bool(unstable(stable, NAME, scored(stable))) == told
+    assert bool(find_instabilities(stable, NAME, scored(stable))) == told
 
 
 @pytest.mark.parametrize(("falls", "told"), [(0.06, True), (0.04, False)])
 def test_a_changing_size_must_predict_left_out_pieces_better(monkeypatch, stable, falls, told):
     monkeypatch.setattr(Levels, "change_of", lambda *_: (0.7, 0.1))
     monkeypatch.setattr(Levels, "falls", lambda *_: falls)
-    assert bool(unstable(stable, NAME, scored(stable))) == told
+    assert bool(find_instabilities(stable, NAME, scored(stable))) == told
 
 
 def test_the_surest_change_is_told(monkeypatch, stable):
     changes = iter([(0.5, 0.1), (0.6, 0.1), (0.9, 0.25), (0.5, 0.09)])
     monkeypatch.setattr(Levels, "change_of", lambda *_: next(changes))
     monkeypatch.setattr(Levels, "falls", lambda *_: 1.0)
-    assert unstable(stable, NAME, scored(stable)) == ["has no constant size: it is larger with hot belts than cold"]
+    assert find_instabilities(stable, NAME, scored(stable)) == ["has no constant size: it is larger with hot belts than cold"]
 
 
 @pytest.mark.parametrize("error", [ERROR, -ERROR])
 def test_a_name_of_one_size_is_stable_whatever_its_sign(error):
-    found = shown(error=error)
-    assert unstable(found, NAME, scored(found)) == []
+    result = shown(error=error)
+    assert find_instabilities(result, NAME, scored(result)) == []
 
 
 @pytest.mark.parametrize(
@@ -147,5 +147,5 @@ def test_a_name_of_one_size_is_stable_whatever_its_sign(error):
 )  # fmt: skip
 def test_a_size_that_changes_with_a_condition_is_told_with_it(over, share, where):
     for error in (ERROR, -ERROR) if over is late else (ERROR,):
-        found = shown(over, share, error)
-        assert unstable(found, NAME, scored(found)) == [f"has no constant size: it is {where}"]
+        result = shown(over, share, error)
+        assert find_instabilities(result, NAME, scored(result)) == [f"has no constant size: it is {where}"]

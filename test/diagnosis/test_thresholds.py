@@ -32,8 +32,8 @@ LEVEL_NM = 400.0
 @pytest.fixture(scope="module")
 def fitted(recorded, loaded):
     """A fit of recordings with nothing hidden."""
-    gated, _, _ = checked_sessions(read_recordings(recorded(), None), loaded, (), ())
-    return fit(Problem(loaded.base, gated.sessions, tuple(s.used for s in gated.sessions)))
+    gate_result, _, _ = checked_sessions(read_recordings(recorded(), None), loaded, (), ())
+    return fit(Problem(loaded.base, gate_result.sessions, tuple(s.used for s in gate_result.sessions)))
 
 
 def test_time_lost_by_a_corrected_clock_is_excluded(recorded, loaded):
@@ -41,10 +41,10 @@ def test_time_lost_by_a_corrected_clock_is_excluded(recorded, loaded):
     torque = recordings[0].series["torque"]
     late = replace(torque, stamp_ns=torque.stamp_ns + 6_000_000_000)
     recordings[0] = replace(recordings[0], series={**recordings[0].series, "torque": late})
-    gated, _, before = checked_sessions(recordings, loaded)
-    lost = sum((s.used.sum() - t.used.sum()) * s.step for s, t in zip(before, gated.sessions, strict=True))
-    assert gated.excluded["torque lost by the correction of its clock"] == round(lost) > 0
-    assert any("corrected" in note for note in gated.notes)
+    gate_result, _, result_before = checked_sessions(recordings, loaded)
+    lost = sum((s.used.sum() - t.used.sum()) * s.step for s, t in zip(result_before, gate_result.sessions, strict=True))
+    assert gate_result.exclusions["torque lost by the correction of its clock"] == round(lost) > 0
+    assert any("corrected" in note for note in gate_result.notes)
 
 
 def with_torque(fitted, shapes):
@@ -53,14 +53,14 @@ def with_torque(fitted, shapes):
         replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed), torque_course=None)
         for s, shape in zip(fitted.problem.sessions, shapes, strict=True)
     )
-    found = fit(replace(fitted.problem, sessions=sessions), (), fitted.estimates)
-    return found, Levels(found, base_columns(found), [s.used for s in sessions])
+    result = fit(replace(fitted.problem, sessions=sessions), (), fitted.estimates)
+    return result, Levels(result, base_columns(result), [s.used for s in sessions])
 
 
 def scanned(fitted, code, x, shapes):
     """The forms of one variable that a scan finds, the one that explains the block means best first."""
-    found, levels = with_torque(fitted, shapes)
-    return best_first(scanned_forms(found, levels, {code: x}), levels)
+    result, levels = with_torque(fitted, shapes)
+    return best_first(scanned_forms(result, levels, {code: x}), levels)
 
 
 def best_first(forms, levels):
@@ -85,9 +85,9 @@ def test_a_scan_finds_the_thresholds_of_what_is_there(fitted):
     states = [latched_states(x, np.array([3.0]), np.array([7.0]))[:, 0] for x in speed]
     (latch, *_) = scanned(fitted, SPEED, speed, states)
     assert isinstance(latch, Latch)
-    off, on = (np.array([latch.values()[name]]) for name in ("off", "on"))
+    deviation, on = (np.array([latch.values()[name]]) for name in ("off", "on"))
     # Thresholds between the same two samples of every passage are the same latch.
-    agree = np.concatenate([latched_states(x, off, on)[:, 0] == state for x, state in zip(speed, states, strict=True)])
+    agree = np.concatenate([latched_states(x, deviation, on)[:, 0] == state for x, state in zip(speed, states, strict=True)])
     assert agree.mean() > 0.99
 
 
@@ -104,8 +104,8 @@ def test_a_torque_of_the_clock_is_found_with_its_threshold(fitted, variable, kin
     x = [CLOCKS[variable](s) for s in fitted.problem.sessions]
     low, high = (float(q) for q in np.quantile(np.concatenate(x), (0.02, 0.98)))
     columns = [c[:, 0] for c in shapes(kind, x, (low, high), np.array([at]))]
-    found, levels = with_torque(fitted, columns)
-    (first, *_) = best_first(clock_forms(found, levels), levels)
+    result, levels = with_torque(fitted, columns)
+    (first, *_) = best_first(clock_forms(result, levels), levels)
     assert (first.variable, first.kind) == (variable, kind)
     assert first.threshold == pytest.approx(at, abs=0.15 * (high - low))
 
@@ -130,11 +130,11 @@ def test_a_negative_torque_is_its_own_side_only_in_reverse(fitted):
 
 
 def test_latched_states_are_those_of_the_effect():
-    rng, off, on = np.random.default_rng(3), np.array([2.0, 4.0]), np.array([6.0, 4.5])
+    rng, deviation, on = np.random.default_rng(3), np.array([2.0, 4.0]), np.array([6.0, 4.5])
     x = np.cumsum(rng.normal(0.0, 1.0, 400)) % 9.0
-    states = latched_states(x, off, on)
+    states = latched_states(x, deviation, on)
     for i in range(2):
         was = 0.0
         for value, state in zip(x, states[:, i], strict=True):
-            was = latch_state(value, was, off[i], on[i])
+            was = latch_state(value, was, deviation[i], on[i])
             assert was == state

@@ -9,7 +9,7 @@ from csv_tables import written
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.resample import turning
+from trackres_ros.diagnosis.prepare.resample import turn_rates
 from trackres_ros.diagnosis.prepare.session import GateSettings
 from trackres_ros.recording.samples import Series
 from trackres_ros.units import EARTH_M
@@ -39,7 +39,7 @@ def made(time, speed, yaw, of, width=None):
     """Values computed from series, and the true means over steps."""
     edges = np.arange(0.0, time[-1], STEP_S)
     over = [np.diff(np.interp(edges, time, np.concatenate(([0.0], np.cumsum(z[:-1])))) / RATE_HZ) / STEP_S for z in (speed, yaw)]
-    return turning({role: series(time, z) for role, z in of.items()}, 0, edges, over[0], 0.3, width), over[1], over[0]
+    return turn_rates({role: series(time, z) for role, z in of.items()}, 0, edges, over[0], 0.3, width), over[1], over[0]
 
 
 def wheels(speed, yaw):
@@ -48,28 +48,28 @@ def wheels(speed, yaw):
 
 def test_a_heading_that_jumps_at_pi_gives_the_yaw_rate():
     time, speed, yaw, heading, *_ = drive()
-    found, true, _ = made(time, speed, yaw, {"heading": np.angle(np.exp(1j * heading))})
-    assert found.made_of == "heading"
-    known = np.isfinite(found.yaw_rate)
+    result, true, _ = made(time, speed, yaw, {"heading": np.angle(np.exp(1j * heading))})
+    assert result.made_of == "heading"
+    known = np.isfinite(result.yaw_rate)
     assert known.mean() > 0.98
-    np.testing.assert_allclose(found.yaw_rate[known], true[known], atol=0.012)
+    np.testing.assert_allclose(result.yaw_rate[known], true[known], atol=0.012)
 
 
 def test_wheel_speeds_give_it_where_the_track_width_is_known():
     time, speed, yaw, *_ = drive()
-    found, true, _ = made(time, speed, yaw, wheels(speed, yaw), WIDTH_M)
-    np.testing.assert_allclose(found.yaw_rate, true, atol=0.012)
+    result, true, _ = made(time, speed, yaw, wheels(speed, yaw), WIDTH_M)
+    np.testing.assert_allclose(result.yaw_rate, true, atol=0.012)
     assert made(time, speed, yaw, wheels(speed, yaw))[0] is None
 
 
 def test_positions_give_it_where_the_vehicle_moves():
     time, speed, yaw, _, x, y = drive(noise_m=0.02)
     positions = {"latitude": 0.8 + y / EARTH_M, "longitude": 0.2 + x / EARTH_M / np.cos(0.8)}
-    found, true, over = made(time, speed, yaw, positions)
-    known = np.isfinite(found.yaw_rate)
+    result, true, over = made(time, speed, yaw, positions)
+    known = np.isfinite(result.yaw_rate)
     assert 0.8 < known.mean() < 0.97
     assert not known[over < 0.1].any()
-    assert np.sqrt(np.mean((found.yaw_rate - true)[known] ** 2)) < 0.02
+    assert np.sqrt(np.mean((result.yaw_rate - true)[known] ** 2)) < 0.02
 
 
 def test_positions_that_scatter_too_much_give_none():
@@ -79,10 +79,10 @@ def test_positions_that_scatter_too_much_give_none():
 
 def test_a_heading_with_gaps_is_not_known_in_them():
     time, speed, yaw, heading, *_ = drive()
-    away = (time > 50.0) & (time < 60.0)
-    found, *_ = made(time, speed, yaw, {"heading": np.where(away, np.nan, heading)})
-    assert np.isnan(found.yaw_rate[51:59]).all()
-    assert np.isfinite(found.yaw_rate[:49]).all()
+    distance = (time > 50.0) & (time < 60.0)
+    result, *_ = made(time, speed, yaw, {"heading": np.where(distance, np.nan, heading)})
+    assert np.isnan(result.yaw_rate[51:59]).all()
+    assert np.isfinite(result.yaw_rate[:49]).all()
 
 
 @pytest.mark.parametrize("recorded", [True, False])
@@ -90,10 +90,10 @@ def test_the_gate_makes_one_only_where_none_was_recorded(tmp_path, recorded):
     time, speed, yaw, heading, *_ = drive()
     columns = {"time_s": time, "speed_mps": speed, "torque_nm": 20.0 + 100.0 * np.gradient(speed, time), "heading_rad": heading}
     columns |= {"yaw_rate_radps": 2.0 * yaw} if recorded else {}
-    gated = gate(read_recordings([written(tmp_path / "drive.csv", columns)], None), GateSettings(700.0, 20.0, 15.0, False))
-    (session,) = gated.sessions
-    said = [note for note in gated.notes if "the yaw rate is computed from heading" in note]
-    assert len(said) == (0 if recorded else 1)
+    gate_result = gate(read_recordings([written(tmp_path / "drive.csv", columns)], None), GateSettings(700.0, 20.0, 15.0, False))
+    (session,) = gate_result.sessions
+    texts = [note for note in gate_result.notes if "the yaw rate is computed from heading" in note]
+    assert len(texts) == (0 if recorded else 1)
     assert session.computed == {"accel", *([] if recorded else ["yaw_rate"])}
-    expected = np.interp(session.time + 0.5, time, yaw) * (2.0 if recorded else 1.0)
-    assert np.abs(session.yaw_rate - expected)[1:-1].max() < 0.02 * (2.0 if recorded else 1.0)
+    expectation = np.interp(session.time + 0.5, time, yaw) * (2.0 if recorded else 1.0)
+    assert np.abs(session.yaw_rate - expectation)[1:-1].max() < 0.02 * (2.0 if recorded else 1.0)

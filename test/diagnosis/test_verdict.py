@@ -21,9 +21,9 @@ from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.empirical.sentences import describe_form, turning_points
 from trackres_ros.diagnosis.empirical.term import FOLLOWED, FROM, Form, Round, Term, by_improvement
 from trackres_ros.diagnosis.findings.verdict import LARGE_SLOW_SHARE, LEFT_SHARE, Changed, Findings, Verdict, judge
-from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier
+from trackres_ros.diagnosis.findings.wording import MOST_WORDS, assumed_sensor, likelier_text
 from trackres_ros.diagnosis.pipeline import credible_names
-from trackres_ros.diagnosis.prepare.checks import pooled, speed_off
+from trackres_ros.diagnosis.prepare.checks import pool_notes, speed_off
 from trackres_ros.diagnosis.prepare.session import SensorFinding
 from trackres_ros.diagnosis.report.content import why
 from trackres_ros.diagnosis.selection.as_used import moved_parameters
@@ -34,7 +34,7 @@ from trackres_ros.effects.effect import Active, Parameter
 from trackres_ros.effects.learned import CURVATURE, DRIVING_TORQUE, LOAD, SPEED, STEP, Corner, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
-LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelier=-30.0, gained=-2.0)  # confirmed but for its level score
+LESS_LIKELY = Improvement(326.0, 310.0, 4.9, 27.0, likelihood_bound=-30.0, level_gain=-2.0)  # confirmed but for its level score
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
 WORSE = Improvement(100.0, 120.0, -30.0, -10.0)
 EVERYWHERE = Location("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 1.0)
@@ -68,8 +68,8 @@ def regimes(*means, p=0.001):
 
 def worth(refit=BETTER, r2=0.9, with_effects=60.0):
     mae = {"nominal": 100.0, "refitted": 80.0, "with_effects": with_effects}
-    of = {"nominal": r2, "refitted": r2 + 0.01, "with_effects": r2 + 0.02}
-    return HeldOut(("a: 1",), mae, of, mae, {}, refit, BETTER)
+    item = {"nominal": r2, "refitted": r2 + 0.01, "with_effects": r2 + 0.02}
+    return HeldOut(("a: 1",), mae, item, mae, {}, refit, BETTER)
 
 
 def refitted(*moved, std=0.1):
@@ -100,11 +100,11 @@ def said(found=(), terms=(), base=None, at_end=None, slow=QUIET, hint="", held=N
 def test_an_error_with_an_assumed_sensor_is_said_without_it_too():
     gain = Parameter("error", "1", -0.015, 0.015, 0.005 / PRIOR_STDS, "relative", off=0.0)
     offset = Parameter("offset", "Nm", -45.0, 45.0, 15.0 / PRIOR_STDS, "", off=0.0)
-    both = "gain 0.1 %, offset 2 Nm"
+    pair = "gain 0.1 %, offset 2 Nm"
     for gain_at, offset_at, assumed in (
         (0.015, 2.0, "gain 1.5 %, the most it assumes"),
         (0.001, -20.0, "offset -20 Nm"),
-        (0.001, 2.0, both),
+        (0.001, 2.0, pair),
     ):
         values = (("torque_gain", gain, gain_at), ("torque_offset", offset, offset_at))
         acting = [Active(SimpleNamespace(name=name, parameters=(q,)), {q.name: x}) for name, q, x in values]
@@ -159,7 +159,7 @@ def test_a_refit_that_gains_names_the_changed_values():
 
 @pytest.mark.parametrize("gain", [0.0, 0.5])
 def test_a_refit_that_hardly_gains_changes_no_verdict(gain):
-    verdict = said(held=worth(Improvement(100.0, 100.0 - gain, 0.0, 1.0, likelier=5.0)), changed=(BEARING,))
+    verdict = said(held=worth(Improvement(100.0, 100.0 - gain, 0.0, 1.0, likelihood_bound=5.0)), changed=(BEARING,))
     assert verdict.changed == ()
     assert "No mismatch beyond noise" in verdict.sentence
 
@@ -212,9 +212,9 @@ def test_hold_out_laps_that_differ_plainly_more_are_unexplained():
 
 @pytest.mark.parametrize(("unused", "differs"), [(19.0, False), (21.0, True)])
 def test_hold_out_laps_differ_from_twice_the_fitted_error(unused, differs):
-    session, expected = SimpleNamespace(torque=np.full(4, 100.0)), SimpleNamespace(torque=np.array([90.0, 110.0, 90.0, 110.0]))
+    session, expectation = SimpleNamespace(torque=np.full(4, 100.0)), SimpleNamespace(torque=np.array([90.0, 110.0, 90.0, 110.0]))
     problem = SimpleNamespace(sessions=(session,), masks=(np.ones(4, dtype=bool),))
-    base = SimpleNamespace(predicted=(expected,), problem=problem)
+    base = SimpleNamespace(predicted=(expectation,), problem=problem)
     assert (only_later(base, unused) is not None) == differs
 
 
@@ -269,7 +269,9 @@ def test_a_dropped_term_is_reported_with_the_value_it_displaces():
 
 
 def test_terms_that_hardly_change_the_error_share_a_sentence():
-    little = [graded(name, Improvement(100.0, after, -5.0, 5.0)) for name, after in (("payne", 99.5), ("mullins", 100.3))]
+    little = [
+        graded(name, Improvement(100.0, result_after, -5.0, 5.0)) for name, result_after in (("payne", 99.5), ("mullins", 100.3))
+    ]
     together = "Laps left out in turn do not confirm payne or mullins: their mean error changes by 0.5 Nm at most."
     assert together in said(unconfirmed=little).sentence
     assert "do not confirm payne: their mean error goes from 100 to 99.5 Nm" in said(unconfirmed=little[:1]).sentence
@@ -295,8 +297,8 @@ def test_an_unconfirmed_term_is_dropped_for_its_own_reason(dropped, reason):
     for others in ([], [graded("mullins", WORSE)]):
         assert said(unconfirmed=[dropped, *others], at_end=regimes(30.0)).grade == SUSPECTED
     rival = candidate("payne", worth=19.5).graded_as(dropped)
-    chosen = found(rivals=(rival,))
-    for text in (said([chosen]).sentence, why(rival, 5.0, chosen), why(rival, 5.0)):
+    choice = found(rivals=(rival,))
+    for text in (said([choice]).sentence, why(rival, 5.0, choice), why(rival, 5.0)):
         assert ("do not confirm it" in text) == by_laps
         assert dropped.fault in text
 
@@ -375,19 +377,19 @@ def test_no_verdict_contradicts_a_warning_on_a_sensor(finding):
     ]  # fmt: skip
     for findings in verdicts:
         verdict, without = said(sensors=[finding], **findings), said(**findings)
-        assert f"{finding.says}." in verdict.sentence
-        assert finding.startswith(f"{finding.says[0].lower()}{finding.says[1:]}") or finding.says[1:] in finding
+        assert f"{finding.statement}." in verdict.sentence
+        assert finding.startswith(f"{finding.statement[0].lower()}{finding.statement[1:]}") or finding.statement[1:] in finding
         assert (verdict.status, verdict.grade) == (without.status, without.grade)
-        assert finding.says not in without.sentence
+        assert finding.statement not in without.sentence
         if verdict.status == "none":
-            assert verdict.sentence.startswith(f"{finding.says}. ")
+            assert verdict.sentence.startswith(f"{finding.statement}. ")
             assert "No physics is missing" not in verdict.sentence
             assert "No mismatch" not in verdict.sentence
 
 
 def test_one_warning_tells_all_recordings_with_a_wrong_speed():
     each = [speed_off({name: value}) for name, value in (("a", -0.05), ("b", -0.06), ("c", 0.04))]
-    notes = pooled(["x: y", *each, "z"])
+    notes = pool_notes(["x: y", *each, "z"])
     assert [note for note in notes if note in ("x: y", "z")] == ["x: y", "z"]
     low, high = (note for note in notes if isinstance(note, SensorFinding))
     assert low == "a, b: the speed is 5.8 % more than the recorded distance implies: one of them is wrong"
@@ -417,8 +419,8 @@ def test_a_suspected_effect_is_never_the_headline():
     slow = said([found(improvement=UNSURE)], slow=NOISY)
     assert slow.sentence.startswith("Averaged over 30 s, the measured torque differs")
     assert "It may be: scrub." in slow.sentence
-    described = said(terms=[term(improvement=UNSURE)])
-    assert described.sentence.startswith("The measured torque differs from the model by about 100 Nm, depending on")
+    description = said(terms=[term(improvement=UNSURE)])
+    assert description.sentence.startswith("The measured torque differs from the model by about 100 Nm, depending on")
 
 
 def test_a_suspected_term_that_removes_little_is_only_listed():
@@ -469,8 +471,8 @@ def test_a_small_residual_is_reported_a_large_one_drops_names():
 
 
 def test_what_several_explain_counts_together_where_they_act():
-    both = [found(adds=60.0), found("payne", adds=60.0)]
-    assert said(both, at_end=regimes(59.0)).status == "named"
+    pairs = [found(adds=60.0), found("payne", adds=60.0)]
+    assert said(pairs, at_end=regimes(59.0)).status == "named"
     assert said([found(adds=60.0)], at_end=regimes(59.0)).status == "unexplained"
     seldom = found()
     seldom.adds[0][:] = np.where(np.arange(100) < 10, 100.0, 0.0)  # for a tenth of the time
@@ -542,8 +544,8 @@ def test_a_rival_has_one_probability():
 
 
 def test_certainty_is_bounded():
-    assert likelier(candidate("a", 22.0), candidate("b", 20.0)) == "7"
-    assert likelier(candidate("a", 900.0), candidate("b", 20.0)) == "over a thousand"
+    assert likelier_text(candidate("a", 22.0), candidate("b", 20.0)) == "7"
+    assert likelier_text(candidate("a", 900.0), candidate("b", 20.0)) == "over a thousand"
 
 
 # What may be written
@@ -609,9 +611,9 @@ def test_an_error_with_an_unpredictable_term_says_its_source(form):
     """Only what the vehicle file has as a disturbance is tracked live."""
     for predictable in (True, False):
         for by in (BETTER, Improvement(80.0, 79.0, 0.5, 1.5)):
-            of = term("a_term", by, predictable=predictable)
-            of = replace(of, form=form)
-            sentence = said(terms=[of]).sentence
+            item = term("a_term", by, predictable=predictable)
+            item = replace(item, form=form)
+            sentence = said(terms=[item]).sentence
             assert ("60 Nm. The feed-forward leaves out" in sentence) == (not predictable and form in FROM)
             assert ("taken from a live estimate" in sentence) == (not predictable and form in (*FOLLOWED, "spells"))
 
@@ -624,10 +626,10 @@ def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():
 
 
 def test_only_terms_predictable_ahead_are_written():
-    described = Verdict("described", CONFIRMED, "")
+    description = Verdict("described", CONFIRMED, "")
     terms = [term(), term("spells", predictable=False), term("step_of_load", UNSURE)]
-    assert credible_names(terms, described, KINDS, False) == ["curve_of_speed"]
-    assert credible_names(terms, described, KINDS, True) == ["curve_of_speed", "step_of_load"]
+    assert credible_names(terms, description, KINDS, False) == ["curve_of_speed"]
+    assert credible_names(terms, description, KINDS, True) == ["curve_of_speed", "step_of_load"]
 
 
 FAST, RISING = Corner(SPEED, STEP, 1.0, 5.0, 10.0), Curve(DRIVING_TORQUE, [100.0, 5000.0])
@@ -650,20 +652,20 @@ PEAK, WAVY = Curve(SPEED, [1.0, 3.0, 5.0, 7.0]), Curve(SPEED, [1.0, 2.0, 3.0, 4.
 )  # fmt: skip
 def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
     values = {**{q.name: q.start for q in effect.parameters}, **values}
-    described = describe_form(Term(effect, None, improvement=BETTER, values=values, adds=term().adds), "vehicle")
-    assert described.sentence == sentence
-    verdict = said(terms=[described])
+    description = describe_form(Term(effect, None, improvement=BETTER, values=values, adds=term().adds), "vehicle")
+    assert description.sentence == sentence
+    verdict = said(terms=[description])
     assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue explains this. Look for ")
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=6, unique=True))
 def test_turning_points_hold_all_large_swings_of_a_curve(heights):
-    found = turning_points(heights)
-    assert (found[0], found[-1]) == (0, len(heights) - 1)
+    result = turning_points(heights)
+    assert (result[0], result[-1]) == (0, len(heights) - 1)
     span = max(heights) - min(heights)
-    assert max(heights[i] for i in found) > max(heights) - 0.2 * span
-    assert min(heights[i] for i in found) < min(heights) + 0.2 * span
-    ways = np.sign(np.diff([heights[i] for i in found]))
+    assert max(heights[i] for i in result) > max(heights) - 0.2 * span
+    assert min(heights[i] for i in result) < min(heights) + 0.2 * span
+    ways = np.sign(np.diff([heights[i] for i in result]))
     assert (ways[1:] != ways[:-1]).all()
 
 
@@ -682,12 +684,12 @@ def test_a_wrong_value_of_the_file_is_named_with_its_interval(recorded, tmp_path
     true = float(value[1])
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(text.replace(value[0], f"friction: {{value: {0.86 * true:.5f}"), encoding="utf-8")
-    found = tr.diagnose(recorded(), wrong, quick=True).as_dict()
-    assert found["verdict"]["status"] == "none"
-    (changed, *_) = found["verdict"]["changed"]
+    result = tr.diagnose(recorded(), wrong, quick=True).as_dict()
+    assert result["verdict"]["status"] == "none"
+    (changed, *_) = result["verdict"]["changed"]
     assert changed["name"] == "bearing_friction"
-    assert found["base"]["refitted"]["bearing_friction"]["value"] == pytest.approx(true, rel=0.1)
+    assert result["base"]["refitted"]["bearing_friction"]["value"] == pytest.approx(true, rel=0.1)
     low, high = changed["ci95"]
     assert low < true < high
-    assert changed["text"] in found["verdict"]["sentence"]
-    assert "No mismatch beyond noise" not in found["verdict"]["sentence"]
+    assert changed["text"] in result["verdict"]["sentence"]
+    assert "No mismatch beyond noise" not in result["verdict"]["sentence"]

@@ -46,10 +46,10 @@ def written(vehicle, folder, kept):
 @pytest.mark.parametrize("learned", [SPELLS, DRIFT])
 def test_it_is_written_with_unit_range_and_reason_and_read_again(tmp_path, learned):
     path = written(load("xgd24d"), tmp_path / "first", NOTHING.with_disturbance(learned))
-    found, section = load(path).disturbance, yaml.safe_load(path.read_text())["disturbance"]
-    assert found.form == learned.disturbance.form == section.pop("form")
+    result, section = load(path).disturbance, yaml.safe_load(path.read_text())["disturbance"]
+    assert result.form == learned.disturbance.form == section.pop("form")
     for name, (low, high) in learned.ranges.items():
-        assert getattr(found, name) == pytest.approx(getattr(learned.disturbance, name), rel=1e-5)
+        assert getattr(result, name) == pytest.approx(getattr(learned.disturbance, name), rel=1e-5)
         assert section[name]["range"] == [low, high]
         assert section[name]["flag"] == "F"
         assert "trackres diagnose" in section[name]["reason"]
@@ -69,11 +69,11 @@ def test_a_later_disturbance_replaces_the_old_and_none_keeps_it(tmp_path):
 
 def test_a_vehicle_without_belts_is_watched_too(tmp_path):
     base = load_base("ztbus_hess19").base
-    for name, learned in (("spells", SPELLS), ("drift", DRIFT)):
-        base.write(tmp_path / f"{name}.yaml", NOTHING.with_disturbance(learned), "Written by trackres diagnose from x.")
-        found = load_any(tmp_path / f"{name}.yaml").disturbance
-        assert found.form == learned.disturbance.form
-        assert astuple(found) == pytest.approx(astuple(learned.disturbance), rel=1e-5)
+    for name, learned_values in (("spells", SPELLS), ("drift", DRIFT)):
+        base.write(tmp_path / f"{name}.yaml", NOTHING.with_disturbance(learned_values), "Written by trackres diagnose from x.")
+        result = load_any(tmp_path / f"{name}.yaml").disturbance
+        assert result.form == learned_values.disturbance.form
+        assert astuple(result) == pytest.approx(astuple(learned_values.disturbance), rel=1e-5)
 
 
 IMPROVEMENTS = {
@@ -118,11 +118,11 @@ def test_the_diagnosis_and_the_watch_follow_a_drift_alike(seed):
     level, _ = find_drifting_level(b)
     noise = level.noise / np.sqrt(5.0)
     most = MOST_DRIFT * level.size
-    expected = np.clip(expected_level(b, level)[0], -most, most)
+    expectation = np.clip(expected_level(b, level)[0], -most, most)
     watch, live = DisturbanceWatch(Drift(level.size, level.seconds, noise)), np.empty(n)
     for i in range(n):
         for k in range(50):  # as many a block as blocks follow without a break
             belief = watch.take(round((BLOCK_S * i + 0.1 * k) * 1e9), mean[i], 5.0)
             live[i] = belief.torque_nm if k == 0 else live[i]
-    assert np.abs(live[1:] - expected[1:]).max() < 0.1 * noise + 0.02 * np.abs(expected).max()
-    assert np.abs(mean - expected).mean() < 0.7 * np.abs(mean).mean()
+    assert np.abs(live[1:] - expectation[1:]).max() < 0.1 * noise + 0.02 * np.abs(expectation).max()
+    assert np.abs(mean - expectation).mean() < 0.7 * np.abs(mean).mean()

@@ -48,11 +48,11 @@ def driven(seed, size, minutes=15.0):
 
 def test_a_wave_is_found_with_its_length_and_named_after_a_belt():
     drives = [driven(seed, SIZE_NM) for seed in (1, 2)]
-    found = find_wave(left_by([d[0] for d in drives], [d[1] for d in drives]))
-    assert found.length_m == pytest.approx(LENGTH_M, rel=1e-3)
-    assert found.size == pytest.approx(SIZE_NM, rel=0.15)
-    assert part_of(found.length_m, PARTS) == "one turn of the belt"
-    for shape, (_, _, wave) in zip(found.shape, drives, strict=True):
+    result = find_wave(left_by([d[0] for d in drives], [d[1] for d in drives]))
+    assert result.length_m == pytest.approx(LENGTH_M, rel=1e-3)
+    assert result.size == pytest.approx(SIZE_NM, rel=0.15)
+    assert part_of(result.length_m, PARTS) == "one turn of the belt"
+    for shape, (_, _, wave) in zip(result.shape, drives, strict=True):
         assert np.corrcoef(shape, wave)[0, 1] > 0.9
 
 

@@ -30,8 +30,8 @@ def test_a_value_changes_where_it_stands():
     document.set(("a", "reason"), "now: so, 'quoted' \\ \\n")
     document.set(("b", "c"), 4.0)
     document.set(("d",), "first")
-    lines, before = document.text().splitlines(), TEXT.splitlines()
-    assert [i for i, (x, y) in enumerate(zip(lines, before, strict=True)) if x != y] == [1, 4, 12]
+    lines, result_before = document.text().splitlines(), TEXT.splitlines()
+    assert [i for i, (x, y) in enumerate(zip(lines, result_before, strict=True)) if x != y] == [1, 4, 12]
     assert lines[1].endswith("   # beside")
     content = yaml.safe_load(document.text())
     assert content["a"] == {"value": 2e-05, "range": [1e-05, 3.0], "reason": "now: so, 'quoted' \\ \\n"}

@@ -87,13 +87,13 @@ def driven(
     vehicle, rng = of or base(), np.random.default_rng(1)
     sessions = drives(vehicle, MOST_SPEED_MPS, count, laps * LAP_S / 60.0, rng, step=1.0)
     sessions = [s if changed is None else changed(s) for s in sessions]
-    predicted = vehicle.predict(sessions, vehicle.nominal, shows)
+    prediction = vehicle.predict(sessions, vehicle.nominal, shows)
     shown, masks = [], []
-    for i, (session, bare) in enumerate(zip(sessions, predicted, strict=True)):
+    for i, (session, bare) in enumerate(zip(sessions, prediction, strict=True)):
         lap = (session.time // LAP_S).astype(np.int64)
-        fitted = lap < laps - laps // HELD_OUT_EVERY
+        fit_result = lap < laps - laps // HELD_OUT_EVERY
         scale = gain(session, i) if callable(gain) else gain
-        scale = np.where(fitted, scale, scale if held_out_gain is None else held_out_gain)
+        scale = np.where(fit_result, scale, scale if held_out_gain is None else held_out_gain)
         noise = lfilter([1.0], [1.0, -phi], rng.normal(0.0, NOISE_NM, len(session)))
         more = 0.0 if adds is None else adds(session, i) * np.sign(session.speed)
         moves = np.abs(session.speed) > 0.5
@@ -102,7 +102,7 @@ def driven(
         if belt_noise is not None:
             belt = bare.belt + rng.normal(0.0, belt_noise, len(session))
             shown[-1] = replace(shown[-1], belt=belt, given=session.given | {"belt"})
-        masks.append(moves & fitted)
+        masks.append(moves & fit_result)
     return with_levels(fit(Problem(vehicle, tuple(shown), tuple(masks))))
 
 
@@ -149,24 +149,24 @@ def judging(found: Fit, effects: Mapping[str, Effect]) -> SimpleNamespace:
     use = AsUsed(found.problem.base, sessions, sessions, laps)
     validation = validation_of(found)
     search = Search(found, effects, None, (), validation, lambda _: None)
-    choice = Choice(search, search.nothing.fit, laps, use)
+    choice = Choice(search, search.base_explanation.fit, laps, use)
     return SimpleNamespace(search=search, choice=choice, validation=validation, laps=laps, use=use, refitted=found)
 
 
 def explained(of: SimpleNamespace, *effects: Effect) -> Explanation:
     """The explanation by effects, each added to the ones before, with its fit settled."""
-    search, last = of.search, of.search.nothing
+    search, last = of.search, of.search.base_explanation
     for i, effect in enumerate(effects, start=1):
-        found = fit_with(of.refitted, *effects[:i])
-        search._add(last, term_of_fit(last.fit, found, effect))
-        last = search.polished(search.known[last.key | {effect.name}])
+        result = fit_with(of.refitted, *effects[:i])
+        search._add(last, term_of_fit(last.fit, result, effect))
+        last = search.polish(search.known[last.key | {effect.name}])
     return last
 
 
 def graded(of: SimpleNamespace, *effects: Effect) -> tuple:
     """The grade of each of these terms together, and whether all of it is confirmed."""
-    found = explained(of, *effects)
-    return {name: of.choice.graded(found, name) for name in found.terms}, of.choice._is_confirmed(found)
+    result = explained(of, *effects)
+    return {name: of.choice.grade_term(result, name) for name in result.terms}, of.choice._is_confirmed(result)
 
 
 def moving_means(found: Fit, rows: np.ndarray, seconds: float, used: Sequence) -> dict:
@@ -176,8 +176,8 @@ def moving_means(found: Fit, rows: np.ndarray, seconds: float, used: Sequence) -
         own = rows[begin : begin + len(session)]
         begin += len(session)
         for block in sorted(set((session.time // seconds).astype(int).tolist())):
-            inside = session.time // seconds == block
-            known = own[inside & mask]
-            if len(known) and len(known) >= 0.5 * inside.sum():
+            is_inside = session.time // seconds == block
+            known = own[is_inside & mask]
+            if len(known) and len(known) >= 0.5 * is_inside.sum():
                 means[i, block] = known.mean(axis=0)
     return means

@@ -100,9 +100,9 @@ def test_a_level_decays_to_zero_and_its_variance_to_the_prior(level, share, keep
 def test_without_a_residual_it_is_there_as_often_as_it_is():
     watch = DisturbanceWatch(SPELLS)
     for belief in (watch.belief(START_NS), fed(watch, math.nan, 60.0)):
-        assert belief.probability == pytest.approx(SHARE)
+        assert belief.there == pytest.approx(SHARE)
         assert belief.torque_nm == pytest.approx(MEAN_NM)
-        assert not belief.is_present
+        assert not belief.present
         assert belief.since_ns is None
     assert fed(DisturbanceWatch(DRIFT), math.nan, 60.0).torque_nm == 0.0
 
@@ -110,14 +110,14 @@ def test_without_a_residual_it_is_there_as_often_as_it_is():
 def test_a_lasting_level_is_found_and_dated_within_a_few_blocks():
     watch = DisturbanceWatch(SPELLS)
     first_belief = fed(watch, -50.0, 60.0)
-    assert first_belief.probability < 0.1
-    assert not first_belief.is_present
+    assert first_belief.there < 0.1
+    assert not first_belief.present
     spell_belief = fed(watch, 300.0, 3.0 * BLOCK_S, start_s=60.0)
-    assert spell_belief.probability > 0.9
-    assert spell_belief.is_present
+    assert spell_belief.there > 0.9
+    assert spell_belief.present
     assert spell_belief.since_ns == pytest.approx(START_NS + 60 * 10**9, abs=1.1 * BLOCK_S * 1e9)
     last_belief = fed(watch, -50.0, 3.0 * BLOCK_S, start_s=75.0)
-    assert not last_belief.is_present
+    assert not last_belief.present
     assert last_belief.since_ns == pytest.approx(START_NS + 75 * 10**9, abs=1.1 * BLOCK_S * 1e9)
 
 
@@ -163,7 +163,7 @@ def test_a_drift_is_followed_and_never_taken_for_more_than_one():
     belief = fed(watch, lambda t: 120.0 + rng.normal(0.0, 200.0), 600.0)
     assert belief.torque_nm == pytest.approx(120.0, abs=3.0 * belief.std_nm)
     assert belief.std_nm < 40.0
-    assert math.isnan(belief.probability)
+    assert math.isnan(belief.there)
     drift_belief = fed(watch, 1e4, 3600.0, start_s=600.0, dt=0.5)
     assert drift_belief.torque_nm == MOST_DRIFT * DRIFT.size
 
@@ -205,5 +205,5 @@ def test_whatever_comes_the_belief_is_one(steps):
     for step, residual in steps:
         stamp += step
         belief = watch.take(stamp, residual, 8.0)
-        assert 0.0 <= belief.probability <= 1.0
+        assert 0.0 <= belief.there <= 1.0
         assert SPELLS.rest <= belief.torque_nm <= SPELLS.level

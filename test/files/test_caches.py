@@ -29,8 +29,8 @@ def damages(random):
     }
 
     def flipped(data):
-        at = int(random.integers(0, len(data)))
-        return data[:at] + bytes([data[at] ^ (1 << int(random.integers(0, 8)))]) + data[at + 1 :]
+        place = int(random.integers(0, len(data)))
+        return data[:place] + bytes([data[place] ^ (1 << int(random.integers(0, 8)))]) + data[place + 1 :]
 
     return {**named, **{f"flipped {i}": flipped for i in range(40)}}
 
@@ -45,13 +45,13 @@ def test_a_damaged_table_is_computed_anew_and_written_again(tmp_path):
         return cached_arrays("key", SHAPES, lambda: computed.append(1) or ARRAYS, tmp_path)
 
     again()
-    whole = (tmp_path / "key.arrays").read_bytes()
+    total = (tmp_path / "key.arrays").read_bytes()
     for count, (name, damage) in enumerate(DAMAGES.items(), 2):
-        (tmp_path / "key.arrays").write_bytes(damage(whole))
-        found = again()
+        (tmp_path / "key.arrays").write_bytes(damage(total))
+        result = again()
         assert len(computed) == count, name
-        assert all(np.array_equal(found[key], ARRAYS[key]) for key in SHAPES)
-        assert (tmp_path / "key.arrays").read_bytes() == whole
+        assert all(np.array_equal(result[key], ARRAYS[key]) for key in SHAPES)
+        assert (tmp_path / "key.arrays").read_bytes() == total
         again()
         assert len(computed) == count, name
 
@@ -63,9 +63,9 @@ def test_the_cache_keeps_the_newest_tables_up_to_its_limit(tmp_path, monkeypatch
     (tmp_path / "of_others").write_bytes(bytes(10 * size))
     monkeypatch.setattr(cache, "MOST_KEPT", 3 * size)
     for count in range(1, 6):
-        found = cached_arrays(f"key{count}", SHAPES, lambda: ARRAYS, tmp_path)
+        result = cached_arrays(f"key{count}", SHAPES, lambda: ARRAYS, tmp_path)
         os.utime(tmp_path / f"key{count}.arrays", ns=(count, count))
-        assert all(np.array_equal(found[name], ARRAYS[name]) for name in SHAPES)
+        assert all(np.array_equal(result[name], ARRAYS[name]) for name in SHAPES)
     assert {path.name for path in tmp_path.glob("*.arrays")} == {"key3.arrays", "key4.arrays", "key5.arrays"}
     assert (tmp_path / "of_others").is_file()
 
@@ -175,15 +175,15 @@ def simulate(tmp_path, monkeypatch, good, said):
 
 
 def test_a_simulation_with_damaged_or_no_tables_gives_the_same(simulate, tmp_path):
-    whole = simulate(tmp_path / "warm")
-    assert whole[1] == []
+    total = simulate(tmp_path / "warm")
+    assert total[1] == []
     files = list((tmp_path / "warm" / "trackres").glob("*.arrays"))
     assert files
     for file in files:
         file.write_bytes(DAMAGES["cut"](file.read_bytes()))
-    assert simulate(tmp_path / "warm") == whole
+    assert simulate(tmp_path / "warm") == total
     (tmp_path / "in the way").write_text("")
-    out, messages = simulate(tmp_path / "in the way")
-    assert out == whole[0]
+    output, messages = simulate(tmp_path / "in the way")
+    assert output == total[0]
     assert "not cached" in messages[0]
     assert len(messages) == 1

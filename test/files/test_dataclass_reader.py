@@ -87,17 +87,17 @@ REFUSED = (
 
 @pytest.mark.parametrize(("changed", "where", "value", "allowed"), REFUSED)
 def test_a_refusal_names_place_given_and_allowed(changed, where, value, allowed):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         DataReader("cart.yaml").part(Cart, CART | changed)
-    error = caught.value
+    error = error_info.value
     assert (error.where, error.given, error.allowed) == (f"cart.yaml: {where}", value, allowed)
 
 
 @pytest.mark.parametrize(("changed", "near"), [({"wheel": 1}, "wheels"), ({"colour": "gren"}, "green")])
 def test_a_misspelt_key_or_word_gets_a_suggestion(changed, near):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         DataReader("cart.yaml").part(Cart, CART | changed)
-    assert caught.value.remedy == f"did you mean {near}?"
+    assert error_info.value.remedy == f"did you mean {near}?"
 
 
 def test_keys_may_be_left_to_the_caller():
@@ -116,7 +116,7 @@ def test_values_of_a_dataclass_are_checked_as_if_read():
 
 def test_limits_and_words_come_from_the_annotations():
     assert {name: limits.unit for name, limits in limits_of(Wheel).items()} == {"radius": "m", "spokes": "1"}
-    assert {one.name: words_of(one.kind) for one in fields_of(Cart) if words_of(one.kind)} == {"colour": ("red", "green")}
+    assert {item.name: words_of(item.kind) for item in fields_of(Cart) if words_of(item.kind)} == {"colour": ("red", "green")}
 
 
 anything = st.recursive(

@@ -83,14 +83,14 @@ def test_a_command_that_fails_at_any_call_leaves_the_old_files(trackres, layouts
     for n in count(1):
         folder = anew(tmp_path / "out", old)
         with Faults(folder, n, n) as faults:
-            done = trackres("layouts", "--vehicle", "agri3t", "-o", folder)
+            outcome = trackres("layouts", "--vehicle", "agri3t", "-o", folder)
         if not faults.hit:
             break
-        assert shown(folder) == (old if done.returncode else new), (n, faults.calls, done)
-        assert done.returncode in (0, 2), done
-        if done.returncode:
-            assert "No space left on device" in done.stderr, done.stderr
-            assert ".new" not in done.stderr, done.stderr
+        assert shown(folder) == (old if outcome.returncode else new), (n, faults.calls, outcome)
+        assert outcome.returncode in (0, 2), outcome
+        if outcome.returncode:
+            assert "No space left on device" in outcome.stderr, outcome.stderr
+            assert ".new" not in outcome.stderr, outcome.stderr
     assert n > 30
     assert contents(folder) == new
 
@@ -109,9 +109,9 @@ def test_a_disk_full_from_any_call_on_mixes_no_files(tmp_path, link, monkeypatch
                 failed = True
         if not faults.hit:
             break
-        found = settled(folder)
-        assert found in (OLD, NEW), (n, faults.calls)
-        assert failed or found == NEW, n
+        result = settled(folder)
+        assert result in (OLD, NEW), (n, faults.calls)
+        assert failed or result == NEW, n
         replace_all(folder)
         assert contents(folder) == NEW, n  # no leftovers
     assert n > 40
@@ -125,15 +125,15 @@ def test_a_process_killed_at_any_call_leaves_one_set(tmp_path):
             if number is None:
                 with Faults(folder, n, n, kill=True):
                     replace_all(folder)
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as statement:
             warnings.simplefilter("always")
             half = shown(folder) not in (OLD, NEW)
             settle(folder)
-        found = shown(folder)
-        assert found in (OLD, NEW), n
-        assert not half or (len(told) == 1 and told[0].category is RepairWarning), (n, told)
+        result = shown(folder)
+        assert result in (OLD, NEW), n
+        assert not half or (len(statement) == 1 and statement[0].category is RepairWarning), (n, statement)
         repaired += half
-        if found == NEW and contents(folder) == NEW and n > 60:
+        if result == NEW and contents(folder) == NEW and n > 60:
             break
         replace_all(folder)
         assert contents(folder) == NEW, n
@@ -172,13 +172,13 @@ def _calls(folder):
 
 def test_a_failed_undo_is_undone_by_the_next_reader(tmp_path):
     calls = _calls(anew(tmp_path / "out", OLD))
-    at = len(calls) - calls[::-1].index("replace")  # the last file does not come in place
+    place = len(calls) - calls[::-1].index("replace")  # the last file does not come in place
     for n in count(1):
         folder = anew(tmp_path / "out", OLD)
-        with Faults(folder, at, at, again=at + n) as faults, pytest.raises(OSError, match="No space left"):
+        with Faults(folder, place, place, again=place + n) as faults, pytest.raises(OSError, match="No space left"):
             replace_all(folder)
         assert settled(folder) in (OLD, NEW), n
-        if faults.count < at + n:
+        if faults.count < place + n:
             break
     assert n > 3
 
@@ -195,9 +195,9 @@ def test_a_command_repairs_what_a_killed_one_left_and_says_so(trackres, layouts,
             with Faults(folder, last, last, kill=True):
                 trackres("layouts", "--vehicle", "agri3t", "-o", folder)
     assert shown(folder) not in (old, new)
-    done = trackres("layouts", "--vehicle", "xgd24d", "-o", folder)
-    assert done.returncode == 0
-    assert f"{folder}: a run ended while it replaced files that belong together" in done.stderr
+    outcome = trackres("layouts", "--vehicle", "xgd24d", "-o", folder)
+    assert outcome.returncode == 0
+    assert f"{folder}: a run ended while it replaced files that belong together" in outcome.stderr
     assert contents(folder) == old
 
 
@@ -242,16 +242,16 @@ def test_a_real_process_killed_at_random_times_leaves_one_set(tmp_path):
         running = [
             subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE) for _ in range(2)
         ]  # two runs at once
-        for one in running:
-            one.stdout.readline()
+        for item in running:
+            item.stdout.readline()
         time.sleep(rolled.uniform(0.0, 0.2))
-        for one in running:
-            one.send_signal(signal.SIGKILL)
-            one.wait()
-            one.stdout.close()
-        found = set(settled(tmp_path).values())
-        assert len(found) <= 1, kills
-    replace_all(tmp_path, dict.fromkeys(("top.txt", *(f"{one}/file.txt" for one in "abcdefg")), b"end"), ())
+        for item in running:
+            item.send_signal(signal.SIGKILL)
+            item.wait()
+            item.stdout.close()
+        result = set(settled(tmp_path).values())
+        assert len(result) <= 1, kills
+    replace_all(tmp_path, dict.fromkeys(("top.txt", *(f"{item}/file.txt" for item in "abcdefg")), b"end"), ())
     assert set(contents(tmp_path).values()) == {b"end"}
     assert len(contents(tmp_path)) == 8
 
@@ -328,8 +328,8 @@ def test_a_set_over_several_folders_is_whole_from_each_of_them(tmp_path):
 def test_a_journal_of_a_stranger_touches_no_file_outside(tmp_path):
     home, theirs = tmp_path / "home", tmp_path / "unpacked"
     anew(home, {"precious.txt": b"mine"})
-    found = (home / "precious.txt").stat()
-    seal = [found.st_size, found.st_mtime_ns]
+    result = (home / "precious.txt").stat()
+    seal = [result.st_size, result.st_mtime_ns]
     token = "0123456789abcdef"
     anew(theirs, {})
     for kind in ("new", "old"):

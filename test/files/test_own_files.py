@@ -17,9 +17,9 @@ def mode(path):
 
 @pytest.fixture(params=[0o000, 0o022, 0o027, 0o077])
 def umask(request):
-    before = os.umask(request.param)
+    result_before = os.umask(request.param)
     yield request.param
-    os.umask(before)
+    os.umask(result_before)
 
 
 def test_a_new_file_follows_the_umask_an_old_one_keeps_its_mode(tmp_path, umask):

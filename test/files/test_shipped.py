@@ -27,22 +27,22 @@ def options(command: click.Command, path: str = "trackres"):
     if isinstance(command, click.Group):
         for name in command.list_commands(None):
             yield from options(command.get_command(None, name), f"{path} {name}")
-    yield from ((path, one) for one in command.params if isinstance(one, click.Option))
+    yield from ((path, param) for param in command.params if isinstance(param, click.Option))
 
 
 @pytest.mark.parametrize("what", NAMES)
 def test_every_option_says_that_it_takes_names(what):
-    found = [(path, one) for path, one in options(cli) if f"--{what}" in one.opts]
-    assert len(found) >= 5
-    for path, option in found:
+    results = [(path, value) for path, value in options(cli) if f"--{what}" in value.opts]
+    assert len(results) >= 5
+    for path, option in results:
         assert option.metavar == "FILE|NAME", path
         assert not isinstance(option.type, click.Path) or not option.type.exists, path
 
 
 def test_the_lists_name_every_shipped_file(good):
-    assert {one["name"] for one in json.loads(good("vehicle", "list", "--json"))["vehicles"]} == set(NAMES["vehicle"])
+    assert {item["name"] for item in json.loads(good("vehicle", "list", "--json"))["vehicles"]} == set(NAMES["vehicle"])
     listed = json.loads(good("topics", "list", "--json"))["topics"]
-    assert {one["name"]: Path(one["file"]) for one in listed} == NAMES["topics"]
+    assert {item["name"]: Path(item["file"]) for item in listed} == NAMES["topics"]
     assert all(name in good("topics", "list") for name in NAMES["topics"])
 
 
@@ -54,10 +54,10 @@ def test_commands_functions_node_and_fleet_find_topics_by_name(tmp_path, good):
     live = read_setup(make_parameters({"vehicle": "xgd24d", "topics": "sample"})).topics
     assert dict(live.bindings) == dict(by_name.topics.bindings)
     (tmp_path / "fleet.yaml").write_text("vehicles: {one: {file: ztbus_hess19, topics: ztbus}}")
-    (one,) = read_fleet(tmp_path / "fleet.yaml").vehicles.values()
+    (item,) = read_fleet(tmp_path / "fleet.yaml").vehicles.values()
     (other,) = one_vehicle("ztbus_hess19", "ztbus").vehicles.values()
-    assert one.topics == other.topics == (config_dir() / "topics" / "ztbus.yaml").resolve()
-    assert one.topics_sha == other.topics_sha != ""
+    assert item.topics == other.topics == (config_dir() / "topics" / "ztbus.yaml").resolve()
+    assert item.topics_sha == other.topics_sha != ""
 
 
 def test_a_shipped_name_is_no_file_of_the_current_folder(tmp_path, monkeypatch):
@@ -75,6 +75,6 @@ def test_a_shipped_name_is_no_file_of_the_current_folder(tmp_path, monkeypatch):
 def test_another_name_is_refused_with_the_nearest(tmp_path, trackres):
     with pytest.raises(InputError, match=r"topics: given 'smple'.*one of default, emps, sample, ztbus; did you mean sample\?"):
         Topics.load("smple")
-    done = trackres("replay", tmp_path / "x.csv", "--vehicle", "xgd24", "-o", tmp_path / "o.csv")
-    assert done.returncode == 2
-    assert "did you mean xgd24d?" in done.stderr
+    outcome = trackres("replay", tmp_path / "x.csv", "--vehicle", "xgd24", "-o", tmp_path / "o.csv")
+    assert outcome.returncode == 2
+    assert "did you mean xgd24d?" in outcome.stderr

@@ -42,6 +42,6 @@ def test_a_diagnosis_can_change_a_vehicle_file_of_any_editor(tmp_path):
 def test_a_damaged_row_of_a_route_is_one_line(tmp_path, row):
     path = tmp_path / "route.csv"
     path.write_text(ROUTE + row)
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         read_route(path)
-    assert f"{path}, line" in str(refused.value)
+    assert f"{path}, line" in str(error_info.value)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fuzz the readers: `python test/fuzz/run.py --count 5000` prints the table of docs/robustness.md, `--json` the counts.
+"""Fuzz the readers: `python test/fuzz/run.py --count 5000` prints a table, `--json` the counts.
 
 The mutations are read in a process of their own, which is watched: one that hangs is ended and counted, one that takes too
 much memory or dies is counted, and a new process goes on with the next mutation.
@@ -124,7 +124,7 @@ def fuzzed(name: str, count: int, seed: int, script: Path = Path(__file__)) -> R
 
 
 def table(results: dict[str, Result]) -> str:
-    """The table of docs/robustness.md."""
+    """The counts as a Markdown table."""
     rows = [["format", "mutations", *(HEADINGS[outcome] for outcome in OUTCOMES)]]
     rows.append(["---", *["--:"] * (len(rows[0]) - 1)])
     for name, result in results.items():

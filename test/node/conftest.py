@@ -80,7 +80,7 @@ class Desk:
         self.opened += 1
 
     def record(self, others):
-        return [f"# {given.type}" for given in (*self.app.inputs, *others)]
+        return [f"# {item.type}" for item in (*self.app.inputs, *others)]
 
     def topic_name(self, name):
         return self.remapped.get(name, input_name(name, "/"))
@@ -90,17 +90,17 @@ class Desk:
 
     def forward(self, seconds, tick=True):
         """Let time pass in steps of the tick's period."""
-        left = seconds
-        while left > 1e-9:
-            step = min(left, self.app.period_s)
+        remainder = seconds
+        while remainder > 1e-9:
+            step = min(remainder, self.app.period_s)
             self.time_s, self.steady_s = self.time_s + step * self.simulated_in_a_second, self.steady_s + step
-            left -= step
+            remainder -= step
             if tick:
                 self.app.tick()
 
     def index(self, role):
         """Place of the input that feeds a role."""
-        return next(i for i, given in enumerate(self.app.inputs) if role in given.valued)
+        return next(i for i, given_values in enumerate(self.app.inputs) if role in given_values.valued)
 
     def send(self, role, value, stamp_s=None):
         """A message of a role, stamped now or at a time [s since the start]."""
@@ -182,9 +182,9 @@ def wild_by_clock():
     """One application on each kind of clock, simulated or not: to make one takes longer than a whole example."""
     made = {sim: Wild(output_rate_hz=rate, use_sim_time=sim) for sim, rate in ((False, 50.0), (True, 0.0))}
     yield made
-    for one in made.values():
-        one.broken.clear()
-        one.app.close()
+    for item in made.values():
+        item.broken.clear()
+        item.app.close()
 
 
 @pytest.fixture

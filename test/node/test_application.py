@@ -28,26 +28,26 @@ TORQUE = "torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: 
 
 
 def all_there(d):
-    d.found_peers = {given.name: (Peer(given.type, True),) for given in d.app.inputs}
+    d.found_peers = {input.name: (Peer(input.type, True),) for input in d.app.inputs}
 
 
 def test_what_leaves_is_what_an_offline_session_gives(desk):
     d = desk()
-    d.found_peers = {given.name: (Peer(given.type, True),) for given in d.app.inputs}
+    d.found_peers = {input.name: (Peer(input.type, True),) for input in d.app.inputs}
     d.drive(3.0, ambient=20.0, load=250e3)
     estimator = Estimator(load("xgd24d"))
     session = estimator.session()
     for step in range(1, 151):
-        now = START_NS + round(step * 0.02 * 1e9)
-        session.handle(session.channel("ambient"), now, now, 20.0)
-        session.handle(session.channel("load"), now, now, 250e3)
-        estimate = session.handle(session.channel("speed"), now, now, 8.0)
+        time_now = START_NS + round(step * 0.02 * 1e9)
+        session.handle(session.channel("ambient"), time_now, time_now, 20.0)
+        session.handle(session.channel("load"), time_now, time_now, 250e3)
+        estimate = session.handle(session.channel("speed"), time_now, time_now, 8.0)
     for topic in output_topics(estimator.vehicle):
-        expected = values_of(topic, estimate.row[np.newaxis], estimator.column_index)[0]
-        if topic.kind != "status" and np.isfinite(expected).all():
+        expectation = values_of(topic, estimate.row[np.newaxis], estimator.column_index)[0]
+        if topic.kind != "status" and np.isfinite(expectation).all():
             stamp, values = d.last(topic.name)
-            assert stamp == now
-            np.testing.assert_allclose(values, expected, rtol=1e-12)
+            assert stamp == time_now
+            np.testing.assert_allclose(values, expectation, rtol=1e-12)
     assert d.all_finite()
 
 
@@ -92,9 +92,9 @@ def test_a_new_output_rate_holds_at_once(desk):
     d = desk(output_rate_hz=0.1, output_deadline_s=0.0)
     d.drive(1.0)
     d.app.change({"output_rate_hz": 50.0})
-    before = len(d.published)
+    result_before = len(d.published)
     d.drive(0.1)
-    assert len(d.published) > before
+    assert len(d.published) > result_before
 
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
@@ -103,7 +103,7 @@ def test_without_speed_feedforward_fades_and_other_outputs_hold(desk, rate):
     d.drive(2.0)
     d.forward(0.1)
     stamp, (full,) = d.last("feedforward_torque")
-    before = d.last("resistance_torque")
+    result_before = d.last("resistance_torque")
     d.forward(0.35)
     assert d.last("feedforward_torque") == (stamp, [full])
     assert "SPEED_OLD" not in d.names()
@@ -114,7 +114,7 @@ def test_without_speed_feedforward_fades_and_other_outputs_hold(desk, rate):
     assert d.app.overview().level is Level.STALE
     d.forward(1.0)
     assert d.last("feedforward_torque") == (stamp, [0.0])
-    assert d.last("resistance_torque") == before
+    assert d.last("resistance_torque") == result_before
     assert d.all_finite()
 
 
@@ -217,7 +217,9 @@ def test_topics_are_shown_under_their_remapped_names(desk):
     d = desk(remapped={"speed": "/car/odometry/speed", "load": "/scale"})
     d.found_peers = {"speed": (Peer(TWIST, True), Peer(TWIST, True))}
     d.drive(7.0, ambient=10.0)
-    shown = {dict(s.values)["topic"] for name, found in d.statuses for s in found if name == "/diagnostics" and "input" in s.name}
+    shown = {
+        dict(s.values)["topic"] for name, result in d.statuses for s in result if name == "/diagnostics" and "input" in s.name
+    }
     assert shown == {"/car/odometry/speed", "/scale", "/ambient"}
     logged = "; ".join(text for _, text in d.logged)
     assert "speed: 2 publishers on /car/odometry/speed" in logged
@@ -282,8 +284,8 @@ def test_a_clock_that_is_set_keeps_the_temperature_and_is_said(desk, stamp):
     d.clock_offset_s = 3600.0
     drive(50, 0.02)
     assert d.last("track_temperature/front_left")[1][0] == pytest.approx(belt, abs=0.2)
-    said = {name for topic, s in d.statuses if topic == "status" for name in dict(s[0].values)["remarks"].split()}
-    assert ("CLOCK_JUMPED" in said) == (stamp != "log")
+    texts = {name for topic, s in d.statuses if topic == "status" for name in dict(s[0].values)["remarks"].split()}
+    assert ("CLOCK_JUMPED" in texts) == (stamp != "log")
     assert d.last("feedforward_torque")[0] == pytest.approx(d.now_ns(), abs=1000)
     assert [(name, count) for name, count, _ in d.app.session.counts() if name == "load"] == [("load", Count.ACCEPTED)]
     if stamp == "header":  # from now on without
@@ -314,7 +316,7 @@ def test_speeds_that_waited_while_the_node_was_stopped_are_old(desk, rate, pause
     d.app.change({"output_rate_hz": rate})
     d.drive(0.5)
     warm, began_s = d.last("track_temperature/front_left")[1][0], d.time_s
-    d.time_s, d.steady_s, sent = d.time_s + pause_s, d.steady_s + pause_s, len(d.published)
+    d.time_s, d.steady_s, sent_message = d.time_s + pause_s, d.steady_s + pause_s, len(d.published)
     for i in range(1, 26):
         d.send("speed", 8.0, stamp_s=began_s + 0.02 * i)
     assert d.names() & {"SPEED_OLD", "CLOCK_OFFSET"} == {"SPEED_OLD"}
@@ -323,7 +325,7 @@ def test_speeds_that_waited_while_the_node_was_stopped_are_old(desk, rate, pause
     d.forward(0.5)
     d.drive(2.0, speed=0.0)
     assert "SPEED_OLD" not in d.names()
-    assert {values[0] for name, _, values in d.published[sent:] if name == "feedforward_torque_nm"} == {0.0}
+    assert {values[0] for name, _, values in d.published[sent_message:] if name == "feedforward_torque_nm"} == {0.0}
     assert not d.app.session.memory.counters[:, Count.IMPLAUSIBLE].any()
     assert d.last("track_temperature/front_left")[1][0] < warm - 0.003 * pause_s
 
@@ -358,16 +360,16 @@ def test_feedforward_keeps_the_time_of_a_fast_simulated_clock(desk):
     assert d.last("feedforward_torque_nm")[1][0] > 3000.0
     d.simulated_in_a_second = 0.0
     d.forward(2.0)
-    assert [given.too_old for given in d.app.overview().inputs if given.role == "speed"] == [True]
+    assert [input.too_old for input in d.app.overview().inputs if input.role == "speed"] == [True]
 
 
 def test_a_leap_of_the_simulated_clock_is_no_time_to_move_in(desk):
     d = desk(use_sim_time=True, output_rate_hz=50.0)
     d.drive(2.0)
-    before = len(d.published)
+    result_before = len(d.published)
     d.time_s += 3600.0
     d.drive(2.0)
-    torques = [values[0] for name, _, values in d.published[before - 20 :] if name == "feedforward_torque_nm"]
+    torques = [values[0] for name, _, values in d.published[result_before - 20 :] if name == "feedforward_torque_nm"]
     assert min(torques) < 0.9 * torques[0]  # the speed was an hour old
     steps = [abs(b - a) for a, b in itertools.pairwise(torques)]
     assert max(steps) <= 20000.0 * 0.02 * (1.0 + 1e-6)  # feedforward_rate
@@ -439,7 +441,7 @@ def test_before_the_clock_the_newest_messages_of_an_input_wait(desk, monkeypatch
     d.send("speed", 8.0, stamp_s=0.02 * 8)
     assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
     assert ("speed", Count.ACCEPTED, 6) in list(d.app.session.counts())
-    assert sorted(d.app.messages.reader.dropped) == [0, 0, 3]
+    assert sorted(d.app.messages.reader.drop_counts) == [0, 0, 3]
 
 
 def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):
@@ -455,10 +457,10 @@ def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):
 def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
     d = desk()
     d.drive(1.0)
-    before = sum(number for name, _, number in d.app.session.counts() if name == "load")
+    result_before = sum(number for name, _, number in d.app.session.counts() if name == "load")
     d.app.messages.receive_values(d.index("load"), None, [300e3], origin=Sent(d.now_ns()))
     d.app.close()
-    assert sum(number for name, _, number in d.app.session.counts() if name == "load") == before + 1
+    assert sum(number for name, _, number in d.app.session.counts() if name == "load") == result_before + 1
 
 
 @pytest.mark.parametrize("odd", [None, "resistance_torque_nm", "resistance_std_nm", "feedforward_torque_nm"])
@@ -510,9 +512,9 @@ def test_publishing_ends_at_zero_and_begins_there_again(desk, ended_by, nm_per_s
     torques = [values[0] for name, _, values in d.published[count:] if name == "feedforward_torque_nm"]
     assert torques[-1] == 0.0
     assert max(-np.diff([full, *torques])) <= (nm_per_s + 2.0 * limit) * d.app.period_s
-    said = [found[0] for name, found in d.statuses if name == "status"][-1]
-    assert said.level is (Level.ERROR if ended_by == "fault" else Level.STALE)
-    assert dict(said.values)["remarks"].split()[0] == ("INTERNAL_ERROR" if ended_by == "fault" else "INACTIVE")
+    text = [result[0] for name, result in d.statuses if name == "status"][-1]
+    assert text.level is (Level.ERROR if ended_by == "fault" else Level.STALE)
+    assert dict(text.values)["remarks"].split()[0] == ("INTERNAL_ERROR" if ended_by == "fault" else "INACTIVE")
     count, statuses = len(d.published), len(d.statuses)
     d.drive(6.0, load=250e3, ambient=12.0)
     assert (len(d.published), len(d.statuses)) == (count, statuses)
@@ -534,14 +536,14 @@ def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
     file = tmp_path / "it's here.yaml"
     file.write_text("schema: 1\nvehicle: xgd24d\neffects:\n  grade: {grade: 0.02}\n")
     plain, d = desk(), desk(surroundings=str(file))
-    for one in (plain, d):
-        one.drive(2.0, load=272e3, ambient=15.0)
+    for item in (plain, d):
+        item.drive(2.0, load=272e3, ambient=15.0)
     assert d.names() - plain.names() == {"SURROUNDINGS"}
     assert next(notice.level for notice in d.app.notices() if notice.name == "SURROUNDINGS") is Level.WARN
     assert str(file) in shlex.split(d.app.parameters.diagnose_command())
-    fed, expected = ([one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque"))
+    fed, expectation = ([item.last(name)[1][0] for item in (plain, d)] for name in ("feedforward_torque", "resistance_torque"))
     assert fed[0] == pytest.approx(fed[1], rel=1e-3)
-    assert expected[0] != pytest.approx(expected[1], rel=0.1)
+    assert expectation[0] != pytest.approx(expectation[1], rel=0.1)
     with pytest.raises(InputError, match="configured"):
         d.app.change({"surroundings": ""})
 
@@ -556,7 +558,7 @@ def test_a_belt_beyond_the_rubber_data_is_warned_of(desk, tmp_path, repository):
     made.drive(0.1)
     made.forward(0.1)
     assert "OUTSIDE_TABLE" in made.reasons[-1]
-    status = next(found[0] for topic, found in reversed(made.statuses) if topic == "status")
+    status = next(result[0] for topic, result in reversed(made.statuses) if topic == "status")
     assert status.level == Level.WARN
     assert "the torque is extrapolated" in status.message
 

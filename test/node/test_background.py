@@ -35,6 +35,6 @@ for i in range(50):
     lines.put(f"{i} " + 9000 * "é")
 lines.close(30.0)
 """
-    done = subprocess.run([sys.executable, "-X", "utf8", "-c", text], capture_output=True, timeout=60.0, check=True)
-    lines = done.stderr.decode().splitlines()
+    process = subprocess.run([sys.executable, "-X", "utf8", "-c", text], capture_output=True, timeout=60.0, check=True)
+    lines = process.stderr.decode().splitlines()
     assert lines == [f"{i} " + 9000 * "é" for i in range(50)]

@@ -20,8 +20,8 @@ def fed(made):
 def drive(made, seconds, gear=None, good=None, speed=8.0):
     for i in range(round(seconds / 0.02)):
         made.forward(0.02)
-        for index, given in enumerate(made.app.inputs):
-            value = {"gear": gear, "good": good}.get(given.name)
+        for index, given_values in enumerate(made.app.inputs):
+            value = {"gear": gear, "good": good}.get(given_values.name)
             if value is not None and i % 5 == 0:
                 made.app.messages.receive(index, SimpleNamespace(data=value))
         made.send("speed", speed)
@@ -37,9 +37,9 @@ def test_a_gear_gives_the_torque_its_sign(desk, gear, sign):
     drive(made, 2.0, gear)
     assert sign * fed(made) > 2000.0
     assert made.last("estimate")[1][0] * sign > 0.0 or sign * fed(made) > 0.0
-    before = fed(made)
+    result_before = fed(made)
     drive(made, 1.0, 0)  # neutral: it rolls on as it did
-    assert fed(made) == pytest.approx(before, rel=0.01)
+    assert fed(made) == pytest.approx(result_before, rel=0.01)
 
 
 def test_without_a_direction_nothing_is_fed_and_it_is_said(desk):
@@ -77,8 +77,8 @@ def test_a_speed_of_1_hz_is_held_and_said_and_a_dead_one_fades(desk):
     torques = [values[0] for name, _, values in made.published if name == "feedforward_torque_nm"]
     assert len(torques) > 200
     assert min(torques) > 0.97 * max(torques) > 2000.0
-    said = next(notice.text for notice in made.app.notices() if notice.name == "SPEED_SLOW")
-    assert "your speed comes at 1 Hz; it is trusted for 1.5 s" in said
+    text = next(notice.text for notice in made.app.notices() if notice.name == "SPEED_SLOW")
+    assert "your speed comes at 1 Hz; it is trusted for 1.5 s" in text
     made.forward(1.6)
     assert "SPEED_OLD" in made.names()
     made.forward(1.0)
@@ -88,9 +88,9 @@ def test_a_speed_of_1_hz_is_held_and_said_and_a_dead_one_fades(desk):
 def test_a_doubted_load_is_named_at_once(desk):
     made = desk(SPEED % "" + LOAD)
     made.drive(3.0, load=250e3)
-    before = fed(made)
+    result_before = fed(made)
     made.drive(0.2, load=450e3)
     assert "LOAD_DOUBTED" in made.names()
     made.drive(3.0)
     assert "LOAD_DOUBTED" in made.names()
-    assert fed(made) == pytest.approx(before, rel=0.01)
+    assert fed(made) == pytest.approx(result_before, rel=0.01)

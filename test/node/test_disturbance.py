@@ -48,11 +48,11 @@ def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given, top
     d = desk(Path(topics).read_text().replace("}", f", stamp: {stamp}}}"), vehicle=given[0]["vehicle"])
     d.drive(20.0, dt=0.2)
     drive(d, 40.0, 0.0)
-    level, _, away = of(d, "disturbance")
+    level, _, distance = of(d, "disturbance")
     assert level is Level.OK
-    assert away["form"] == "spells"
-    assert away["present"] == "false"
-    assert float(away["there"]) < 0.1
+    assert distance["form"] == "spells"
+    assert distance["present"] == "false"
+    assert float(distance["there"]) < 0.1
     assert "DISTURBANCE" not in d.names()
     began_s = d.time_s
     drive(d, 40.0, LEVEL_NM)
@@ -78,14 +78,14 @@ def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given, top
 
 
 def test_what_is_published_as_torque_is_the_same_to_the_last_bit(desk, given):
-    found = []
+    results = []
     for parameters in given:
         d = desk(**parameters)
         d.drive(5.0, dt=0.2)
         for i in range(60):
             d.drive(1.0, dt=0.2, torque=3000.0 + LEVEL_NM * (i // 20 % 2))
-        found.append(d)
-    disturbed, bare = found
+        results.append(d)
+    disturbed, bare = results
     assert of(disturbed, "disturbance") is not None
     assert of(bare, "disturbance") is None
     assert any(name == "feedforward_torque" and values != [0.0] for name, _, values in disturbed.published)

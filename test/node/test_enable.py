@@ -103,7 +103,7 @@ def test_an_enable_that_has_not_come_yet_is_no_warning(desk):
 
 def test_what_is_wrong_is_logged_while_an_input_is_awaited(desk):
     made = desk(SPEED % "" + BOOL % "")
-    made.found_peers = {given.name: (Peer("another/msg/Type", True),) for given in made.app.inputs}
+    made.found_peers = {input.name: (Peer("another/msg/Type", True),) for input in made.app.inputs}
     made.forward(2.0)
     level, text = made.logged[-1]
     assert level is Level.WARN
@@ -123,24 +123,24 @@ def test_a_replay_with_enable_gives_the_numbers_of_live(desk, tmp_path):
         made.send("speed", speed)
         lines.append(f"{0.02 * i:.2f},{int(wanted) if i < 250 else ''},{speed!r}")
     (tmp_path / "drive.csv").write_text("\n".join(lines) + "\n")
-    replayed = tr.replay(tmp_path / "drive.csv", "xgd24d")
-    live = np.array([row[: len(replayed.estimator.columns)] for row in rows])
-    for i, name in enumerate(replayed.estimator.columns):
-        np.testing.assert_allclose(replayed[name], live[:, i], rtol=1e-6, atol=1e-9, err_msg=name)
-    assert replayed["feedforward_torque_nm"][150] > 3000.0
-    assert replayed["feedforward_torque_nm"][[0, 249, 299]].tolist() == [0.0] * 3
-    assert {item["reason"] for item in replayed.as_dict()["reasons"]} >= {"disabled", "enable_old"}
+    replay_result = tr.replay(tmp_path / "drive.csv", "xgd24d")
+    live = np.array([row[: len(replay_result.estimator.columns)] for row in rows])
+    for i, name in enumerate(replay_result.estimator.columns):
+        np.testing.assert_allclose(replay_result[name], live[:, i], rtol=1e-6, atol=1e-9, err_msg=name)
+    assert replay_result["feedforward_torque_nm"][150] > 3000.0
+    assert replay_result["feedforward_torque_nm"][[0, 249, 299]].tolist() == [0.0] * 3
+    assert {item["reason"] for item in replay_result.as_dict()["reasons"]} >= {"disabled", "enable_old"}
     named = tr.replay(tmp_path / "drive.csv", "xgd24d", topics={"enable": {"column": "enable"}})
-    np.testing.assert_array_equal(named["feedforward_torque_nm"], replayed["feedforward_torque_nm"])
+    np.testing.assert_array_equal(named["feedforward_torque_nm"], replay_result["feedforward_torque_nm"])
 
 
 def test_a_mode_in_a_table_is_read_by_its_values(tmp_path):
     lines = ["time_s,speed_mps,mode", *(f"{0.02 * i:.2f},8.0,{4 if i < 50 else 3}" for i in range(100))]
     (tmp_path / "drive.csv").write_text("\n".join(lines) + "\n")
     topics = Topics.parse({"enable": {"column": "mode", "values": [1, 4]}})
-    replayed = tr.replay(tmp_path / "drive.csv", "xgd24d", topics=topics)
-    assert replayed["feedforward_torque_nm"][49] > 3000.0
-    assert replayed["feedforward_torque_nm"][99] == 0.0
+    replay_result = tr.replay(tmp_path / "drive.csv", "xgd24d", topics=topics)
+    assert replay_result["feedforward_torque_nm"][49] > 3000.0
+    assert replay_result["feedforward_torque_nm"][99] == 0.0
 
 
 @pytest.mark.parametrize("values", [[], 4, ["auto"], [float("nan")]])

@@ -25,8 +25,8 @@ EVENTS = st.lists(st.tuples(SPEEDS, st.floats(0.0, 3.0), st.integers(0, 20), BRO
 
 def estimates(d):
     """Of each estimate that was published: stamp, numbers by name, reasons, and the feed-forward published just before it."""
-    sent = [found for found in d.published if found[0] in ("feedforward_torque", "estimate")]
-    pairs = [(a, b) for a, b in itertools.pairwise(sent) if b[0] == "estimate"]
+    sent_messages = [result for result in d.published if result[0] in ("feedforward_torque", "estimate")]
+    pairs = [(a, b) for a, b in itertools.pairwise(sent_messages) if b[0] == "estimate"]
     assert len(pairs) == len(d.reasons)
     return [
         (stamp, dict(zip(ESTIMATE_TOPIC.names, values, strict=True)), reasons, (other, torque))
@@ -36,10 +36,10 @@ def estimates(d):
 
 def check(d):
     """Laws of every estimate, for any input."""
-    for (stamp, numbers, reasons, (other, torque)), left in zip(estimates(d), d.left, strict=True):
+    for (stamp, numbers, reasons, (other, torque)), remainder in zip(estimates(d), d.left, strict=True):
         assert (stamp, numbers["feedforward_torque_nm"]) == (other, torque)
         assert abs(torque) <= LIMIT_OF_WEIGHT * d.app.estimator.settings.feedforward_share * (1 + 1e-9)
-        assert left == 1.0 or "SPEED_OLD" in reasons
+        assert remainder == 1.0 or "SPEED_OLD" in reasons
         assert numbers["resistance_std_nm"] > 0.0
         assert numbers[LEVEL] == max(reasons.values(), default=Level.OK)
         assert all(reasons[name] is KINDS[name].level for name in reasons)
@@ -68,7 +68,7 @@ def test_during_a_fade_each_message_is_stale_and_gives_a_reason(desk, rate):
     d = desk(output_rate_hz=rate)
     d.drive(2.0)
     d.forward(3.0)
-    faded = [numbers for (_, numbers, _, _), left in zip(estimates(d), d.left, strict=True) if left < 1.0]
+    faded = [numbers for (_, numbers, _, _), remainder in zip(estimates(d), d.left, strict=True) if remainder < 1.0]
     assert len(faded) > 20
     assert faded[-1]["feedforward_torque_nm"] == 0.0
     assert {numbers[LEVEL] for numbers in faded} == {Level.STALE}
@@ -116,7 +116,7 @@ def test_its_reasons_are_those_of_the_status_within_its_second(desk):
     d = desk(output_rate_hz=50.0)
     d.drive(3.0)
     d.forward(1.0)
-    name, (status,) = next(found for found in reversed(d.statuses) if found[0] == "status")
+    name, (status,) = next(result for result in reversed(d.statuses) if result[0] == "status")
     assert name == "status"
     notices = dict(status.values)["remarks"].split()
     assert set(d.reasons[-1]) == set(notices)

@@ -78,16 +78,16 @@ class Drive:
         return self.may_rise and self.filter.age_s(self.now) <= self.filter.max_age_s
 
     def output(self):
-        before = self.torque
+        result_before = self.torque
         if self.begun:
             self.torque = self.filter.move(self.filter.course(self.now))
         rate = max(number.feedforward_rate for number in self.number)
         to_zero = max(number.feedforward_limit / number.feedforward_fade for number in self.number)
-        away = abs(self.torque) > abs(before) and self.torque * before >= 0.0
+        distance = abs(self.torque) > abs(result_before) and self.torque * result_before >= 0.0
         assert math.isfinite(self.torque)
-        most = rate if away else max(rate, to_zero) + to_zero  # to zero by its rate and by fading at once
-        assert abs(self.torque - before) <= most * TICK_NS / SECOND_NS + ROUNDING_NM
-        assert self.may_rise or not away
+        most = rate if distance else max(rate, to_zero) + to_zero  # to zero by its rate and by fading at once
+        assert abs(self.torque - result_before) <= most * TICK_NS / SECOND_NS + ROUNDING_NM
+        assert self.may_rise or not distance
         self.idle_s = 0.0 if self.may_stay else self.idle_s + TICK_NS / SECOND_NS
         if self.idle_s > LONGEST_FADE_S + 0.1:
             assert self.torque == 0.0
@@ -162,8 +162,8 @@ def test_a_speed_that_returns_while_it_fades_makes_no_jump(estimators, index, si
     drive = Drive(estimators)
     drive.change(index)
     drive.roll(500, 3.0, 1, True, True)
-    before = drive.torque
+    result_before = drive.torque
     drive.roll(silent_ticks, None, 1, True, True)
-    assert drive.torque < before
+    assert drive.torque < result_before
     drive.roll(500, 3.0, 1, True, True)
-    assert drive.torque == pytest.approx(before, rel=0.05)
+    assert drive.torque == pytest.approx(result_before, rel=0.05)

@@ -72,7 +72,7 @@ def is_of_loop(code):
 
 def called_by_the_application(d):
     """The functions of this package that a drive calls right out of the node's loop, by module and name; without the step."""
-    found = set()
+    result = set()
 
     def profile(frame, event, _):
         code, caller = frame.f_code, frame.f_back
@@ -81,14 +81,14 @@ def called_by_the_application(d):
             return
         if path.is_relative_to(PACKAGE) and not is_of_loop(code) and "<" not in code.co_qualname:
             module = ".".join(["trackres_ros", *path.relative_to(PACKAGE).with_suffix("").parts])
-            found.add((module, code.co_qualname))
+            result.add((module, code.co_qualname))
 
     sys.setprofile(profile)
     try:
         driven(d)
     finally:
         sys.setprofile(None)
-    return {(module, name) for module, name in found if name not in STEP and not name.startswith("Parameters.")}
+    return {(module, name) for module, name in result if name not in STEP and not name.startswith("Parameters.")}
 
 
 def failing(*_, **__):
@@ -110,7 +110,7 @@ def put_fault(monkeypatch, d, module, name):
 
 @pytest.mark.parametrize("rate_hz", [50.0, 0.0])
 def test_no_call_besides_the_step_can_change_the_torque(node, monkeypatch, rate_hz):
-    whole = driven(node(rate_hz))
+    total = driven(node(rate_hz))
     calls = called_by_the_application(node(rate_hz))
     assert {"Comparison.take", "LiveLearning.take", "StateKeeper.save_soon", "Watch.every_second", "statuses"} <= {
         n for _, n in calls
@@ -119,9 +119,9 @@ def test_no_call_besides_the_step_can_change_the_torque(node, monkeypatch, rate_
         d = node(rate_hz)
         with monkeypatch.context() as broken:
             put_fault(broken, d, module, name)
-            assert driven(d) == whole, name
+            assert driven(d) == total, name
             if name not in SILENT:
-                status = [found[0] for topic, found in d.statuses if topic == "status"][-1]
+                status = [result[0] for topic, result in d.statuses if topic == "status"][-1]
                 assert status.level == Level.WARN, name
                 assert "failed because of a bug" in status.message, name
                 assert "Failure: injected" in status.message, name
@@ -130,13 +130,13 @@ def test_no_call_besides_the_step_can_change_the_torque(node, monkeypatch, rate_
 
 @pytest.mark.parametrize("what", ["log", "peers", "publish_status", "keep", "on_estimate"])
 def test_no_edge_and_no_recorder_can_change_the_torque(node, monkeypatch, what):
-    whole, d = driven(node()), node()
+    total, d = driven(node()), node()
     target = d.app if what == "on_estimate" else d
     if what == "keep":
         d.app.record(failing)
     else:
         monkeypatch.setattr(target, what, failing)
-    assert driven(d) == whole
+    assert driven(d) == total
     monkeypatch.undo()
     if what not in ("log", "publish_status"):  # failures that cannot be reported
         assert "PART_FAILED" in d.names()
@@ -172,10 +172,10 @@ def test_a_blocked_disk_stops_no_estimate_and_losses_are_bounded(node, monkeypat
     began = time.monotonic()
     driven(d, 3.0)
     assert time.monotonic() - began < 60.0
-    (said,) = [notice for notice in d.app.notices() if notice.name == "NOT_RECORDED"]
-    assert said.level is Level.WARN
-    assert "live.mcap.part: the disk has not responded for" in said.text
-    assert re.search(r"lost so far: \d+ messages and [1-9]\d* estimates", said.text)
+    (texts,) = [notice for notice in d.app.notices() if notice.name == "NOT_RECORDED"]
+    assert texts.level is Level.WARN
+    assert "live.mcap.part: the disk has not responded for" in texts.text
+    assert re.search(r"lost so far: \d+ messages and [1-9]\d* estimates", texts.text)
     answers.set()
     lines = recorder.end()
     assert (tmp_path / "live.mcap").exists()
@@ -194,8 +194,8 @@ def test_a_picture_that_fails_is_a_line_of_text(node, monkeypatch, tmp_path):
 def test_split_files_keep_the_limit_by_deleting_only_the_oldest(node, monkeypatch, tmp_path):
     monkeypatch.setattr(record, "WRITE_EVERY_S", 0.02)
     others = [tmp_path / "live_0000.csv", tmp_path / "other_0000.mcap", tmp_path / "live_0003.mcap"]
-    for other in others:
-        other.write_text("of somebody else")
+    for other_item in others:
+        other_item.write_text("of somebody else")
     kept = []
     for _ in range(2):
         d, recorder = node(), Recorder(tmp_path / "live.mcap", RecordLimits(split_mb=0.3, limit_mb=1.5))
@@ -212,4 +212,4 @@ def test_split_files_keep_the_limit_by_deleting_only_the_oldest(node, monkeypatc
     assert kept[0][0] >= "live_0004.mcap"
     assert kept[1][0] > kept[0][-1] or set(kept[1]) & set(kept[0])
     assert kept[1][-1] > kept[0][-1]
-    assert all(other.read_text() == "of somebody else" for other in others)
+    assert all(other_item.read_text() == "of somebody else" for other_item in others)

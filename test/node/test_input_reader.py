@@ -39,7 +39,7 @@ def joint_state(ns, **joints):
 def test_the_speed_topic_is_last_and_speed_is_its_last_field():
     line = {"topic": "/a", "type": "std_msgs/Float64", "field": "data"}
     inputs = input_topics(Topics.parse({"speed": line, "load": {**line, "topic": "/b"}, "torque": line}))
-    assert [given.valued for given in inputs] == [("load",), ("torque", "speed")]
+    assert [input.valued for input in inputs] == [("load",), ("torque", "speed")]
 
 
 def test_elements_scale_offset_and_header_stamp():
@@ -52,15 +52,15 @@ def test_elements_scale_offset_and_header_stamp():
 def test_a_missing_element_gives_no_sample_and_is_counted():
     taken, _ = reader(speed={**JOINTS, "field": "velocity[left]"}, torque={**JOINTS, "field": "effort[right]"})
     assert samples(taken, joint_state(7, left=4.0), 99) == [(0, 7, 4.0)]
-    assert taken.absent[2] == 1
-    assert taken.received == [1]
+    assert taken.absence_counts[2] == 1
+    assert taken.message_counts == [1]
 
 
 def test_stamps_log_none_and_never_set():
     line = {"topic": "/t", "type": "sensor_msgs/msg/Temperature", "field": "temperature"}
     by_log, _ = reader(speed=line, ambient={**line, "stamp": "log"})
     message = SimpleNamespace(header=stamp(0), temperature=20.0)
-    assert {(channel, at) for channel, at, _ in samples(by_log, message, 99)} == {(0, 0), (3, 99)}
+    assert {(channel, place) for channel, place, _ in samples(by_log, message, 99)} == {(0, 0), (3, 99)}
     bare, _ = reader(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
     assert samples(bare, SimpleNamespace(data=1.0), 99) == [(0, 99, 1.0)]
 
@@ -68,8 +68,8 @@ def test_stamps_log_none_and_never_set():
 def test_what_is_no_number_counts_as_not_a_number():
     taken, _ = reader(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
     for now_ns, message in ((100, SimpleNamespace(data=None)), (101, object())):
-        ((channel, at, value),) = samples(taken, message, now_ns)
-        assert (channel, at) == (0, now_ns)
+        ((channel, place, value),) = samples(taken, message, now_ns)
+        assert (channel, place) == (0, now_ns)
         assert math.isnan(value)
 
 
@@ -105,7 +105,7 @@ def test_a_message_with_all_parts_of_a_sum_counts_once(ns, joints):
     taken, _ = reader(torque={"sum": parts}, speed={**JOINTS, "topic": "/s", "field": "velocity[a]"})
     for _ in range(10):
         assert samples(taken, joint_state(ns, **joints), 99) == []
-    assert taken.absent[2] + taken.bad_stamp[2] == 10
+    assert taken.absence_counts[2] + taken.bad_stamp[2] == 10
 
 
 def test_the_torque_delay_shifts_its_stamp_but_not_a_zero_stamp():
@@ -118,10 +118,10 @@ def test_the_torque_delay_shifts_its_stamp_but_not_a_zero_stamp():
 def test_parts_of_a_sum_without_the_other_are_said_and_counted(desk):
     part = "{{topic: {0}, type: std_msgs/msg/Float64, field: data}}"
     d = desk(f"speed: {{sum: [{part.format('left')}, {part.format('right')}]}}\n")
-    left = next(i for i, given in enumerate(d.app.inputs) if given.name == "left")
+    remainder = next(i for i, given_values in enumerate(d.app.inputs) if given_values.name == "left")
     for _ in range(150):
         d.forward(0.02)
-        d.app.messages.receive(left, SimpleNamespace(data=4.0))
+        d.app.messages.receive(remainder, SimpleNamespace(data=4.0))
     assert any("without_other_part" in notice.text for notice in d.app.notices() if notice.name == "REFUSED")
     rates = {state.topic: state.rate_hz for state in d.app.overview().inputs}
     assert rates == {"/left": pytest.approx(50.0, abs=2.0), "/right": 0.0}
@@ -135,14 +135,14 @@ def test_an_input_whose_messages_all_lack_the_element_warns(desk):
             d.forward(0.02)
             for name, value in joints.items():  # each joint has its own publisher
                 d.app.messages.receive(0, joint_state(d.now_ns(), **{name: value}))
-        (found,) = d.app.overview().inputs
-        assert found.rate_hz == pytest.approx(50.0 * len(joints), abs=2.0)
+        (result,) = d.app.overview().inputs
+        assert result.rate_hz == pytest.approx(50.0 * len(joints), abs=2.0)
         _, shown, *_ = next(entries for topic, entries in reversed(d.statuses) if topic == "/diagnostics")
         return [notice.text for notice in d.app.notices() if notice.name == "REFUSED"], shown.level
 
     texts, level = told(wheels=8.0)
-    why = "50 absent (the messages do not have velocity[wheel]: its names are wheels)"
-    assert texts == [f"speed: rejected in the last second: {why}"]
+    reason = "50 absent (the messages do not have velocity[wheel]: its names are wheels)"
+    assert texts == [f"speed: rejected in the last second: {reason}"]
     assert level is Level.STALE
     assert told(wheels=8.0, wheel=8.0) == ([], Level.OK)
     assert told(wheels=8.0)[1] is Level.STALE  # the last one that had it is too old

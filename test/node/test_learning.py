@@ -19,11 +19,11 @@ def drive(d, seconds, share=1.1, more=0.0):
     """Drive slower and faster in turn, with a torque so many times the file's expectation."""
     for i in range(round(seconds / 0.2)):
         speed = 8.0 + 4.0 * math.sin(i / 150.0)
-        expected = d.app.overview().values.get("drive_torque_nm", 3000.0)
+        expectation = d.app.overview().values.get("drive_torque_nm", 3000.0)
         moved = d.app.session.learned
         if moved[at.Learned.on] > 0.0:
-            expected -= float((moved[at.Learned.departures] * moved[at.Learned.sensitivities]).sum())
-        d.drive(0.2, speed=speed, dt=0.2, torque=share * expected + more + (i % 11 - 5.0))
+            expectation -= float((moved[at.Learned.departures] * moved[at.Learned.sensitivities]).sum())
+        d.drive(0.2, speed=speed, dt=0.2, torque=share * expectation + more + (i % 11 - 5.0))
 
 
 def learned_topic(d):
@@ -36,15 +36,15 @@ def learned_topic(d):
 def test_by_default_it_watches_and_says_what_it_learns(desk, topics):
     d = desk(topics=topics)
     drive(d, 120.0)
-    found = learned_topic(d)
-    assert set(found) >= {"learning", "loss_modulus_scale", "bearing_friction", "drag_coefficient", "torque_gain", "disturbance"}
-    values = dict(found["loss_modulus_scale"].values)
+    result = learned_topic(d)
+    assert set(result) >= {"learning", "loss_modulus_scale", "bearing_friction", "drag_coefficient", "torque_gain", "disturbance"}
+    values = dict(result["loss_modulus_scale"].values)
     assert float(values["low"]) < float(values["value"]) < float(values["high"])
     assert float(values["value"]) > 1.0
     assert values["state"] in ("learning", "learned", "frozen")
     assert d.app.session.learned[at.Learned.on] == 0.0
     assert "learning" in d.app.overview().learning
-    delay = dict(found["torque_delay"].values)
+    delay = dict(result["torque_delay"].values)
     assert (delay["unit"], delay["state"], delay["acts"]) == ("s", "learning", "false")
 
 
@@ -66,15 +66,15 @@ def state(learned_file, tmp_path):
 
 
 def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, state, learned_file):
-    again = desk(topics=topics, state_file=str(state))
-    assert again.app.learning.learner.learned.seconds == learned_file[1] > 30.0
-    assert "used for learning" in again.app.began_with
-    assert "are reset" in again.app.reset_learning()
-    assert again.app.learning.learner.learned.seconds == 0.0
+    repetition = desk(topics=topics, state_file=str(state))
+    assert repetition.app.learning.learner.learned.seconds == learned_file[1] > 30.0
+    assert "used for learning" in repetition.app.began_with
+    assert "are reset" in repetition.app.reset_learning()
+    assert repetition.app.learning.learner.learned.seconds == 0.0
 
 
 def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, state):
-    learned = json.loads(state.read_text())["learning"]
+    learned_values = json.loads(state.read_text())["learning"]
     without = desk(state_file=str(state))
     assert "kept" in without.app.began_with
     assert not without.app.session.learned[: at.Learned.sensitivities.start].any()
@@ -84,7 +84,7 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, s
     for _ in range(2):
         without.drive(2.0)
         without.save()
-        assert json.loads(state.read_text())["learning"] == learned
+        assert json.loads(state.read_text())["learning"] == learned_values
     assert "are reset" in without.app.reset_learning()
     assert "nothing to reset" in without.app.reset_learning()
     without.save()
@@ -94,30 +94,30 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, s
 
 @pytest.mark.parametrize("between", ["no torque", "off", "off, then on", "no speed"])
 def test_time_without_learning_wears_whatever_runs_are_between(desk, topics, state, monkeypatch, between):
-    before, given = state.read_bytes(), {"topics": topics, "state_file": str(state)}
-    now = [json.loads(before)["saved_at"]]
-    monkeypatch.setattr("time.time", lambda: now[0])
-    now[0] += 86400.0 * 100.0
+    result_before, given_values = state.read_bytes(), {"topics": topics, "state_file": str(state)}
+    time_nows = [json.loads(result_before)["saved_at"]]
+    monkeypatch.setattr("time.time", lambda: time_nows[0])
+    time_nows[0] += 86400.0 * 100.0
     if between == "no speed":  # and a clock that is set after the start
-        now[0] -= 1e9
-        d = desk(**given)
-        now[0] += 1e9
+        time_nows[0] -= 1e9
+        d = desk(**given_values)
+        time_nows[0] += 1e9
         d.drive(0.1)
-        now[0] += 86400.0 * 50.0
+        time_nows[0] += 86400.0 * 50.0
     else:
-        d = desk(**(given if between != "no torque" else {"state_file": str(state)}), learning="off")
+        d = desk(**(given_values if between != "no torque" else {"state_file": str(state)}), learning="off")
         d.drive(2.0)
     if between == "off, then on":
-        now[0] += 86400.0 * 50.0
+        time_nows[0] += 86400.0 * 50.0
         d.app.change({"learning": "on"})
         d.drive(0.1)
     d.save()
     kept = json.loads(state.read_text())["learning"]
-    assert (kept == json.loads(before)["learning"]) is (between in ("no torque", "off"))
-    now[0] += 86400.0 * 100.0
-    worn = desk(**given).app.learning.learner.learned.covariance
-    state.write_bytes(before)
-    assert worn == pytest.approx(desk(**given).app.learning.learner.learned.covariance, rel=1e-9)
+    assert (kept == json.loads(result_before)["learning"]) is (between in ("no torque", "off"))
+    time_nows[0] += 86400.0 * 100.0
+    worn = desk(**given_values).app.learning.learner.learned.covariance
+    state.write_bytes(result_before)
+    assert worn == pytest.approx(desk(**given_values).app.learning.learner.learned.covariance, rel=1e-9)
 
 
 def test_it_can_be_turned_off_and_on_while_it_runs(desk, topics):
@@ -172,10 +172,10 @@ def test_what_is_wrong_with_the_torque_sensor_is_said(desk, topics, torque, why)
 def test_it_is_compiled_while_it_learns_and_goes_on(desk, topics):
     d = desk(topics=topics)
     drive(d, 20.0)
-    before = d.app.learning.learner.learned.seconds
+    result_before = d.app.learning.learner.learned.seconds
     d.app.change({"ambient_std_k": 3.0})  # another estimator, as after a change over to compiled code
     drive(d, 20.0)
-    assert d.app.learning.learner.learned.seconds > before + 10.0
+    assert d.app.learning.learner.learned.seconds > result_before + 10.0
 
 
 @pytest.mark.parametrize(("more", "kind"), [(300.0, ", of the kind seen before (spells)"), (700.0, "")])
@@ -185,10 +185,10 @@ def test_a_disturbance_is_reported_with_its_kind_if_known(desk, topics, disturbe
     assert dict(learned_topic(d)["learning"].values)["disturbance"] == ""
     drive(d, 90.0, 1.0, more)
     head = learned_topic(d)["learning"]
-    said = dict(head.values)["disturbance"] or dict(head.values)["frozen"]
-    found = re.match(r"a disturbance of \+(\d+) Nm for (\d+) s(, of the kind seen before \(spells\))?", said)
-    assert float(found[1]) == pytest.approx(more, rel=0.3)
-    assert int(found[2]) < 100
-    assert (found[3] or "") == kind
-    assert found[0] in head.message
+    text = dict(head.values)["disturbance"] or dict(head.values)["frozen"]
+    result = re.match(r"a disturbance of \+(\d+) Nm for (\d+) s(, of the kind seen before \(spells\))?", text)
+    assert float(result[1]) == pytest.approx(more, rel=0.3)
+    assert int(result[2]) < 100
+    assert (result[3] or "") == kind
+    assert result[0] in head.message
     assert {status.level for status in learned_topic(d).values()} == {KINDS["LEARNING_FROZEN"].level}

@@ -18,11 +18,11 @@ def test_no_zero_has_a_sign(desk, value):
     d.drive(1.5)
     seen = d.app.overview()
     seen = replace(
-        seen, values=dict.fromkeys(seen.values, value), inputs=tuple(replace(given, value=value) for given in seen.inputs)
+        seen, values=dict.fromkeys(seen.values, value), inputs=tuple(replace(input, value=value) for input in seen.inputs)
     )
     console = Console(width=200)
-    with console.capture() as printed:
+    with console.capture() as printed_text:
         console.print(table("live", seen))
-    for text in (printed.get(), line(seen)):
+    for text in (printed_text.get(), line(seen)):
         assert not re.search(r"(?<![\w.])-0(\.0*)?(?![\d.])", text), text
         assert "e+" not in text

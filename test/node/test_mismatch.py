@@ -32,9 +32,9 @@ def watch(residual, dt=1.0, settings=None, speed=8.0, accel=0.0, detector=None, 
     """Feed a series; the detector and the times [s] at which it changed its mind."""
     detector = detector or MismatchDetector(settings or MismatchSettings())
     turned, parted = [], detector.verdict.parted
-    for i, (value, now) in enumerate(zip(residual.tolist(), np.broadcast_to(speed, residual.shape).tolist(), strict=True)):
+    for i, (value, time_now) in enumerate(zip(residual.tolist(), np.broadcast_to(speed, residual.shape).tolist(), strict=True)):
         time_s = start_s + i * dt
-        detector.take(START_NS + round(time_s * 1e9), value, DRIVE_NM, STD_NM, now, accel)
+        detector.take(START_NS + round(time_s * 1e9), value, DRIVE_NM, STD_NM, time_now, accel)
         if detector.verdict.parted is not parted:
             parted = not parted
             turned.append(time_s)
@@ -116,13 +116,13 @@ def test_a_lasting_offset_is_found_with_its_time_size_and_sign(phi, bias):
 
 
 def test_a_larger_offset_is_found_sooner():
-    found = []
+    results = []
     for bias in (500.0, 700.0, 1500.0, 5000.0, 1e6):
         residual = noise(2.0, 0.9, seed=2)
         residual[1800:] += bias
-        found.append(watch(residual)[1][0])
-    assert found == sorted(found, reverse=True)
-    assert found[-1] < found[0]
+        results.append(watch(residual)[1][0])
+    assert results == sorted(results, reverse=True)
+    assert results[-1] < results[0]
 
 
 def test_what_comes_round_each_lap_is_none():
@@ -142,8 +142,8 @@ def test_a_mismatch_ends_within_30_minutes_of_the_offset_ending():
 def test_signs_and_directions_of_travel_are_alike():
     residual = noise(2.0, 0.5, seed=9)
     residual[1800:] += 700.0
-    for ahead in (-1.0, np.where(np.arange(len(residual)) // 60 % 2, -1.0, 1.0)):
-        assert watch(residual * ahead, speed=8.0 * ahead)[0].verdict == watch(residual)[0].verdict
+    for forecast in (-1.0, np.where(np.arange(len(residual)) // 60 % 2, -1.0, 1.0)):
+        assert watch(residual * forecast, speed=8.0 * forecast)[0].verdict == watch(residual)[0].verdict
     up, down = watch(residual), watch(-residual)
     assert up[1] == down[1]
     assert up[0].verdict.mean_nm == -down[0].verdict.mean_nm
@@ -169,11 +169,11 @@ def test_standing_and_hard_acceleration_are_not_compared(speed, accel):
 def test_spikes_neither_hide_an_offset_nor_change_its_size(spike):
     residual = noise(2.0, 0.5, seed=3)
     residual[3600:] += 700.0
-    plain, found = watch(residual)
+    plain, result = watch(residual)
     residual[np.random.default_rng(1).random(len(residual)) < 0.005] += spike
     residual[0] = spike
     spiked, found_spiked = watch(residual)
-    assert found_spiked[0] == pytest.approx(found[0], abs=120.0)
+    assert found_spiked[0] == pytest.approx(result[0], abs=120.0)
     assert spiked.verdict.mean_nm == pytest.approx(plain.verdict.mean_nm, rel=0.03)
 
 
@@ -231,11 +231,11 @@ def test_any_constant_residual_stays_finite(value):
 
 def test_what_is_not_finite_or_goes_back_in_time_is_left_out():
     detector, _ = watch(noise(0.5))
-    before = detector.verdict
+    result_before = detector.verdict
     for value in (math.nan, math.inf, -math.inf):
         detector.take(START_NS + 10**13, value, DRIVE_NM, STD_NM, 8.0, 0.0)
         detector.take(START_NS + 10**13, 0.0, value, STD_NM, 8.0, 0.0)
-    assert detector.verdict == before
+    assert detector.verdict == result_before
     watch(noise(0.5), detector=detector, start_s=-10000.0)
     assert not detector.verdict.parted
 
@@ -246,9 +246,9 @@ def hour(reference):
     time_s = np.arange(0.0, 3600.0, 1.0)
     speed = 8.0 + 2.0 * np.sin(2 * np.pi * time_s / 400.0)
     state = reference.cold_start(reference.inputs(8.0, ambient=15.0))
-    rows, at = reference.run(state, time_s, speed, reference.vehicle.weight, 15.0)[1], reference.column_index
+    rows, place = reference.run(state, time_s, speed, reference.vehicle.weight, 15.0)[1], reference.column_index
     names = "hysteresis_nm", "bearing_nm", "drive_torque_nm", "resistance_std_nm", "speed_mps", "accel_mps2"
-    return time_s, [rows[:, at[name]] for name in names]
+    return time_s, [rows[:, place[name]] for name in names]
 
 
 WELL_KNOWN = MismatchSettings(mismatch_share=0.02, mismatch_std=0.0)

@@ -49,13 +49,13 @@ def test_whatever_comes_no_tick_raises_and_status_goes_out(wild_by_clock, simula
         elif what == "broken":
             d.broken = set(given_[0])
         else:
-            role, seconds, nanoseconds, value, sent = given_
+            role, seconds, nanoseconds, value, sent_message = given_
             if what == "strange":
-                d.app.messages.receive(d.index(role), value, Sent(sent))
+                d.app.messages.receive(d.index(role), value, Sent(sent_message))
             else:
-                now = divmod(START_NS + round(d.time_s * SECOND_NS), SECOND_NS)
-                stamp = (seconds, nanoseconds) if what == "message" else now
-                d.app.messages.receive(d.index(role), d.message(role, *stamp, value), Sent(sent))
+                time_now = divmod(START_NS + round(d.time_s * SECOND_NS), SECOND_NS)
+                stamp = (seconds, nanoseconds) if what == "message" else time_now
+                d.app.messages.receive(d.index(role), d.message(role, *stamp, value), Sent(sent_message))
         d.app.tick()
     d.broken.clear()
     count = len(d.statuses)
@@ -76,7 +76,7 @@ def test_what_fails_each_time_is_said_and_the_status_goes_on(wild_desk, what):
     d.forward(6.0)
     assert len(d.statuses) - count >= 5
     if what in ("publish", "peers"):
-        assert any(f"{what} does not work" in found[0].message for _, found in d.statuses[count:])
+        assert any(f"{what} does not work" in result[0].message for _, result in d.statuses[count:])
     d.broken.clear()
     d.drive(7.0)
     assert not {"INTERNAL_ERROR", "OUTPUT_FAILED"} & d.names()
@@ -107,7 +107,7 @@ def test_a_first_stamp_beyond_the_message_range_is_refused(desk):
     d.app.messages.receive(d.index("speed"), d.message("speed", 2**31 - 1, 10**9, 8.0))
     d.forward(0.5)
     assert "REFUSED" in d.names()
-    speed = next(given for given in d.app.overview().inputs if given.role == "speed")
+    speed = next(input for input in d.app.overview().inputs if input.role == "speed")
     assert dict(speed.counts) == {"bad_stamp": 1}
     d.drive(2.5)
     assert d.last("resistance_torque")[0] == pytest.approx(d.now_ns(), abs=SECOND_NS)
@@ -150,20 +150,20 @@ class Pace:
     def judge(self):
         """Hold the laws, and return the kinds of outputs that there were."""
         seen, wrong_s, longest_s = set(), 0.0, 0.0
-        for (before_s, before, *_), (now_s, now, target, numbers) in itertools.pairwise(self.outputs):
+        for (before_s, result_before, *_), (now_s, time_now, target, numbers) in itertools.pairwise(self.outputs):
             if not numbers:
                 wrong_s = 0.0
                 continue
             rate = max(number.feedforward_rate for number in numbers)
             fading = max(number.feedforward_limit / number.feedforward_fade for number in numbers)
-            away = abs(now) > abs(before) and now * before >= 0.0
-            most = rate if away else rate + fading
-            assert abs(now - before) <= most * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
-            assert now * target > 0.0 or (not away and now * before >= 0.0)
+            distance = abs(time_now) > abs(result_before) and time_now * result_before >= 0.0
+            most = rate if distance else rate + fading
+            assert abs(time_now - result_before) <= most * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
+            assert time_now * target > 0.0 or (not distance and time_now * result_before >= 0.0)
             longest_s = max(longest_s if wrong_s else 0.0, *(number.feedforward_fade for number in numbers))
-            wrong_s = wrong_s + now_s - before_s if now * target < 0.0 else 0.0
+            wrong_s = wrong_s + now_s - before_s if time_now * target < 0.0 else 0.0
             assert wrong_s <= longest_s + 0.2
-            seen.add("away" if away else "wrong" if wrong_s else "zero" if target == 0.0 else "to it")
+            seen.add("away" if distance else "wrong" if wrong_s else "zero" if target == 0.0 else "to it")
         return seen
 
 
@@ -249,12 +249,12 @@ def test_a_quantity_has_one_sign_on_all_topics(desk):
     d = desk(output_rate_hz=50.0)
     d.drive(3.0, ambient=20.0, load=250e3)
     d.forward(1.0)
-    _, entries = next((name, found) for name, found in reversed(d.statuses) if name == "/diagnostics")
-    said = dict(entries[0].values)
+    _, entries = next((name, result) for name, result in reversed(d.statuses) if name == "/diagnostics")
+    text = dict(entries[0].values)
     topic = next(t for t in output_topics(d.app.vehicle) if t.name == "resistance_torque")
     efforts = dict(zip(topic.names, d.last("resistance_torque")[1], strict=True))
     for part in TOTALS:
-        assert float(said[f"resistance_torque/{part}"]) == pytest.approx(efforts[part], abs=1e-3)
+        assert float(text[f"resistance_torque/{part}"]) == pytest.approx(efforts[part], abs=1e-3)
     assert efforts["total"] < 0.0 < efforts["drive"]
     signs = {}
     for topic in output_topics(d.app.vehicle):
@@ -270,11 +270,13 @@ def test_the_age_of_an_input_goes_on_while_nothing_comes(desk):
         for _ in range(50):  # loads go on
             d.forward(0.05)
             d.send("load", load)
-        entries = next(found for name, found in reversed(d.statuses) if name == "/diagnostics")
-        levels = [one.level for role in ("load", "speed", "ambient") for one in entries if one.name.endswith(f"input {role}")]
+        entries = next(result for name, result in reversed(d.statuses) if name == "/diagnostics")
+        levels = [
+            entry.level for role in ("load", "speed", "ambient") for entry in entries if entry.name.endswith(f"input {role}")
+        ]
         assert levels == [level, Level.STALE, Level.STALE]
-    ages = {given.role: given.age_s for given in d.app.overview().inputs}
+    ages = {input.role: input.age_s for input in d.app.overview().inputs}
     assert ages["speed"] == pytest.approx(5.0, abs=0.1)
     assert ages["load"] == pytest.approx(0.0, abs=0.1)
     d.forward(1.0)
-    assert {given.role: given.age_s for given in d.app.overview().inputs}["load"] == pytest.approx(1.0, abs=0.1)
+    assert {input.role: input.age_s for input in d.app.overview().inputs}["load"] == pytest.approx(1.0, abs=0.1)

@@ -84,7 +84,7 @@ def test_a_file_that_cannot_be_read_is_refused_once(tmp_path, content):
     write(tmp_path / "p.yaml", content)
     looks = [file.look(parameters.with_changes) for _ in range(3)]
     assert [changed for changed, _ in looks] == [{}, {}, {}]
-    assert [len(refused) for _, refused in looks] == [0, 1, 0]
+    assert [len(refusal) for _, refusal in looks] == [0, 1, 0]
     write(tmp_path / "p.yaml", {"gap_s": 4.0})
     assert looked(file, parameters).number("gap_s") == 4.0
 
@@ -98,9 +98,9 @@ def test_a_refused_line_stops_no_other_line(tmp_path_factory, content, bad, lear
     good |= {"learning": learning} if learning is not None and "learning" not in bad else {}
     write(path, good | {name: BAD[name] for name in bad})
     file.look(parameters.with_changes)
-    changed, refused = file.look(parameters.with_changes)
+    changed, refusal = file.look(parameters.with_changes)
     assert parameters.with_changes(changed) == make_parameters(good)
-    assert {error.where for error in refused} == {f"parameter {name}" if name in PARAMETERS else "parameter" for name in bad}
+    assert {error.where for error in refusal} == {f"parameter {name}" if name in PARAMETERS else "parameter" for name in bad}
     assert file.look(parameters.with_changes) == ({}, [])
 
 
@@ -124,9 +124,9 @@ def test_what_was_refused_is_asked_again_with_the_next_file(tmp_path):
     for share in (0.01, 0.02):
         write(tmp_path / "p.yaml", {"vehicle": "agri3t", "feedforward_share": share})
         file.look(parameters.with_changes)
-        changed, (refused,) = file.look(parameters.with_changes)
+        changed, (refusal,) = file.look(parameters.with_changes)
         assert changed == {"feedforward_share": share}
-        assert "reads it once" in str(refused)
-        assert str(tmp_path / "p.yaml") in file.refusal_text(refused)
+        assert "reads it once" in str(refusal)
+        assert str(tmp_path / "p.yaml") in file.refusal_text(refusal)
     write(tmp_path / "p.yaml", {"vehicle": "xgd24d", "gap_s": 3.0})
     assert looked(file, parameters).number("gap_s") == 3.0

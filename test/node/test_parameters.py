@@ -134,10 +134,10 @@ def test_files_of_both_forms_are_read(tmp_path, text, node, namespace, expected)
 def test_no_section_is_ignored_for_its_name(tmp_path, text, said):
     path = tmp_path / "p.yaml"
     path.write_text(text)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         read_parameters(path, "trackres", "/b")
     for part in (str(path), *said):
-        assert part in str(caught.value)
+        assert part in str(error_info.value)
 
 
 @pytest.mark.parametrize("text", ["gap: 2.0\n", "gap_s: -1\n", "/**:\n  ros__parameters:\n    gap_s: .nan\n", "- 1\n", "a: {"])
@@ -182,7 +182,7 @@ def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, line, name,
     speed = "speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
     lines = f"{speed}\n{line}\n"
     at_start, changed = desk(lines, **{name: value}), desk(lines)
-    before = getattr(changed.app.estimator.settings, name)
+    result_before = getattr(changed.app.estimator.settings, name)
     assert (getattr(at_start.app.estimator.settings, name) == value) is not fixed
     if fixed:
         field = line.rpartition(", ")[2].partition(":")[0]
@@ -191,7 +191,7 @@ def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, line, name,
     else:
         changed.app.change({name: value})
         changed.app.change({name: make_parameters({}).values[name]})
-        assert getattr(changed.app.estimator.settings, name) == before
+        assert getattr(changed.app.estimator.settings, name) == result_before
 
 
 def test_overrides_of_qos_are_apart_with_full_names(tmp_path):

@@ -60,17 +60,15 @@ class Wire:
 
     def __init__(self, desk, path, recorder=None):
         self.desk, self.sent = desk, []
-        desk.record = lambda others: [
-            STORE.generate_msgdef(given.type, ros_version=2)[0] for given in (*desk.app.inputs, *others)
-        ]
+        desk.record = lambda others: [STORE.generate_msgdef(item.type, ros_version=2)[0] for item in (*desk.app.inputs, *others)]
         self.recorder = recorder or Recorder(path)
         self.recorder.begin(desk.app)
-        self.index = {given.name: i for i, given in enumerate(desk.app.inputs)} | {"brake": len(desk.app.inputs)}
+        self.index = {item.name: i for i, item in enumerate(desk.app.inputs)} | {"brake": len(desk.app.inputs)}
 
     def send(self, name, kind, value):
-        now, index = self.desk.now_ns(), self.index[name]
-        raw = bytes(STORE.serialize_cdr(made(kind, value, now), kind))
-        self.sent.append(("/" + name.lstrip("/"), now, raw))
+        time_now, index = self.desk.now_ns(), self.index[name]
+        raw = bytes(STORE.serialize_cdr(made(kind, value, time_now), kind))
+        self.sent.append(("/" + name.lstrip("/"), time_now, raw))
         if index < len(self.desk.app.inputs):
             self.desk.app.messages.receive(index, STORE.deserialize_cdr(raw, kind), raw=raw)
         else:
@@ -88,8 +86,8 @@ def driven(desk, folder, seconds, speed_of, rate_hz=10.0):
             wire.send("/air", TEMPERATURE, 12.0)
             wire.send("brake", NUMBER, 0.0)
         if d.app.overview().values:
-            expected = d.app.overview().values["drive_torque_nm"]
-            wire.send("shaft", WRENCH, 1.3 * expected + 20.0 * noise.standard_normal())
+            expectation = d.app.overview().values["drive_torque_nm"]
+            wire.send("shaft", WRENCH, 1.3 * expectation + 20.0 * noise.standard_normal())
         wire.send("speed", TWIST, speed_of(step / rate_hz))
     lines = wire.recorder.end()
     return d, wire, folder / "live.mcap", lines
@@ -104,12 +102,12 @@ def drive(standing_desk, tmp_path_factory):
 
 def test_every_message_is_recorded_unchanged_under_its_topic(drive):
     _, wire, bag, lines = drive
-    found = messages_of(bag)
-    assert {topic for topic, _, _ in found} == {"/speed", "/air", "/shaft", "/brake"}
+    result = messages_of(bag)
+    assert {topic for topic, _, _ in result} == {"/speed", "/air", "/shaft", "/brake"}
     for topic in ("/speed", "/air", "/shaft", "/brake"):
-        there, sent = ([(log, raw) for name, log, raw in some if name == topic] for some in (found, wire.sent))
-        assert [raw for _, raw in there] == [raw for _, raw in sent]
-        assert all(abs(log - at) <= 3 for (log, _), (at, _) in zip(there, sent, strict=True))
+        there, sent_message = ([(log, raw) for name, log, raw in some if name == topic] for some in (result, wire.sent))
+        assert [raw for _, raw in there] == [raw for _, raw in sent_message]
+        assert all(abs(log - place) <= 3 for (log, _), (place, _) in zip(there, sent_message, strict=True))
     assert "600 of /speed" in lines[0]
 
 
@@ -122,10 +120,10 @@ def in_haste(wire, depth, chance, unknown=1 / 3):
     queues = [deque() for _ in app.inputs]
 
     def publish(name, kind, value):
-        now = wire.desk.now_ns()
-        raw = bytes(STORE.serialize_cdr(made(kind, value, now), kind))
-        queues[wire.index[name]].append((raw, kind, now + len(wire.sent)))
-        wire.sent.append((f"/{name}", now, raw))
+        time_now = wire.desk.now_ns()
+        raw = bytes(STORE.serialize_cdr(made(kind, value, time_now), kind))
+        queues[wire.index[name]].append((raw, kind, time_now + len(wire.sent)))
+        wire.sent.append((f"/{name}", time_now, raw))
 
     def take(queue):
         while queue:
@@ -163,12 +161,12 @@ def test_inputs_sent_back_to_back_replay_as_live(desk, tmp_path, simulated):
             work()
     work()
     wire.recorder.end()
-    replayed = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")
-    assert replayed["stamp_ns"].tolist() == sorted(rows) == list(rows)
+    replay_result = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")
+    assert replay_result["stamp_ns"].tolist() == sorted(rows) == list(rows)
     assert len(rows) > 250
     for name in ("residual_nm", "weight_n", "resistance_torque_nm", "feedforward_torque_nm"):
         live = [row[d.app.estimator.column_index[name]] for row in rows.values()]
-        np.testing.assert_allclose(replayed[name], live, rtol=1e-6, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(replay_result[name], live, rtol=1e-6, atol=1e-6, err_msg=name)
     assert sorted(raw for *_, raw in messages_of(tmp_path / "live.mcap")) == sorted(raw for *_, raw in wire.sent)
     assert list(tmp_path.glob("*.mcap*")) == [tmp_path / "live.mcap"]
 
@@ -197,8 +195,8 @@ def test_messages_held_in_a_pause_replay_with_their_stamps(desk, tmp_path):
     wire.recorder.end()
     apart = stamps - tr.read(tmp_path / "live.mcap", topics=tmp_path / "topics.yaml").series["load"].stamp_ns
     assert (apart.reshape(2, 20) == apart[::20, None]).all()
-    replayed = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")
-    assert list(replayed.session.counts()) == list(d.app.session.counts())
+    replay_result = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")
+    assert list(replay_result.session.counts()) == list(d.app.session.counts())
 
 
 @pytest.mark.parametrize(("shaft", "set_s", "follows"), [(NUMBER, 0.3, False), (NUMBER, 2.0, False), (WRENCH, 0.9, True)])
@@ -220,10 +218,10 @@ def test_without_a_stamp_live_is_as_its_replay_until_others_jump(desk, tmp_path,
     d.clock_offset_s = -set_s
     drive()
     wire.recorder.end()
-    replayed = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")["stamp_ns"].tolist()
-    assert stamps[:60] == replayed[:60]
-    assert (stamps == replayed) is not follows
-    assert (replayed[-1] - stamps[-1]) * 1e-9 == pytest.approx(set_s if follows else 0.0, abs=1e-4)
+    replay_result = tr.replay(tmp_path / "live.mcap", "xgd24d", topics=tmp_path / "topics.yaml")["stamp_ns"].tolist()
+    assert stamps[:60] == replay_result[:60]
+    assert (stamps == replay_result) is not follows
+    assert (replay_result[-1] - stamps[-1]) * 1e-9 == pytest.approx(set_s if follows else 0.0, abs=1e-4)
     for output in ("feedforward_torque", "resistance_torque"):
         assert d.last(output)[0] == pytest.approx(now_ns(), abs=20_000)
     assert "CLOCK_OFFSET" not in d.names()
@@ -243,14 +241,14 @@ def test_each_round_of_simulated_time_is_a_file_of_its_own(desk, tmp_path):
     files = [tmp_path / name for name in ("live.mcap", "live_0001.mcap", "live_0002.mcap")]
     assert sorted(tmp_path.glob("*.mcap*")) == files
     for path, belt in zip(files, last, strict=True):
-        replayed = tr.replay(path, "xgd24d", topics=tmp_path / "topics.yaml")
-        assert len(replayed["belt_degc/front_left"]) == 200
-        assert replayed["belt_degc/front_left"][-1] == pytest.approx(belt, abs=1e-6)
+        replay_result = tr.replay(path, "xgd24d", topics=tmp_path / "topics.yaml")
+        assert len(replay_result["belt_degc/front_left"]) == 200
+        assert replay_result["belt_degc/front_left"][-1] == pytest.approx(belt, abs=1e-6)
 
 
 def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
-    state, bag, now = tmp_path / "state.json", tmp_path / "live drive.mcap", [1e9]
-    monkeypatch.setattr("time.time", lambda: now[0])
+    state, bag, time_now = tmp_path / "state.json", tmp_path / "live drive.mcap", [1e9]
+    monkeypatch.setattr("time.time", lambda: time_now[0])
     warm = desk(TOPICS, state_file=str(state))
     warm.drive(60.0, speed=15.0, dt=0.2)
     warm.app.close()
@@ -263,7 +261,7 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
         d.app.on_estimate = lambda row, stamp, arrival: (rows.append(row), record(row, stamp, arrival))
         for step in range(80):
             d.forward(0.1)
-            now[0] += 1.0  # the belts cool until the first speed
+            time_now[0] += 1.0  # the belts cool until the first speed
             wire.send("/air", TEMPERATURE, 12.0)
             wire.send("shaft", WRENCH, 2000.0 + 10.0 * (step % 7))
             if step > 30:
@@ -271,25 +269,25 @@ def test_a_restored_start_replays_as_live(desk, tmp_path, monkeypatch):
         return d.app.estimator.column_index, rows, "".join(wire.recorder.end())
 
     def replayed_as(column, rows, path):
-        replayed = tr.replay(path, "xgd24d", topics=topics, resume=record_room.start_of(path), learning="on")
+        replay_result = tr.replay(path, "xgd24d", topics=topics, resume=record_room.start_of(path), learning="on")
         for name in ("belt_degc/front_left", "resistance_torque_nm", "residual_nm", "feedforward_torque_nm"):
             live = [row[column[name]] for row in rows]
-            np.testing.assert_allclose(replayed[name], live, rtol=1e-12, atol=1e-9, err_msg=name)
-        return replayed
+            np.testing.assert_allclose(replay_result[name], live, rtol=1e-12, atol=1e-9, err_msg=name)
+        return replay_result
 
     *live, lines = recorded()
     assert f"--resume '{record_room.start_of(bag)}'" in lines
     assert json.loads(record_room.start_of(bag).read_bytes())["saved_at"] == 1e9 + 32.0  # when the first speed came
-    replayed = replayed_as(*live, bag)
+    replay_result = replayed_as(*live, bag)
     cold = tr.replay(bag, "xgd24d", topics=topics)
-    assert cold["belt_degc/front_left"][0] < replayed["belt_degc/front_left"][0] - 1.0
-    before, part = [path.read_bytes() for path in (bag, record_room.start_of(bag))], tmp_path / "live drive.mcap.part"
+    assert cold["belt_degc/front_left"][0] < replay_result["belt_degc/front_left"][0] - 1.0
+    result_before, part = [path.read_bytes() for path in (bag, record_room.start_of(bag))], tmp_path / "live drive.mcap.part"
     with monkeypatch.context() as killed:
         killed.setattr(record_room.OutputBag, "__exit__", lambda one, *_: one.writer._file.close() or 1 / 0)
         *live, lines = recorded()
     assert f"--resume '{record_room.start_of(part)}'" in lines
     replayed_as(*live, part)
-    assert [path.read_bytes() for path in (bag, record_room.start_of(bag))] == before
+    assert [path.read_bytes() for path in (bag, record_room.start_of(bag))] == result_before
     Wire(desk(TOPICS), bag).recorder.end()
     assert not record_room.start_of(bag).exists()  # of the bag that was replaced
     assert record_room.start_of(part).exists()
@@ -309,8 +307,8 @@ def test_the_next_application_is_recorded_in_the_next_file(desk, tmp_path, monke
     assert f"{tmp_path / 'live.mcap'} to {tmp_path / 'live_0001.mcap'}: 200 estimates" in lines[0]
     assert "200 of /speed" in lines[0]
     for name, vehicle, belt in zip(("live", "live_0001"), ("xgd24d", "agri3t"), last, strict=True):
-        replayed = tr.replay(tmp_path / f"{name}.mcap", vehicle, topics=tmp_path / "topics.yaml")
-        assert replayed[f"belt_degc/{tr.Estimator(vehicle).assemblies[0]}"][-1] == pytest.approx(belt, abs=1e-6)
+        replay_result = tr.replay(tmp_path / f"{name}.mcap", vehicle, topics=tmp_path / "topics.yaml")
+        assert replay_result[f"belt_degc/{tr.Estimator(vehicle).assemblies[0]}"][-1] == pytest.approx(belt, abs=1e-6)
 
 
 def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
@@ -354,8 +352,8 @@ def test_what_is_not_handled_is_recorded_too(desk, tmp_path):
     d.app.messages.receive_values(wire.index["shaft"], d.now_ns(), [3000.0], origin=Sent(1), raw=b"waits for a speed")
     d.app.close()
     wire.recorder.end()
-    found = [raw for *_, raw in messages_of(tmp_path / "live.mcap")]
-    assert found == [
+    results = [raw for *_, raw in messages_of(tmp_path / "live.mcap")]
+    assert results == [
         wire.sent[0][2],
         b"no message!!",
         wire.sent[1][2],
@@ -394,7 +392,7 @@ def test_the_estimate_is_the_same_live_recorded_and_replayed(desk, tmp_path, goo
     topics.write_text("".join(line + "\n" for line in TOPICS.splitlines() if not line.startswith("torque")))
     (tmp_path / "params.yaml").write_text(f"feedforward_rate: {AT_ONCE}\n")  # else the torque goes on between two steps
     d = desk(topics=str(topics), learning="off", feedforward_rate=AT_ONCE)
-    d.found_peers = {given.name: (Peer(given.type, True),) for given in d.app.inputs}
+    d.found_peers = {given_valuess.name: (Peer(given_valuess.type, True),) for given_valuess in d.app.inputs}
     wire = Wire(d, tmp_path / "live.mcap")
     for step in range(600):  # no ambient temperature at first, then one, that later grows old
         d.forward(0.1)
@@ -405,23 +403,23 @@ def test_the_estimate_is_the_same_live_recorded_and_replayed(desk, tmp_path, goo
     d.forward(0.1)
     d.forward(0.1)
     wire.recorder.end()
-    message, left = DdsEstimate("base_link"), [one for one in d.published if one[0] == "estimate"]
+    message, remainder = DdsEstimate("base_link"), [item for item in d.published if item[0] == "estimate"]
     published = [
         (stamp, message.fill(stamp, values, tuple(reasons.items())))
-        for (_, stamp, values), reasons in zip(left, d.reasons, strict=True)
+        for (_, stamp, values), reasons in zip(remainder, d.reasons, strict=True)
     ]
-    given = ("--vehicle", "xgd24d", "--topics", topics, "--params", tmp_path / "params.yaml")
-    good("replay", tmp_path / "live.mcap", *given, "-o", tmp_path / "again.mcap")
-    recorded, replayed = (estimates_in(tmp_path / name) for name in ("live.mcap", "again.mcap"))
+    given_valuess = ("--vehicle", "xgd24d", "--topics", topics, "--params", tmp_path / "params.yaml")
+    good("replay", tmp_path / "live.mcap", *given_valuess, "-o", tmp_path / "again.mcap")
+    recorded, replay_result = (estimates_in(tmp_path / name) for name in ("live.mcap", "again.mcap"))
     assert recorded == published
     last = dict(published)  # of each stamp, before the next speed
-    assert len(replayed) == 600
+    assert len(replay_result) == 600
     numbers = slice(0, published[0][1].index(b"reasons"))  # stamp and groups; the numbers follow the names
     alike = 0
-    for stamp, raw in replayed[1:]:  # in the first step there is no time for the torque to move
+    for stamp, raw in replay_result[1:]:  # in the first step there is no time for the torque to move
         assert raw[numbers] == last[stamp][numbers]
         assert values_in(raw)[:3] == values_in(last[stamp])[:3]  # to the last bit
         alike += raw == last[stamp]
     # A node shows a reason for a second after its last step; in all other messages every byte is the same.
     assert alike >= 500
-    assert len({tuple(one) for one in d.reasons}) > 1
+    assert len({tuple(item) for item in d.reasons}) > 1

@@ -50,7 +50,11 @@ def test_a_measured_torque_is_compared_and_learned_from(desk, topics):
     residual = [values for name, _, values in d.published if name == "torque_residual"][-1]
     assert residual[2] == pytest.approx(residual[0] - residual[1])
     learner = d.app.learning.learner
-    assert [one.name for one in learner.learnables][:3] == ["rolling_coefficient", "drag_area", "rotating_mass_factor"]
+    assert [learnable.name for learnable in learner.learnables][:3] == [
+        "rolling_coefficient",
+        "drag_area",
+        "rotating_mass_factor",
+    ]
     assert learner.learned.mean[at.OF_BEARING] > 0.1
     assert "parameters" in [output.name for output in d.app.outputs]
 
@@ -61,11 +65,11 @@ def test_the_terminal_shows_what_rolls_and_no_belt(desk):
     seen = d.app.overview()
     console = Console(record=True, width=120)
     console.print(table("bus", seen))
-    shown = console.export_text() + line(seen)
-    assert "rolling" in shown
-    assert "at wheels" in shown
-    assert "belt" not in shown
-    assert "hysteresis" not in shown
+    shown_text = console.export_text() + line(seen)
+    assert "rolling" in shown_text
+    assert "at wheels" in shown_text
+    assert "belt" not in shown_text
+    assert "hysteresis" not in shown_text
 
 
 def test_its_state_is_kept_over_a_restart(desk, tmp_path):
@@ -73,6 +77,6 @@ def test_its_state_is_kept_over_a_restart(desk, tmp_path):
     first = desk(**kept)
     driven(first, [8.0] * 20)
     first.save()
-    again = desk(**kept)
-    assert "restored from" in again.app.began_with
-    assert "belts" not in again.app.began_with
+    repetition = desk(**kept)
+    assert "restored from" in repetition.app.began_with
+    assert "belts" not in repetition.app.began_with

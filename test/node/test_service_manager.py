@@ -18,12 +18,12 @@ def heard(tmp_path, monkeypatch):
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
 
         def take():
-            found = []
+            results = []
             while True:
                 try:
-                    found += manager.recv(4096).decode().splitlines()
+                    results += manager.recv(4096).decode().splitlines()
                 except BlockingIOError:
-                    return found
+                    return results
 
         yield take
 
@@ -34,10 +34,10 @@ def test_it_is_ready_and_alive_once_a_message_has_left(heard, desk):
     made.forward(0.1)
     assert {"READY=1", "WATCHDOG=1"} <= set(heard())
     made.drive(2.0)
-    told = heard()
-    assert told.count("WATCHDOG=1") in range(8, 12)
-    assert "READY=1" not in told
-    assert any(line.startswith("STATUS=warn: ") and "nominal load" in line for line in told)
+    statement = heard()
+    assert statement.count("WATCHDOG=1") in range(8, 12)
+    assert "READY=1" not in statement
+    assert any(line.startswith("STATUS=warn: ") and "nominal load" in line for line in statement)
     made.app.close()
     assert "STOPPING=1" not in heard()  # a lifecycle's cleanup ends no process
 
@@ -80,6 +80,6 @@ def test_the_unit_starts_the_command_as_it_is_documented(repository, trackres):
     assert float(service["WatchdogSec"]) >= 2.0  # before the first speed a status a second is all that leaves
     command, *words = service["ExecStart"].split()
     assert command.endswith("/trackres")
-    done = trackres(*[word.replace("/etc/trackres", "/nowhere") for word in words])
-    assert done.returncode == 2
-    assert "/nowhere/params.yaml" in done.stderr  # its options are known, its files are the user's
+    outcome = trackres(*[word.replace("/etc/trackres", "/nowhere") for word in words])
+    assert outcome.returncode == 2
+    assert "/nowhere/params.yaml" in outcome.stderr  # its options are known, its files are the user's

@@ -27,9 +27,9 @@ def test_a_signal_during_start_is_kept_with_the_log_pipe_closed(monkeypatch):
 @pytest.fixture
 def handlers():
     """The signal handlers of this process, put back afterwards."""
-    before = {number: signal.getsignal(number) for number in WHAT}
+    result_befores = {number: signal.getsignal(number) for number in WHAT}
     yield
-    for number, handler in before.items():
+    for number, handler in result_befores.items():
         signal.signal(number, handler)
 
 

@@ -45,8 +45,8 @@ def test_a_standing_and_a_rolling_publisher_disagree_soon(speed, period, other, 
     assert max(time_s for time_s, _ in used) <= MAX_AGE_S + 3.0 * max(period, other)
     if not mixed or speed > 2.0 * ACCEL * period + 0.5:  # else the vehicle can have gained it between two messages
         assert {i for _, i in used} == {0}  # the first that was heard, until none is
-    both = sources.disagreeing(int(6.0 * SECOND_NS))
-    assert {value for _, value in both} == {0.0, speed}
+    pair = sources.disagreeing(int(6.0 * SECOND_NS))
+    assert {value for _, value in pair} == {0.0, speed}
     assert sources.disagreeing(int(9.0 * SECOND_NS)) is None  # nothing came for long
     assert sources.takes(0 if mixed else 1, 0.0, int(9.0 * SECOND_NS), mixed)
 

@@ -71,37 +71,37 @@ def test_after_a_restart_while_driving_nothing_accelerates(desk, warm):
 
 def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     path, belt = warm
-    now = [1e9]
+    time_nows = [1e9]
     content = json.loads(path.read_text())
-    path.write_bytes(seal({**content, "saved_at": now[0]}))
-    monkeypatch.setattr("time.time", lambda: now[0])
+    path.write_bytes(seal({**content, "saved_at": time_nows[0]}))
+    monkeypatch.setattr("time.time", lambda: time_nows[0])
     d = desk(state_file=str(path))
-    now[0] += 3600.0
+    time_nows[0] += 3600.0
     d.forward(31.0)
     d.save()
-    now[0] += 3600.0
+    time_nows[0] += 3600.0
     waited = first_belt(d)
     assert waited < belt - 3.0
-    path.write_bytes(seal({**content, "saved_at": now[0] - 7200.0}))
+    path.write_bytes(seal({**content, "saved_at": time_nows[0] - 7200.0}))
     assert waited == pytest.approx(first_belt(desk(state_file=str(path))), abs=1e-6)  # as if switched off all the time
 
 
 @pytest.mark.parametrize("wrong_s", [-1e9, -86400.0, 0.0])
 def test_a_clock_set_before_the_first_speed_tells_the_time_off(desk, warm, monkeypatch, wrong_s):
     path, _ = warm
-    now = [1e9]
-    kept = seal({**json.loads(path.read_text()), "saved_at": now[0] - 600.0})
+    time_nows = [1e9]
+    kept = seal({**json.loads(path.read_text()), "saved_at": time_nows[0] - 600.0})
     path.write_bytes(kept)
-    monkeypatch.setattr("time.time", lambda: now[0])
-    before = desk(state_file=str(path))
-    right = first_belt(before)
-    before.app.close()
+    monkeypatch.setattr("time.time", lambda: time_nows[0])
+    result_before = desk(state_file=str(path))
+    right = first_belt(result_before)
+    result_before.app.close()
     path.write_bytes(kept)
-    now[0] += wrong_s
+    time_nows[0] += wrong_s
     d = desk(state_file=str(path))
     d.forward(31.0)
     d.save()
-    now[0] -= wrong_s
+    time_nows[0] -= wrong_s
     assert first_belt(d) == pytest.approx(right, abs=1e-6)
 
 
@@ -143,10 +143,10 @@ def test_a_file_of_another_kind_is_never_replaced(desk, tmp_path, content):
 def test_what_a_power_cut_leaves_of_a_state_is_replaced(desk, warm, left):
     path, _ = warm
     path.write_bytes(left(path.read_bytes()))
-    before, d = path.read_bytes(), desk(state_file=str(path))
+    result_before, d = path.read_bytes(), desk(state_file=str(path))
     d.forward(40.0)
     assert "no speed yet" in d.app.close()
-    assert path.read_bytes() == before
+    assert path.read_bytes() == result_before
     d = desk(state_file=str(path))
     d.drive(1.0, dt=0.1)
     assert "saved" in d.app.close()
@@ -177,7 +177,9 @@ def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
     warnings = [text for level, text in d.logged if level is not Level.OK]
     assert len(warnings) > 1
     assert not any("damaged" in text for _, text in d.logged)
-    last = {s.name.rpartition(": ")[2]: s for s in next(found for name, found in reversed(d.statuses) if name == "/diagnostics")}
+    last = {
+        s.name.rpartition(": ")[2]: s for s in next(result for name, result in reversed(d.statuses) if name == "/diagnostics")
+    }
     assert "damaged" not in last["estimate"].message
     assert "damaged" in last["state"].message
     assert "STATE_NOT_USED" in dict(last["estimate"].values)["remarks"]
@@ -185,17 +187,17 @@ def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
 
 def test_a_state_of_another_vehicle_is_kept_and_used_again(desk, warm):
     path, belt = warm
-    before = path.read_bytes()
+    result_before = path.read_bytes()
     d = desk(state_file=str(path), vehicle="agri3t")
     assert "xgd24d" in d.app.began_with
     d.forward(40.0)  # without a speed
     assert "no speed yet" in d.app.close()
-    assert {one.read_bytes() for one in path.parent.iterdir()} == {before}
+    assert {file.read_bytes() for file in path.parent.iterdir()} == {result_before}
     for _ in range(2):
         d = desk(state_file=str(path), vehicle="agri3t")
         d.drive(0.04, speed=2.0)
         assert "saved" in d.app.close()
-        kept = [one for one in path.parent.iterdir() if one.read_bytes() == before]
+        kept = [file for file in path.parent.iterdir() if file.read_bytes() == result_before]
         assert len(kept) == 1
         assert kept[0] != path
     others = path.read_bytes()
@@ -226,17 +228,17 @@ REFUSED = {
 def test_no_intact_state_is_lost_whatever_is_refused(desk, warm, topics, what):
     path, _ = warm
     path.write_bytes(seal(REFUSED[what](json.loads(path.read_text()))))
-    before = path.read_bytes()
+    result_before = path.read_bytes()
     d = desk(state_file=str(path), topics=topics)
     d.forward(40.0)
     with pytest.raises(InputError, match="no speed yet"):
         d.save()
     d.drive(0.04)
-    assert path.read_bytes() == before
+    assert path.read_bytes() == result_before
     notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
     d.save()
-    (kept,) = (one for one in path.parent.glob("state*") if one != path)
-    assert kept.read_bytes() == before != path.read_bytes()
+    (kept,) = (file for file in path.parent.glob("state*") if file != path)
+    assert kept.read_bytes() == result_before != path.read_bytes()
     assert str(kept) in notice.text
 
 
@@ -254,7 +256,7 @@ def test_an_unwritable_state_folder_is_reported_and_not_fatal(desk, tmp_path):
 
 def test_a_disk_that_takes_no_more_leaves_the_old_file_whole(desk, warm):
     path, _ = warm
-    before = path.read_text()
+    result_before = path.read_text()
     d = desk(state_file=str(path))
     d.drive(1.0)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -264,8 +266,8 @@ def test_a_disk_that_takes_no_more_leaves_the_old_file_whole(desk, warm):
             d.save()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert path.read_text() == before
-    assert {one.name for one in path.parent.iterdir()} == {"state.json", ".state.json.lock"}
+    assert path.read_text() == result_before
+    assert {file.name for file in path.parent.iterdir()} == {"state.json", ".state.json.lock"}
     assert "STATE_NOT_SAVED" in d.names()
     d.save()
     assert "STATE_NOT_SAVED" not in d.names()

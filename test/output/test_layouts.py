@@ -60,7 +60,7 @@ def test_a_replays_bag_has_every_topic_that_is_shown(good, tmp_path):
 
 
 def test_a_name_that_no_node_can_have_is_refused(trackres, tmp_path):
-    done = trackres("layouts", "--vehicle", "xgd24d", "--name", "a b", "-o", tmp_path)
-    assert done.returncode == 2
-    assert "a b" in done.stderr
+    outcome = trackres("layouts", "--vehicle", "xgd24d", "--name", "a b", "-o", tmp_path)
+    assert outcome.returncode == 2
+    assert "a b" in outcome.stderr
     assert not list(tmp_path.iterdir())

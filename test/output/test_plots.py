@@ -26,13 +26,13 @@ def png_size(path):
     """Width and height of a PNG whose every chunk has its right checksum."""
     content = path.read_bytes()
     assert content[:8] == b"\x89PNG\r\n\x1a\n"
-    at, kinds = 8, []
-    while at < len(content):
-        length, kind = struct.unpack(">I4s", content[at : at + 8])
-        body = content[at + 4 : at + 8 + length]
-        assert struct.unpack(">I", content[at + 8 + length : at + 12 + length])[0] == zlib.crc32(body)
+    place, kinds = 8, []
+    while place < len(content):
+        length, kind = struct.unpack(">I4s", content[place : place + 8])
+        body = content[place + 4 : place + 8 + length]
+        assert struct.unpack(">I", content[place + 8 + length : place + 12 + length])[0] == zlib.crc32(body)
         kinds.append(kind)
-        at += 12 + length
+        place += 12 + length
     assert kinds[0] == b"IHDR"
     assert kinds[-1] == b"IEND"
     return struct.unpack(">II", content[16:24])
@@ -65,7 +65,7 @@ def plain(estimate, tmp_path_factory):
 )
 def test_other_data_and_measurements_show(estimate, plain, tmp_path, change):
     time_s, columns = estimate
-    changed = {**columns, **{name: of(columns[name]) for name, of in change.items()}}
+    changed = {**columns, **{name: value(columns[name]) for name, value in change.items()}}
     estimate_figure(time_s, changed, "drive", path=tmp_path / "p.png")
     assert (tmp_path / "p.png").read_bytes() != plain
 
@@ -117,14 +117,14 @@ def test_lines_of_many_assemblies_differ(tmp_path):
 @pytest.mark.parametrize("vehicle", ["xgd24d", "ztbus_hess19"])
 def test_all_learned_values_and_the_driving_are_drawn(tmp_path, vehicle):
     """The driving by belt temperature, or by load where there are no belts."""
-    described = load_any(vehicle)
-    own = [one for one in learnables(described) if one.state in VEHICLES_OWN]
-    shown = ("speed_mps", "resistance_torque_nm", "ambient_degc", *(f"belt_degc/{one.name}" for one in described.assemblies))
-    columns = dict.fromkeys((*shown, *(name for one in own for name in columns_of(one))), np.ones(5))
+    description = load_any(vehicle)
+    own = [item for item in learnables(description) if item.state in VEHICLES_OWN]
+    shown = ("speed_mps", "resistance_torque_nm", "ambient_degc", *(f"belt_degc/{item.name}" for item in description.assemblies))
+    columns = dict.fromkeys((*shown, *(name for item in own for name in columns_of(item))), np.ones(5))
     seconds = np.zeros(SHAPE)
     seconds[1, :, 2] = 7.0
     figure = estimate_figure(np.arange(5.0), columns, "t", seconds, tmp_path / "a.png")
-    axes = {one.get_ylabel(): one for one in figure.axes}
+    axes = {item.get_ylabel(): item for item in figure.axes}
     assert len(axes["learned, over the first"].lines) == len(own)
     driving = axes["speed [% of greatest]"]
     of_x = ("learned from: belt [°C]", "< 15") if shown[3:] else ("learned from: load [% of nominal]", "< 90")

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The controller of docs/controller.md beside a real node: what it adds while the speed is lost, and once the node dies."""
+"""examples/07_controller.py beside a real node: what it adds while the speed is lost, and once the node dies."""
 
 import itertools
 import signal

@@ -92,8 +92,10 @@ def test_load_and_late_follow_the_mass_and_the_time():
 
 def test_a_gearbox_takes_from_the_motor_in_both_directions(plain):
     for snow in plain:
-        behind, before = snow.torque * snow.drive.speed, RATIO * snow.motor * snow.drive.speed
-        np.testing.assert_allclose(np.where(behind > 0.0, before * 0.93, behind * 0.93), np.where(behind > 0.0, behind, before))
+        behind, result_before = snow.torque * snow.drive.speed, RATIO * snow.motor * snow.drive.speed
+        np.testing.assert_allclose(
+            np.where(behind > 0.0, result_before * 0.93, behind * 0.93), np.where(behind > 0.0, behind, result_before)
+        )
     for snow in snow_drives(replace(GROOMER, gear=1.0)):
         np.testing.assert_allclose(RATIO * snow.motor, snow.torque)
 
@@ -101,8 +103,8 @@ def test_a_gearbox_takes_from_the_motor_in_both_directions(plain):
 def test_a_warm_belt_rolls_easier_and_a_heavy_groomer_harder():
     n = 15_000
     still, speed = np.zeros(n), np.full(n, 4.0)
-    one = SealedDrive(0.1, speed, still, still, still, np.full(n, 92_000.0), np.full(n, -5.0))
-    light, heavy = (_simulated(GROOMER, one, mass) for mass in (9.4, 10.34))
+    item = SealedDrive(0.1, speed, still, still, still, np.full(n, 92_000.0), np.full(n, -5.0))
+    light, heavy = (_simulated(GROOMER, item, mass) for mass in (9.4, 10.34))
     assert 3.0 < light.belt[-1] - light.belt[0] < 20.0
     assert (np.diff(light.torque) < 0.0).all()
     assert 0.80 < light.torque[-1] / light.torque[0] < 0.97
@@ -110,15 +112,15 @@ def test_a_warm_belt_rolls_easier_and_a_heavy_groomer_harder():
 
 
 def test_draws_vary_and_stay_in_their_ranges():
-    drawn = draw_groomers(dict.fromkeys(KINDS, 12), 3)
-    assert draw_groomers(dict.fromkeys(KINDS, 12), 3) == drawn != draw_groomers(dict.fromkeys(KINDS, 12), 4)
-    assert {len(g.masses) for g in drawn} == set(range(DRIVES[0], DRIVES[1] + 1))
-    for g in drawn:
+    drawing = draw_groomers(dict.fromkeys(KINDS, 12), 3)
+    assert draw_groomers(dict.fromkeys(KINDS, 12), 3) == drawing != draw_groomers(dict.fromkeys(KINDS, 12), 4)
+    assert {len(g.masses) for g in drawing} == set(range(DRIVES[0], DRIVES[1] + 1))
+    for g in drawing:
         assert SIZES_NM[0] <= g.size <= SIZES_NM[1]
         assert AT_DEGC[0] <= g.at <= AT_DEGC[1]
         assert g.gear == 1.0 or GEARS[0] <= g.gear <= GEARS[1]
         assert min(g.masses) < HEAVY_T < max(g.masses)
-    assert {g.gear == 1.0 for g in drawn} == {True, False}
+    assert {g.gear == 1.0 for g in drawing} == {True, False}
 
 
 def test_its_vehicle_file_is_valid_and_says_why_each_value(tmp_path):
@@ -134,13 +136,13 @@ def test_the_seal_is_of_labels_that_no_recording_shows(tmp_path, capsys):
     sealed = tmp_path / "sealed" / "labels.json"
     assert hashlib.sha256(sealed.read_bytes()).hexdigest() in capsys.readouterr().out
     labels = json.loads(sealed.read_text())["cases"]
-    assert {one["level"] for one in labels} == {"none", "outside"}
-    for one in labels:
-        files = {path.name for path in (tmp_path / "cases" / one["case"]).iterdir()}
-        tables = {f"session{i + 1}.csv" for i in range(len(one["masses"]))}
+    assert {label["level"] for label in labels} == {"none", "outside"}
+    for label in labels:
+        files = {path.name for path in (tmp_path / "cases" / label["case"]).iterdir()}
+        tables = {f"session{i + 1}.csv" for i in range(len(label["masses"]))}
         assert files == {*tables, "vehicle.yaml", "topics.yaml"}
-        assert one["tolerated"] == ([] if one["gear"] == 1.0 else [GEARBOX])
-    assert all(e["d_prime"] > CLEAR for one in labels for e in one["effects"])
+        assert label["tolerated"] == ([] if label["gear"] == 1.0 else [GEARBOX])
+    assert all(e["d_prime"] > CLEAR for label in labels for e in label["effects"])
 
 
 def test_the_loggers_tables_hold_what_was_driven(tmp_path):
@@ -164,18 +166,18 @@ AIR = np.sort(np.random.default_rng(1).uniform(-10.0, 0.0, 200))
 @pytest.mark.parametrize(("off", "share"), [(0.0, 1.0), (0.9, 1.0), (-0.9, 1.05), (1.2, 1.0), (0.0, 0.85), (0.0, 1.15)])
 @pytest.mark.parametrize("kind", ["cold", "cool"])
 def test_a_described_threshold_and_size_must_be_close(kind, off, share):
-    at, size = -5.0 + off, 350.0 * share
-    torque = size * (at > AIR) - 0.4 * size if kind == "cold" else 0.1 * size * np.maximum(at - AIR, 0.0) - 20.0
-    assert threshold_and_size(AIR, torque, kind == "cool") == pytest.approx((at, size), rel=0.02, abs=0.1)
+    place, size = -5.0 + off, 350.0 * share
+    torque = size * (place > AIR) - 0.4 * size if kind == "cold" else 0.1 * size * np.maximum(place - AIR, 0.0) - 20.0
+    assert threshold_and_size(AIR, torque, kind == "cool") == pytest.approx((place, size), rel=0.02, abs=0.1)
     effect = {"name": kind, "threshold": -5.0, "size_nm": 350.0}
     term = {"form": "step", "name": "a", "variable": "ambient temperature"}
     report = {"verdict": {"status": "described"}, "described": [term]}
-    expected = abs(off) <= THRESHOLD_K and abs(share - 1.0) <= SIZE_SHARE
+    expectation = abs(off) <= THRESHOLD_K and abs(share - 1.0) <= SIZE_SHARE
 
     def stated(points, variable="ambient temperature"):
         return second._stated([effect], {**report, "described": [{**term, "variable": variable}]}, points)
 
-    assert stated({"a": [AIR.tolist(), torque.tolist()]}) == expected
+    assert stated({"a": [AIR.tolist(), torque.tolist()]}) == expectation
     assert not stated({"a": [AIR.tolist(), (-torque).tolist()]})  # less in the cold
     assert not stated({"a": [AIR.tolist(), torque.tolist()]}, "belt temperature")
     assert not stated({})
@@ -210,5 +212,5 @@ def test_the_command_draws_kinds_and_refuses_others(good, refused, tmp_path, mon
     settings = json.loads((tmp_path / "out" / "settings.json").read_text())
     assert (settings["seed"], settings["counts"]) == (5, {"cold": 3, "none": 2})
     assert [step[0] for step in started] == ["pipeline.draw", "pipeline.answer", "pipeline.score"]
-    for given in ("warm", "cold=0"):
-        assert given in refused("proofs", "groomer", "--hide", given, "-o", tmp_path / "other")
+    for item in ("warm", "cold=0"):
+        assert item in refused("proofs", "groomer", "--hide", item, "-o", tmp_path / "other")

@@ -53,13 +53,13 @@ def test_each_thing_misleads_and_nothing_else_does(kind):
     speed = 6.0 + 4.0 * np.sin(np.arange(9000) / 500.0)
     speed[4000:4100] = 0.0
     level = np.zeros(len(speed))
-    one = SealedDrive(STEP_S, speed, np.gradient(speed, STEP_S), level, level, np.full(len(speed), 272e3), level)
+    item = SealedDrive(STEP_S, speed, np.gradient(speed, STEP_S), level, level, np.full(len(speed), 272e3), level)
     torque = 3000.0 + random.normal(0.0, 30.0, len(speed))
     changed = []
-    for of in (case_of(kind), case_of("")):
-        added = added_torque(of, one, 272e3, 0.36)
-        shown = misled(of, torque, STEP_S, random)
-        loaded = weight_shares(of, speed)
+    for entry in (case_of(kind), case_of("")):
+        added = added_torque(entry, item, 272e3, 0.36)
+        shown = misled(entry, torque, STEP_S, random)
+        loaded = weight_shares(entry, speed)
         changed.append([bool(np.any(added)), not np.array_equal(shown, torque), bool(np.any(loaded != 1.0))])
     assert sum(changed[0]) == 1
     assert changed[0][1] is (kind in SENSORS)
@@ -99,10 +99,10 @@ def test_the_page_tells_by_how_much_a_right_mass_is_off():
 
 
 def test_delays_are_drawn_of_a_seed():
-    drawn = draw(11, 6, 10)
-    assert drawn == draw(11, 6, 10)
-    assert drawn != draw(12, 6, 10)
-    assert all(0.0 <= one.filter_s <= one.delay_s <= LONGEST_S for one in drawn)
+    drawing = draw(11, 6, 10)
+    assert drawing == draw(11, 6, 10)
+    assert drawing != draw(12, 6, 10)
+    assert all(0.0 <= item.filter_s <= item.delay_s <= LONGEST_S for item in drawing)
 
 
 def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch, repository):
@@ -113,7 +113,7 @@ def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path,
     good(*asked)
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert len(scores["each"]) == 2
-    assert all(one["wrong_s"] == 0 for one in scores["each"])
+    assert all(score["wrong_s"] == 0 for score in scores["each"])
     assert "of 1 (target: all)" in (tmp_path / "delay.md").read_text() == page(scores)
     rows = read_table(tmp_path / FOLDER / "delay.csv")
     assert list(rows[0]) == list(read_table(repository / "docs" / "trust" / "delay.csv")[0])
@@ -130,8 +130,8 @@ def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path,
 def test_the_clock_of_a_drawn_sensor_runs_as_the_drive_does():
     """One that ran slow would be a delay that grows."""
     random = np.random.default_rng(3)
-    for one in draw(26, 4, 0):
-        times, stamps = _sampled(one, drive(10.0, 272e3, 15.0, 16.0, random), 100.0, random)
-        off = stamps - START_S - times
+    for item in draw(26, 4, 0):
+        times, stamps = _sampled(item, drive(10.0, 272e3, 15.0, 16.0, random), 100.0, random)
+        deviation = stamps - START_S - times
         assert np.all(np.diff(stamps) >= 0.0)
-        assert np.polyfit(times, off, 1)[0] * 600.0 == pytest.approx(0.0, abs=1e-3)
+        assert np.polyfit(times, deviation, 1)[0] * 600.0 == pytest.approx(0.0, abs=1e-3)

@@ -47,8 +47,8 @@ HIDDEN = {"street_slope": {"steepest": 0.02}}, {"stretch_load": {"share": 0.2, "
 @pytest.mark.parametrize(("hidden", "seed"), [*zip(HIDDEN, once_a_second("street", range(20)), strict=True)])
 def test_the_fit_finds_the_towns_torque_and_not_a_shifted_one(tmp_path, hidden, seed):
     folder, added = made(tmp_path, "street", hidden, 6.0, seed)
-    found = fit_truth(folder, (), added)
-    assert found.gain > 2.0 * LEAST_GAIN
-    assert found.mae < 0.8 * found.mae_base
-    shifted = fit_truth(folder, (), [np.roll(one, len(one) // 2) for one in added])
-    assert shifted.gain < 0.5 * found.gain
+    result = fit_truth(folder, (), added)
+    assert result.gain > 2.0 * LEAST_GAIN
+    assert result.mae < 0.8 * result.mae_base
+    shifted = fit_truth(folder, (), [np.roll(item, len(item) // 2) for item in added])
+    assert shifted.gain < 0.5 * result.gain

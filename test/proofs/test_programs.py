@@ -63,9 +63,9 @@ def seen(sheet, one, driven=0.0):
 
 def hidden(entry, size=1.0, memory=None):
     """The first program with an entry point, and with a memory where one is given."""
-    found = (draw_program(seed) for seed in EVERY_SEED)
+    results = (draw_program(seed) for seed in EVERY_SEED)
     program = next(
-        p for p in found if p.entry == entry and p.kind is None and p.gate is None and memory in (None, p.description["memory"])
+        p for p in results if p.entry == entry and p.kind is None and p.gate is None and memory in (None, p.description["memory"])
     )
     return {PROGRAM: {"seed": float(program.seed), "size": size}}
 
@@ -73,21 +73,21 @@ def hidden(entry, size=1.0, memory=None):
 def test_every_part_is_drawn():
     every = [draw_program(seed).description for seed in EVERY_SEED]
     assert {d["kind"] for d in every} == {None, *KINDS}
-    said = [d for d in every if d["kind"] is None]
-    assert {d["entry"] for d in said} == set(ENTRIES)
-    assert {name for d in said for name in d["variables"]} == set(VARIABLES)
-    assert {name for d in said for name in d["functions"]} == set(FUNCTIONS)
-    assert {d["memory"] for d in said} == {None, *MEMORIES}
-    assert {len(d["variables"]) for d in said} == {1, 2}
-    assert not any(d["gate"] in d["variables"] for d in said)
-    assert len({d["words"] for d in said}) > 0.95 * len(said)  # hardly any comes twice
+    texts = [d for d in every if d["kind"] is None]
+    assert {d["entry"] for d in texts} == set(ENTRIES)
+    assert {name for d in texts for name in d["variables"]} == set(VARIABLES)
+    assert {name for d in texts for name in d["functions"]} == set(FUNCTIONS)
+    assert {d["memory"] for d in texts} == {None, *MEMORIES}
+    assert {len(d["variables"]) for d in texts} == {1, 2}
+    assert not any(d["gate"] in d["variables"] for d in texts)
+    assert len({d["words"] for d in texts}) > 0.95 * len(texts)  # hardly any comes twice
     assert json.loads(json.dumps(every)) == every
 
 
 def test_a_seed_gives_one_program_and_each_drive_its_own_chance(sheet, one):
     for seed in range(60):
-        first, again, later = (draw_program(seed).series(seen(sheet, one, driven)) for driven in (0.0, 0.0, 5000.0))
-        np.testing.assert_array_equal(first, again)
+        first, repetition, later = (draw_program(seed).series(seen(sheet, one, driven)) for driven in (0.0, 0.0, 5000.0))
+        np.testing.assert_array_equal(first, repetition)
         assert np.isfinite(first).all()
         assert np.abs(first).max() < 6.0
         if np.abs(first).max() > 0.0:
@@ -98,10 +98,10 @@ def test_a_description_names_what_the_program_follows(sheet, one):
     """A program stays as it is when a variable changes that it does not name."""
     for seed in range(60):
         program = draw_program(seed)
-        at = seen(sheet, one)
-        warm = Seen(at.at, at.belt + 9.0, at.torque)
+        journey = seen(sheet, one)
+        warm = Seen(journey.at, journey.belt + 9.0, journey.torque)
         named = {*program.description["variables"], program.description["gate"]}
-        changed = np.abs(program.series(warm) - program.series(at)).max() > 0.0
+        changed = np.abs(program.series(warm) - program.series(journey)).max() > 0.0
         assert "belt temperature" in named or not changed, program.words
 
 
@@ -119,12 +119,12 @@ def test_a_program_acts_at_its_entry_point_alone(sheet, one, entry):
 
 def test_an_integrator_is_reset_and_a_latch_has_two_thresholds(sheet):
     rng = np.random.default_rng(0)
-    at = Journey(sheet, steady(sheet, 5.0, stops=(600.0,)), 0.0)
-    total = MEMORIES["integrator"][2](np.ones(9000), at, rng, 0.0, 1.0, np.log(100.0))
+    journey = Journey(sheet, steady(sheet, 5.0, stops=(600.0,)), 0.0)
+    total = MEMORIES["integrator"][2](np.ones(9000), journey, rng, 0.0, 1.0, np.log(100.0))
     assert total[5990] == pytest.approx(1.0)
     assert total[6200] < 0.01
     up_and_down = np.concatenate((np.linspace(0.0, 1.0, 4500), np.linspace(1.0, 0.0, 4500)))
-    state = MEMORIES["latch"][2](up_and_down, at, rng, 0.6, 0.3) > 0.5
+    state = MEMORIES["latch"][2](up_and_down, journey, rng, 0.6, 0.3) > 0.5
     assert up_and_down[np.argmax(state)] == pytest.approx(0.6, abs=0.01)
     assert up_and_down[9000 - np.argmax(state[::-1])] == pytest.approx(0.3, abs=0.01)
 
@@ -132,11 +132,11 @@ def test_an_integrator_is_reset_and_a_latch_has_two_thresholds(sheet):
 def test_sizes_make_programs_as_plain_as_was_drawn():
     for case in draw_cases({"outside": 6}, 5):
         drives = _drives(case, 6.0, "drive")
-        found = sized(case, SHEET, drives)
-        q = found.hidden[PROGRAM]
+        result = sized(case, SHEET, drives)
+        q = result.hidden[PROGRAM]
         assert q == sized(case, SHEET, drives).hidden[PROGRAM]
-        assert found.program == draw_program(int(q["seed"])).description
-        largest = ENTRIES[found.program["entry"]].largest
+        assert result.program == draw_program(int(q["seed"])).description
+        largest = ENTRIES[result.program["entry"]].largest
         as_drawn = q["d_prime"] == pytest.approx(case.hidden[PROGRAM]["d_prime"], rel=0.2)
         assert as_drawn or q["size"] == pytest.approx(largest)
         assert LEAST <= q["d_prime"] < 1.2 * D_PRIME[1]
@@ -146,9 +146,9 @@ def test_an_undetectable_kind_gives_way_to_another(sheet, one):
     """Without a long stop no parking brake drags. A winding, which is seen, stays one."""
     for name, stays in (("parking brake", False), ("winding", True)):
         hidden = {PROGRAM: {"seed": float(TURNS.index(name)), "d_prime": 60.0}}
-        found = sized(Case("a", "outside", hidden, asdict(Build()), False, False, False, True, 4), SHEET, [one])
-        assert (found.program["kind"] == name) == stays
-        assert found.hidden[PROGRAM]["d_prime"] >= LEAST
+        result = sized(Case("a", "outside", hidden, asdict(Build()), False, False, False, True, 4), SHEET, [one])
+        assert (result.program["kind"] == name) == stays
+        assert result.hidden[PROGRAM]["d_prime"] >= LEAST
 
 
 def test_each_source_is_drawn_the_last_only_with_speeds_given():
@@ -162,22 +162,22 @@ def test_each_source_draws_drives_within_the_vehicles_limits(source):
     profiles = [np.convolve(rough, np.full(150, 1.0 / 150.0), mode="same")]
     profiles[0][[0, -1]] = 0.0
     case = Case("a", "single", {}, {}, False, False, False, True, 4, source)
-    made, again = (_drives(case, 5.0, "drive", profiles) for _ in range(2))
-    assert sorted(float(round(one.ambient[0])) for one in made) == sorted(AIRS_DEGC)
-    for one, same in zip(made, again, strict=True):
-        np.testing.assert_array_equal(one.speed, same.speed)
-        assert len(one) == len(one.weight) == len(one.yaw_rate) == 3000
-        assert one.speed.min() >= 0.0
-        assert 3.0 < one.speed.max() < 17.0
-        assert np.abs(one.accel).max() < 1.1 * HARDEST_MPS2
-        assert np.abs(one.yaw_rate).max() > 0.01
-        assert one.street is None
+    made, repetition = (_drives(case, 5.0, "drive", profiles) for _ in range(2))
+    assert sorted(float(round(value.ambient[0])) for value in made) == sorted(AIRS_DEGC)
+    for value, same in zip(made, repetition, strict=True):
+        np.testing.assert_array_equal(value.speed, same.speed)
+        assert len(value) == len(value.weight) == len(value.yaw_rate) == 3000
+        assert value.speed.min() >= 0.0
+        assert 3.0 < value.speed.max() < 17.0
+        assert np.abs(value.accel).max() < 1.1 * HARDEST_MPS2
+        assert np.abs(value.yaw_rate).max() > 0.01
+        assert value.street is None
 
 
 def test_trapezoids_hold_speeds_and_stop(sheet):
-    one = trapezoids(15.0, sheet["weight"], 15.0, 14.0, np.random.default_rng(1))
-    assert (np.abs(np.diff(one.speed)) < 1e-9).mean() > 0.5
-    assert (np.diff((one.speed > 0.0).astype(int)) == 1).sum() >= 4
+    item = trapezoids(15.0, sheet["weight"], 15.0, 14.0, np.random.default_rng(1))
+    assert (np.abs(np.diff(item.speed)) < 1e-9).mean() > 0.5
+    assert (np.diff((item.speed > 0.0).astype(int)) == 1).sum() >= 4
 
 
 def test_recorded_speeds_of_real_vehicles_are_driven(sheet, tmp_path):
@@ -212,17 +212,17 @@ def test_a_lag_shifts_a_ramp_by_its_time_and_leaves_a_level(seconds):
 
 
 def test_the_recording_has_the_instruments_gain_and_offset(sheet, tmp_path):
-    one = steady(sheet, 5.0, minutes=1.0)
-    shown = np.linspace(0.0, 8000.0, len(one))
-    still = np.full(len(one), 15.0)
+    item = steady(sheet, 5.0, minutes=1.0)
+    shown = np.linspace(0.0, 8000.0, len(item))
+    still = np.full(len(item), 15.0)
     good = {"torque_nm": 0.0, "torque_share": 0.0, "torque_step_nm": 0.01, "road": 0.0, "dropouts": 0.0}
     sensors = Sensors(**good, torque_lag_s=0.05, torque_offset_nm=12.0, torque_gain=1.004)
-    run = TruthRun(shown, shown, still, {}, one.weight)
-    record(tmp_path / "a.csv", one, run, sensors, 0.36, 1.7e9, np.random.default_rng(1))
+    run = TruthRun(shown, shown, still, {}, item.weight)
+    record(tmp_path / "a.csv", item, run, sensors, 0.36, 1.7e9, np.random.default_rng(1))
     torque = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True)["torque_nm"]
-    even = one.accel == 0.0  # the sensor's noise grows with the acceleration
-    expected = 1.004 * (shown - 0.05 * (shown[1] - shown[0]) / 0.1) + 12.0
-    np.testing.assert_allclose(torque[even][20:], expected[even][20:], atol=0.02)
+    even = item.accel == 0.0  # the sensor's noise grows with the acceleration
+    expectation = 1.004 * (shown - 0.05 * (shown[1] - shown[0]) / 0.1) + 12.0
+    np.testing.assert_allclose(torque[even][20:], expectation[even][20:], atol=0.02)
 
 
 def test_means_over_a_fits_steps():
@@ -239,8 +239,8 @@ def of_kind(name, size=1.0):
 def test_kinds_and_drawn_programs_come_in_turn_on_all_drives():
     cases = sorted(draw_cases({"outside": 24}, 3, SOURCES), key=lambda case: case.program["kind"] or "")
     assert Counter(case.program["kind"] for case in cases) == {None: 12, **dict.fromkeys(KINDS, 4)}
-    for _, of in groupby(cases, key=lambda case: case.program["kind"]):
-        assert {case.source == RECORDED for case in of} == {True, False}
+    for _, value in groupby(cases, key=lambda case: case.program["kind"]):
+        assert {case.source == RECORDED for case in value} == {True, False}
 
 
 @pytest.mark.parametrize("count", [6, 24, 48])
@@ -271,9 +271,11 @@ def test_a_seal_drags_by_the_distance_of_all_drives_alone(sheet):
     program, _ = of_kind("seal")
     fast, slow = (steady(sheet, speed, minutes=30.0) for speed in (8.0, 4.0))
     length = float(np.exp(program.kind[1][0]))
-    for one, driven in ((fast, 0.0), (slow, 0.0), (fast, 6000.0)):
-        at = Journey(sheet, one, driven)
-        np.testing.assert_allclose(KINDS["seal"].strength(at, at.speed, *program.kind[1]), np.exp(-at.distance / length))
+    for value, driven in ((fast, 0.0), (slow, 0.0), (fast, 6000.0)):
+        journey = Journey(sheet, value, driven)
+        np.testing.assert_allclose(
+            KINDS["seal"].strength(journey, journey.speed, *program.kind[1]), np.exp(-journey.distance / length)
+        )
     assert 2000.0 <= length <= 10_000.0
 
 
@@ -284,8 +286,8 @@ def test_a_brake_drags_after_long_stops_and_wears_free(sheet):
     speed = np.full(n, 5.0)
     speed[1000:1190] = 0.0  # 19 s
     speed[3000:3210] = 0.0  # 21 s
-    one = replace(steady(sheet, 5.0, minutes=10.0), speed=speed)
-    drag = KINDS["parking brake"].strength(Journey(sheet, one, 0.0), speed, *program.kind[1])
+    item = replace(steady(sheet, 5.0, minutes=10.0), speed=speed)
+    drag = KINDS["parking brake"].strength(Journey(sheet, item, 0.0), speed, *program.kind[1])
     assert np.abs(drag[:3199]).max() == 0.0
     np.testing.assert_allclose(drag[3210:], np.exp(-np.arange(1, n - 3209) * 0.1 / seconds))
     assert 20.0 <= seconds <= 150.0
@@ -294,10 +296,10 @@ def test_a_brake_drags_after_long_stops_and_wears_free(sheet):
 def test_a_windings_gain_falls_by_torque_squared_in_450_s(sheet):
     program, _ = of_kind("winding")
     (rated,) = program.kind[1]
-    at = Journey(sheet, steady(sheet, 5.0, minutes=30.0), 0.0)
-    seconds = np.arange(len(at.speed)) * 0.1
+    journey = Journey(sheet, steady(sheet, 5.0, minutes=30.0), 0.0)
+    seconds = np.arange(len(journey.speed)) * 0.1
     for torque in (0.5 * rated, -rated, rated):
-        gain = KINDS["winding"].strength(at, np.full(len(seconds), torque), rated)
+        gain = KINDS["winding"].strength(journey, np.full(len(seconds), torque), rated)
         np.testing.assert_allclose(gain, -((torque / rated) ** 2) * (1.0 - np.exp(-seconds / WINDING_S)), atol=1e-9)
 
 

@@ -39,13 +39,13 @@ def settings(**counts):
 def test_the_labels_are_opened_only_by_the_score(tmp_path, capsys):
     begin("own", tmp_path, settings(outside=1))
     words = python("proofs.pipeline", "pipeline.draw", tmp_path)
-    said = subprocess.run(**words, capture_output=True, text=True, check=True).stdout
+    text_here = subprocess.run(**words, capture_output=True, text=True, check=True).stdout
     seal = (tmp_path / "seal.txt").read_text().strip()
-    assert seal in said
+    assert seal in text_here
     (case,) = (tmp_path / "cases").iterdir()
     assert {p.suffix for p in case.iterdir()} == {".csv", ".yaml"}
-    away = tmp_path.parent / "away"
-    (tmp_path / "sealed").rename(away)  # the diagnosis does without
+    distance = tmp_path.parent / "away"
+    (tmp_path / "sealed").rename(distance)  # the diagnosis does without
     pipeline.call("pipeline.answer", "sealed.diagnosing.answer", str(tmp_path / "cases"), str(tmp_path / "results"))
     (result,) = (tmp_path / "results").iterdir()
     assert result.stem == case.name
@@ -54,7 +54,7 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path, capsys):
     for name, text in (("__init__.py", ""), ("__main__.py", EARLIER)):
         (tmp_path / "checkout" / "trackres_ros" / name).write_text(text)
     own.earlier(*(tmp_path / name for name in ("cases", "results_earlier", "checkout")))
-    away.rename(tmp_path / "sealed")
+    distance.rename(tmp_path / "sealed")
     pipeline.score(tmp_path)
     assert seal in capsys.readouterr().out
     (scores,) = json.loads((tmp_path / "scores.json").read_text())["cases"]
@@ -82,9 +82,9 @@ def test_labels_unlike_the_seal_are_refused(tmp_path, proof, options):
     pipeline.draw(tmp_path, 0)
     labels = tmp_path / "sealed" / "labels.json"
     sealed = json.loads(labels.read_text())
-    drawn = sealed["cases"]
-    for other in ({"cases": [*drawn[:-1], {**drawn[-1], "seed": 1}]}, {"cases": drawn[::-1]}, {"seed": 6}):
-        labels.write_text(json.dumps({**sealed, **other}))
+    drawing = sealed["cases"]
+    for other_item in ({"cases": [*drawing[:-1], {**drawing[-1], "seed": 1}]}, {"cases": drawing[::-1]}, {"seed": 6}):
+        labels.write_text(json.dumps({**sealed, **other_item}))
         with pytest.raises(InputError, match="not those that were sealed"):
             pipeline.score(tmp_path)
     assert not (tmp_path / "scores.json").exists()
@@ -101,12 +101,12 @@ def test_a_recording_that_was_interrupted_is_made_again(tmp_path):
     begin("groomer", tmp_path, {"seed": 7, "counts": {"none": 2}})
     pipeline.draw(tmp_path)
     broken, finished = (case / "session1.csv" for case in sorted((tmp_path / "cases").iterdir()))
-    whole = broken.read_bytes()
+    total = broken.read_bytes()
     (tmp_path / "sealed" / f"{broken.parent.name}.recorded").unlink()
     for table in (broken, finished):
         table.write_text("half")
     pipeline.draw(tmp_path)
-    assert broken.read_bytes() == whole
+    assert broken.read_bytes() == total
     assert finished.read_text() == "half"
 
 
@@ -138,8 +138,8 @@ LEVELS = "easy", "easy=3", "outside=", "outside=0", "outside=some", "outside=-1"
 
 @pytest.mark.parametrize("words", [("--profiles", "."), *(("--level", level) for level in LEVELS)])
 def test_a_level_or_folder_of_speeds_that_is_none_is_refused(refused, tmp_path, words):
-    shown = refused("proofs", "own", *words, "-o", "out", cwd=tmp_path)
-    assert all(word in shown for word in words)
+    shown_text = refused("proofs", "own", *words, "-o", "out", cwd=tmp_path)
+    assert all(word in shown_text for word in words)
     assert not list(tmp_path.iterdir())
 
 
@@ -164,8 +164,8 @@ def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(good, trackres,
 
 @pytest.mark.parametrize("total", [1, 7, 118, 1000])
 def test_progress_in_a_log_is_at_most_ten_lines_and_the_last(total, capsys):
-    for done in range(1, total + 1):
-        show_count("diagnosed", done, total)
+    for outcome in range(1, total + 1):
+        show_count("diagnosed", outcome, total)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == min(total, 10)
     assert lines[-1] == f"diagnosed {total} of {total}"

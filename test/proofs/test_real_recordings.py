@@ -33,8 +33,8 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 @pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on this machine")
 def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
     paths = [car(DATA, name, tmp_path) for name in TWICE]
-    found = diagnose(read_recordings(paths, None), load_base("bmw_i3"), DiagnosisOptions(hide=["grade"], quick=True))
-    tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, found)
+    result = diagnose(read_recordings(paths, None), load_base("bmw_i3"), DiagnosisOptions(hide=["grade"], quick=True))
+    tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, result)
     assert tried.outcome == "right"
     repeated = twice(tried)
     assert repeated.repeats > 0.8
@@ -46,11 +46,11 @@ def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
 def test_without_altitude_a_bus_diagnosis_names_only_the_slope():
     topics = Topics.load(BUS_TOPICS)
     recordings = read_recordings(missions(DATA), topics)
-    found = diagnose(recordings, load_base(BUS).with_topics(topics), DiagnosisOptions(hide=["altitude"], quick=True))
-    assert found.verdict.status == "named"
-    assert [f.name for f in found.found] == ["grade"]
-    assert not found.described
-    held_out = found.held_out
+    result = diagnose(recordings, load_base(BUS).with_topics(topics), DiagnosisOptions(hide=["altitude"], quick=True))
+    assert result.verdict.status == "named"
+    assert [f.name for f in result.found] == ["grade"]
+    assert not result.described
+    held_out = result.held_out
     assert held_out.mae["with_effects"] < 0.7 * held_out.mae["refitted"]
     by_lap = held_out.by_lap["mae"]
     assert np.mean(by_lap["with_effects"] > 1.01 * by_lap["refitted"]) < 0.2  # single laps may be worse

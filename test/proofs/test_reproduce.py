@@ -162,8 +162,8 @@ def test_the_page_in_the_repository_is_what_the_command_writes(made, docs):
     assert {key: claim["verdict"] for key, claim in old.items()} == {key: claim["verdict"] for key, claim in new.items()}
     for key in old:
         assert [old[key][part] for part in ("paper", "where", "why")] == [new[key][part] for part in ("paper", "where", "why")]
-    for before, now in zip(stored["sections"], made.summary["sections"], strict=True):
-        assert_near(before["numbers"], now["numbers"], before["title"])
+    for result_before, time_now in zip(stored["sections"], made.summary["sections"], strict=True):
+        assert_near(result_before["numbers"], time_now["numbers"], result_before["title"])
 
 
 def assert_near(a, b, where):

@@ -63,9 +63,9 @@ def test_a_report_without_descriptions_is_read_as_before():
 
 
 def test_the_error_left_is_of_the_hold_out_laps_of_the_base():
-    fitted, followed = term("curve", "speed", after=230.0), term("drift", after=80.0)
-    assert error_left(report("described", described=[fitted], after=90.0)) == 90.0
-    assert error_left(report("described", described=[fitted, followed], after=90.0)) == 80.0
+    fit_result, followed = term("curve", "speed", after=230.0), term("drift", after=80.0)
+    assert error_left(report("described", described=[fit_result], after=90.0)) == 90.0
+    assert error_left(report("described", described=[fit_result, followed], after=90.0)) == 80.0
     assert error_left(report("described", described=[{**followed, "grade": "refuted"}], after=90.0)) == 90.0
 
 
@@ -74,45 +74,45 @@ def test_a_confirmed_name_is_wrong_unless_hidden_or_fits_as_well():
     sure["effects"][0]["grade"] = "confirmed"
     doubted = report("named", ["delay"])
     doubted["effects"][0]["grade"] = "suspected"
-    of = [
+    item = [
         scored("outside", ["program"], sure),
         scored("outside", ["program"], sure, alike=("delay", "torque_gain")),
         scored("outside", ["program"], doubted),
         scored("single", ["delay"], sure),
         scored("none", [], sure),
     ]
-    assert [s.answer.surely_wrong(s.allowed) for s in of] == [True, False, False, False, True]
-    found = shares(of)
-    assert found["outside: confirmed wrong name"] == (1, 3)
-    assert found["all: confirmed wrong name"] == (2, 5)
-    assert [s.wrong for s in of[:2]] == ["a name for what is not in the catalogue", ""]
+    assert [s.answer.surely_wrong(s.allowed) for s in item] == [True, False, False, False, True]
+    result = shares(item)
+    assert result["outside: confirmed wrong name"] == (1, 3)
+    assert result["all: confirmed wrong name"] == (2, 5)
+    assert [s.wrong for s in item[:2]] == ["a name for what is not in the catalogue", ""]
 
 
 def test_mistakes_of_descriptions():
     drift = [term("drift")]
-    said = report("described", described=drift)
-    assert scored("outside", ["program"], said, stated=True).wrong == ""
-    assert scored("outside", ["program"], said, stated=False).wrong == "described, and not true"
+    text = report("described", described=drift)
+    assert scored("outside", ["program"], text, stated=True).wrong == ""
+    assert scored("outside", ["program"], text, stated=False).wrong == "described, and not true"
     assert scored("outside", ["program"], report("named", ["delay"])).wrong == "a name for what is not in the catalogue"
     assert scored("outside", ["program"], report("none")).wrong == "unknown not noticed"
-    assert scored("none", [], said).wrong == "false description"
-    assert scored("single", ["delay"], said).wrong == "described though in the catalogue"
+    assert scored("none", [], text).wrong == "false description"
+    assert scored("single", ["delay"], text).wrong == "described though in the catalogue"
 
 
 def test_scores_of_what_is_outside():
-    one, by_chance = ["program"], "coming and going by chance"
-    of = [
-        scored("outside", one, report("described", described=[term("spells")]), stated=True, words=by_chance),
-        scored("outside", one, report("described", described=[term("curve")], after=140.0), stated=False, words="a bump"),
-        scored("outside", one, report("named", ["delay"], after=250.0), words="a sine"),
-        scored("outside", one, report("unexplained"), seen=False, words=by_chance),
+    item, by_chance = ["program"], "coming and going by chance"
+    entry = [
+        scored("outside", item, report("described", described=[term("spells")]), stated=True, words=by_chance),
+        scored("outside", item, report("described", described=[term("curve")], after=140.0), stated=False, words="a bump"),
+        scored("outside", item, report("named", ["delay"], after=250.0), words="a sine"),
+        scored("outside", item, report("unexplained"), seen=False, words=by_chance),
         scored("none", [], report("described", described=[term("drift", after=190.0)]), oracle_error=200.0),
         scored("none", [], report("none", after=200.0), oracle_error=200.0),
     ]
-    found, own, values = shares(of), own_shares(of), sizes(of)
-    assert found["outside: confirmed wrong name"] == (1, 4)
-    assert found["outside: described or unexplained"] == (3, 4)
-    assert found["outside: a name or a class of names"] == (1, 4)
+    result, own, values = shares(entry), own_shares(entry), sizes(entry)
+    assert result["outside: confirmed wrong name"] == (1, 4)
+    assert result["outside: described or unexplained"] == (3, 4)
+    assert result["outside: a name or a class of names"] == (1, 4)
     assert own["outside, seen by the oracle: described, and the statement is true"] == (1, 3)
     assert own["outside, described: the statement is true"] == (1, 2)
     assert own["none: false description"] == (1, 2)
@@ -120,19 +120,22 @@ def test_scores_of_what_is_outside():
     name = "outside, predictable: held-out error removed, of what the oracle removes (median)"
     assert values[name] == pytest.approx([0.6, -0.5])
     assert values["held-out error removed, of what the oracle removes (median)"] == []
-    tables = tables_of(of, "own", 1, "seal")
-    learned = {(row["method"], row["score"]): (row["cases"], row["value"]) for row in tables["learners"]}
+    tables = tables_of(entry, "own", 1, "seal")
+    learned_valuess = {(row["method"], row["score"]): (row["cases"], row["value"]) for row in tables["learners"]}
     removed = "outside, predictable: removed, of what the oracle removes (median)"
-    assert [learned[method, removed] for method in ("diagnosis", "trees")] == [("2", "0.05"), ("2", "0.50")]
-    assert [learned[method, "outside: worse than the base"] for method in ("diagnosis", "trees")] == [("4", "1"), ("4", "0")]
+    assert [learned_valuess[method, removed] for method in ("diagnosis", "trees")] == [("2", "0.05"), ("2", "0.50")]
+    assert [learned_valuess[method, "outside: worse than the base"] for method in ("diagnosis", "trees")] == [
+        ("4", "1"),
+        ("4", "0"),
+    ]
     assert {row["hidden"]: (row["right"], row["error_removed"], row["verdict"]) for row in tables["outside"]} == {
         by_chance: ("yes", "1.00", "unexplained"), "a bump": ("no", "0.60", "curve"), "a sine": ("no", "-0.50", "delay"),
     }  # fmt: skip
 
 
 def test_a_score_has_its_interval_target_and_outcome():
-    of = [scored("none", [], report("none"), oracle_error=200.0), scored("single", ["delay"], report("named", ["mullins"]))]
-    rows = {row["score"]: row for row in tables_of(of, "own", 1, "seal")["scores"]}
+    item = [scored("none", [], report("none"), oracle_error=200.0), scored("single", ["delay"], report("named", ["mullins"]))]
+    rows = {row["score"]: row for row in tables_of(item, "own", 1, "seal")["scores"]}
     quiet, wrong = rows["none: false alarm"], rows["single: truth in the reported class"]
     keys = "truth", "hits", "of", "value", "low", "high", "target", "met"
     assert [quiet[key] for key in keys] == ["own", "0", "1", "0.00", "0.00", "0.79", "at most 0.03", "yes"]
@@ -148,8 +151,8 @@ def test_mistakes_in_a_town():
     assert scored("street", [], report("named", ["grade"])).wrong == "false alarm"
     assert scored("street", ["street_slope"], report("named", ["grade"])).wrong == ""
     assert scored("street", ["street_slope"], report("described", described=place)).wrong == ""
-    both = report("named", ["grade", "delay"])
-    assert scored("street", ["street_slope"], both).wrong == "a name for what is not in the catalogue"
+    pair = report("named", ["grade", "delay"])
+    assert scored("street", ["street_slope"], pair).wrong == "a name for what is not in the catalogue"
     assert scored("street", ["street_ground"], report("named", ["grade"])).wrong == "a name for what is not in the catalogue"
     assert scored("street", ["street_ground"], report("described", described=payload)).wrong == "described, and not true"
     assert scored("street", ["stretch_load"], report("none")).wrong == "unknown not noticed"
@@ -157,7 +160,7 @@ def test_mistakes_in_a_town():
 
 def test_scores_in_a_town():
     masses = [MassError(400.0, 0.05), MassError(310.0, 0.2, covered=False), MassError(300.0, 0.02), MassError(50.0, 0.5)]
-    of = [
+    item = [
         scored("street", [], report("none", after=200.0), oracle_error=200.0),
         scored("street", [], report("one_of", ["delay"]), oracle_error=200.0),
         scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
@@ -166,9 +169,9 @@ def test_scores_in_a_town():
         scored("street", ["street_ground"], report("described", described=[term("place")], after=110.0), seen=False),
         scored("single", ["delay"], report("named", ["delay"])),
     ]
-    found, own, values = shares(of), own_shares(of), sizes(of)
-    assert found["street, nothing hidden: a name or a description"] == (1, 2)
-    assert found["street: confirmed wrong name"] == (2, 6)
+    result, own, values = shares(item), own_shares(item), sizes(item)
+    assert result["street, nothing hidden: a name or a description"] == (1, 2)
+    assert result["street: confirmed wrong name"] == (2, 6)
     assert own["street, seen by the oracle: rightly named or described"] == (2, 3)
     assert own["street, slope: named grade or described by place"] == (1, 2)
     assert own["street, load: described as a payload"] == (1, 1)
@@ -185,25 +188,25 @@ def test_scores_in_a_town():
     assert values[f"street, stretch load: {removed}"] == pytest.approx([0.5])
     assert values["street, load described: masses off, of the load, over 300 s of driving (median)"] == [0.05, 0.2]
     assert values["street, load described: masses off, of the load, all (median)"] == [0.05, 0.2, 0.02, 0.5]
-    tables = tables_of(of, "own", 1, "seal")
+    tables = tables_of(item, "own", 1, "seal")
     by_kind = [tuple(row.values()) for row in tables["outside"]]
     assert ("own", "street", "nothing", "town", "yes", "yes", "", "none") in by_kind
     assert ("own", "street", "nothing", "town", "yes", "no", "", "delay") in by_kind
     assert ("own", "street", "street_slope", "town", "yes", "yes", "0.80", "grade") in by_kind
-    assert set(TARGETS) <= {*found, *own, *values}
+    assert set(TARGETS) <= {*result, *own, *values}
     worse = [row for row in tables["learners"] if row["score"] == "street: worse than the base"]
     assert [(row["cases"], row["value"]) for row in worse] == [("6", "1"), ("6", "0")]
 
 
 def test_a_run_writes_the_columns_of_the_published_tables(tmp_path, repository):
-    of = [
+    item = [
         scored("street", [], report("none"), oracle_error=200.0),
         scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
         scored("two", ["delay", "mullins"], report("named", ["delay", "mullins"])),
     ]
-    kept, text = report_of(tmp_path, of, "own", {"seed": 3, "cases": [{}] * 4}, "seal")
+    kept, text = report_of(tmp_path, item, "own", {"seed": 3, "cases": [{}] * 4}, "seal")
     assert "3 cases of the 4 that were sealed" in text
-    assert [one["wrong"] for one in json.loads(json.dumps(kept))["cases"]] == ["", "", ""]
+    assert [load["wrong"] for load in json.loads(json.dumps(kept))["cases"]] == ["", "", ""]
     written = sorted((tmp_path / FOLDER).iterdir())
     assert [path.stem for path in written] == ["cases", "learners", "outside", "runs", "scores"]
     for path in written:
@@ -215,13 +218,13 @@ def test_a_run_writes_the_columns_of_the_published_tables(tmp_path, repository):
 def test_masses_are_compared_between_changes_of_the_load():
     speed = np.repeat([5.0, 0.0, 5.0, 5.0], [400, 20, 100, 80])  # stands, and is loaded meanwhile
     mass = np.repeat([1000.0, 3000.0, 0.0], [410, 110, 80])
-    told = [
+    statements = [
         {"begin_s": 0.0, "end_s": 200.0, "mass": 900.0, "std": 60.0},
         {"begin_s": 200.0, "end_s": 420.0, "mass": 1300.0, "std": 60.0},
         {"begin_s": 420.0, "end_s": 520.0, "mass": 2800.0, "std": 100.0},
         {"begin_s": 520.0, "end_s": 550.0, "mass": 0.0, "std": 1.0},
     ]
-    long, short = mass_errors(speed, mass, told, 4000.0)  # less than half of the last is described
+    long, short = mass_errors(speed, mass, statements, 4000.0)  # less than half of the last is described
     assert (long.driving_s, short.driving_s) == (400.0, 100.0)
     assert long.off == pytest.approx(100.0 / 4000.0)
     assert short.off == pytest.approx(200.0 / 4000.0)
@@ -243,5 +246,5 @@ def test_the_first_cases_are_the_first_by_name_of_any_level(tmp_path):
         Case(name, level, {}, {}, False, False, False, True, 1) for name, level in (("c", "none"), ("a", "two"), ("b", "outside"))
     ]
     proof = OwnProof(tmp_path, {})
-    assert [one.name for one in proof.choice(named, 2)] == ["a", "b"]
+    assert [item.name for item in proof.choice(named, 2)] == ["a", "b"]
     assert proof.choice(named, None) == named

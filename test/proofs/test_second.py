@@ -22,10 +22,10 @@ def label(name, kind, level="outside", d_prime=40.0):
 
 def written(folder, labels, recordings=1):
     """A folder with labels, and with recordings of each case."""
-    for one in labels:
-        (folder / "cases" / one["case"]).mkdir(parents=True)
+    for item in labels:
+        (folder / "cases" / item["case"]).mkdir(parents=True)
         for i in range(recordings):
-            (folder / "cases" / one["case"] / f"session{i + 1}.csv").touch()
+            (folder / "cases" / item["case"] / f"session{i + 1}.csv").touch()
     (folder / "labels.json").write_text(json.dumps({"seed": 11, "cases": labels}))
     return folder
 
@@ -60,14 +60,14 @@ def answered(status, described=(), effects=()):
 
 
 def score_them(tmp_path, labels, results):
-    source, out = written(tmp_path / "truth", labels), tmp_path / "out"
-    pipeline.begin("second", out, {"source": str(source)})
-    pipeline.draw(out)
-    assert (out / "sealed" / "labels.json").read_bytes() == (source / "labels.json").read_bytes()
-    (out / "results").mkdir()
-    for one, result in zip(labels, results, strict=True):
-        (out / "results" / f"{one['case']}.json").write_text(json.dumps(result))
-    pipeline.score(out)
+    source, output = written(tmp_path / "truth", labels), tmp_path / "out"
+    pipeline.begin("second", output, {"source": str(source)})
+    pipeline.draw(output)
+    assert (output / "sealed" / "labels.json").read_bytes() == (source / "labels.json").read_bytes()
+    (output / "results").mkdir()
+    for value, result in zip(labels, results, strict=True):
+        (output / "results" / f"{value['case']}.json").write_text(json.dumps(result))
+    pipeline.score(output)
 
 
 def test_cases_of_another_simulator_get_the_same_scores(tmp_path):

@@ -38,10 +38,10 @@ def test_the_variable_of_a_curve_is_what_the_torque_follows(kept):
 @pytest.mark.parametrize("gate", ["in left turns", "yaw rate to the left above 0.02 rad/s"])
 def test_a_gate_that_is_right_is_enough(kept, gate):
     over, lengths = kept
-    left = 400.0 * (over["yaw rate to the left"] > 0.02)
-    assert is_true(term("sided_gain", "", gate), over, left, lengths)
-    assert is_true(term("sided_gain", "curvature", gate), over, left, lengths)
-    assert not is_true(term("sided_gain", "", "when heavy"), over, left, lengths)
+    remainder = 400.0 * (over["yaw rate to the left"] > 0.02)
+    assert is_true(term("sided_gain", "", gate), over, remainder, lengths)
+    assert is_true(term("sided_gain", "curvature", gate), over, remainder, lengths)
+    assert not is_true(term("sided_gain", "", "when heavy"), over, remainder, lengths)
 
 
 def test_what_the_base_takes_up_makes_no_statement_true(kept):

@@ -102,10 +102,10 @@ def test_some_streets_are_soft_and_their_crossings_are_not():
 def test_positions_agree_with_distance_and_heading(one):
     rate = np.gradient(one.street.x, one.step), np.gradient(one.street.y, one.step)
     assert np.abs(rate[0] - one.speed * np.cos(one.heading)).max() < 0.1 * SIDEWAYS_MPS2 * 10.0
-    moving = one.speed > 2.0
-    for shown, expected in zip(rate, (np.cos(one.heading), np.sin(one.heading)), strict=True):
-        off = (shown - one.speed * expected)[moving] / one.speed[moving]
-        assert np.sqrt(np.mean(off**2)) < 0.05
+    is_moving = one.speed > 2.0
+    for shown_text, expectation in zip(rate, (np.cos(one.heading), np.sin(one.heading)), strict=True):
+        deviation = (shown_text - one.speed * expectation)[is_moving] / one.speed[is_moving]
+        assert np.sqrt(np.mean(deviation**2)) < 0.05
     assert np.abs(one.heading - one.heading[0] - np.cumsum(one.yaw_rate) * one.step).max() < 0.05
 
 
@@ -131,12 +131,12 @@ def test_the_same_street_has_the_same_slope_either_way(one):
 @pytest.mark.parametrize("seed", range(4))
 def test_streets_are_passed_several_times_both_ways(seed):
     town, passed = town_of(seed), defaultdict(int)
-    one = drive_of(seed, 90.0)
+    item = drive_of(seed, 90.0)
     for street in town.streets:
         x, y, heading, _ = along(town, street)
-        near = (np.hypot(one.street.x - x[1000], one.street.y - y[1000]) < 25.0) & (one.speed > 0.0)
+        near = (np.hypot(item.street.x - x[1000], item.street.y - y[1000]) < 25.0) & (item.speed > 0.0)
         for way in (1.0, -1.0):
-            there = near & (way * np.cos(one.heading - heading[0]) > 0.9)
+            there = near & (way * np.cos(item.heading - heading[0]) > 0.9)
             passed[street, way] = int((np.diff(there.astype(int)) == 1).sum())
     counts = np.array(list(passed.values()))
     assert np.median(counts) >= 3
@@ -157,12 +157,12 @@ def test_it_drives_as_a_vehicle_can(one):
 def test_long_streets_are_driven_faster():
     fast = defaultdict(list)
     for seed in range(4):
-        town, one = town_of(seed), drive_of(seed)
+        town, item = town_of(seed), drive_of(seed)
         for street in town.streets:
             x, y, _, spacing = along(town, street)
-            near = np.hypot(one.street.x - x[1000], one.street.y - y[1000]) < 20.0
+            near = np.hypot(item.street.x - x[1000], item.street.y - y[1000]) < 20.0
             if near.any():
-                fast[spacing * 2000.0 > np.mean(BLOCKS_M)].append(one.speed[near].max())
+                fast[spacing * 2000.0 > np.mean(BLOCKS_M)].append(item.speed[near].max())
     assert np.mean(fast[True]) > np.mean(fast[False]) + 1.5
 
 
@@ -171,12 +171,12 @@ def test_loads_change_only_at_stops(one, bulk):
     carried = loaded(one, {"share": 0.2, "bulk": bulk, "seed": 4.0}, 0.0)
     changes = np.flatnonzero(np.diff(carried.weight)) + 1
     assert len(changes) >= 3
-    for at in changes:
-        assert one.speed[at - 20 : at + 1].max() == 0.0
+    for change in changes:
+        assert one.speed[change - 20 : change + 1].max() == 0.0
     more = carried.weight / one.weight - 1.0
     assert 0.0 <= more.min() < more.max() <= 0.2
-    again = loaded(one, {"share": 0.2, "bulk": bulk, "seed": 4.0}, 0.0)
-    np.testing.assert_array_equal(carried.weight, again.weight)
+    repetition = loaded(one, {"share": 0.2, "bulk": bulk, "seed": 4.0}, 0.0)
+    np.testing.assert_array_equal(carried.weight, repetition.weight)
     if bulk:
         assert ((more < 0.011) | (more > 0.159)).all()
 
@@ -195,25 +195,25 @@ def test_a_hidden_load_weighs_and_is_not_in_what_is_known(one):
 def test_ground_takes_the_same_either_way_and_slopes_do_not(sheet, one):
     back = replace(one, speed=-one.speed)
     values = {"torque": 500.0, "seed": 2.0}
-    ahead, reverse = (TOWN_PHENOMENA["street_ground"](Journey(sheet, d, 0.0), values, one.speed) for d in (one, back))
-    np.testing.assert_allclose(ahead, -reverse)  # a resistance: against the way it moves
-    assert (ahead >= 0.0).all()
-    np.testing.assert_array_equal(ahead[one.speed == 0.0], 0.0)
-    assert ahead[one.street.softness < 1e-3].max() < 2.0
+    forecast, reverse = (TOWN_PHENOMENA["street_ground"](Journey(sheet, d, 0.0), values, one.speed) for d in (one, back))
+    np.testing.assert_allclose(forecast, -reverse)  # a resistance: against the way it moves
+    assert (forecast >= 0.0).all()
+    np.testing.assert_array_equal(forecast[one.speed == 0.0], 0.0)
+    assert forecast[one.street.softness < 1e-3].max() < 2.0
     up = TOWN_PHENOMENA["street_slope"](Journey(sheet, one, 0.0), {}, one.speed)
     assert np.corrcoef(up, one.street.slope)[0, 1] > 0.9999
     assert np.abs(up).max() == pytest.approx(WEIGHT_N * sheet["track.sprocket_radius"] * np.abs(one.street.slope).max(), rel=1e-2)
 
 
 def test_brakes_take_part_of_hard_braking_and_hold_at_standstill():
-    one = drive_of(0)
-    assert (one.street.brakes[one.speed == 0.0] == 1.0).all()
-    (run,) = simulate_truth(SHEET, Build(), {"street_slope": {}}, [one])
-    np.testing.assert_array_equal(run.shown[one.speed == 0.0], 0.0)
-    hard = (one.accel < -0.9) & (one.speed > 0.0)
+    item = drive_of(0)
+    assert (item.street.brakes[item.speed == 0.0] == 1.0).all()
+    (run,) = simulate_truth(SHEET, Build(), {"street_slope": {}}, [item])
+    np.testing.assert_array_equal(run.shown[item.speed == 0.0], 0.0)
+    hard = (item.accel < -0.9) & (item.speed > 0.0)
     assert hard.sum() > 100
     assert (np.abs(run.shown[hard]) < np.abs(run.torque[hard])).all()
-    mild = (one.accel > -0.7) & (one.speed > 0.0)
+    mild = (item.accel > -0.7) & (item.speed > 0.0)
     np.testing.assert_array_equal(run.shown[mild], run.torque[mild])
 
 
@@ -226,18 +226,18 @@ def recorded(folder, one, sensors, seed=1):
 
 
 def test_positions_come_once_a_second_and_wander(tmp_path):
-    one = drive_of(1)
-    table = recorded(tmp_path, one, Sensors(position_m=6.0))
-    assert one.street.covered.mean() > 0.01
+    item = drive_of(1)
+    table = recorded(tmp_path, item, Sensors(position_m=6.0))
+    assert item.street.covered.mean() > 0.01
     known = np.isfinite(table["latitude_deg"])
     assert (np.flatnonzero(known) % 10 == 0).all()
-    assert not (known & one.street.covered).any()
+    assert not (known & item.street.covered).any()
     assert (known == np.isfinite(table["longitude_deg"])).all()
-    north = np.radians(table["latitude_deg"] - LATITUDE_DEG) * EARTH_M - one.street.y
-    east = np.radians(table["longitude_deg"] - LONGITUDE_DEG) * EARTH_M * np.cos(np.radians(LATITUDE_DEG)) - one.street.x
-    for off in (north[known], east[known]):
-        assert 3.5 < np.sqrt(np.mean(off**2)) < 9.5
-        assert 0.8 < np.std(np.diff(off)) < 2.5  # from one second to the next: white noise, and little of the slow error
+    north = np.radians(table["latitude_deg"] - LATITUDE_DEG) * EARTH_M - item.street.y
+    east = np.radians(table["longitude_deg"] - LONGITUDE_DEG) * EARTH_M * np.cos(np.radians(LATITUDE_DEG)) - item.street.x
+    for deviation in (north[known], east[known]):
+        assert 3.5 < np.sqrt(np.mean(deviation**2)) < 9.5
+        assert 0.8 < np.std(np.diff(deviation)) < 2.5  # from one second to the next: white noise, and little of the slow error
     gaps = np.diff(np.flatnonzero(known)) * 0.1
     lost = gaps[gaps > 1.5]
     assert len(lost) >= 2
@@ -251,25 +251,25 @@ def test_what_wanders_does_so_within_a_minute():
 
 
 def test_the_altitude_of_one_pass_tells_no_slope(tmp_path):
-    one = drive_of(2)
-    table = recorded(tmp_path, one, Sensors(altitude_m=3.0))[::10]
-    way, known = np.cumsum(one.speed)[::10] * one.step, np.isfinite(table["altitude_m"])
-    ahead, behind = (np.interp(way + metres, way[known], table["altitude_m"][known]) for metres in (50.0, -50.0))
-    shown, true = (ahead - behind) / 100.0, one.street.slope[::10]
-    moving = one.speed[::10] > 1.0
-    coefficient = np.polyfit(shown[moving], true[moving], 1)[0]
+    item = drive_of(2)
+    table = recorded(tmp_path, item, Sensors(altitude_m=3.0))[::10]
+    way, known = np.cumsum(item.speed)[::10] * item.step, np.isfinite(table["altitude_m"])
+    forecast, behind = (np.interp(way + metres, way[known], table["altitude_m"][known]) for metres in (50.0, -50.0))
+    shown_text, true = (forecast - behind) / 100.0, item.street.slope[::10]
+    is_moving = item.speed[::10] > 1.0
+    coefficient = np.polyfit(shown_text[is_moving], true[is_moving], 1)[0]
     assert coefficient < 0.4
 
 
 def test_it_is_recorded_as_vehicles_of_the_road_record(tmp_path):
-    one = drive_of(3)
-    fast = recorded(tmp_path, one, Sensors(load_measured=False, belt_measured=False))
+    item = drive_of(3)
+    fast = recorded(tmp_path, item, Sensors(load_measured=False, belt_measured=False))
     assert "weight_n" not in fast.dtype.names
     assert "heading_rad" not in fast.dtype.names
     assert "grade" not in fast.dtype.names
-    assert len(fast) == len(one)
-    np.testing.assert_array_equal(fast["brake_on"] > 0.5, one.street.brakes > 0.0)
-    slow = recorded(tmp_path, replace(one, slope=one.street.slope), Sensors(every_s=1.0))
+    assert len(fast) == len(item)
+    np.testing.assert_array_equal(fast["brake_on"] > 0.5, item.street.brakes > 0.0)
+    slow = recorded(tmp_path, replace(item, slope=item.street.slope), Sensors(every_s=1.0))
     np.testing.assert_allclose(np.diff(slow["time_s"]), 1.0, atol=1e-4)
     assert {"weight_n", "grade", "belt_degc"} < set(slow.dtype.names)
     assert np.isfinite(slow["latitude_deg"]).mean() > 0.7
@@ -286,25 +286,25 @@ def test_each_kind_is_drawn_as_often_as_nothing():
 
 def test_towns_leave_the_draws_of_other_levels_as_they_are():
     without = {"none": 3, "single": 4, "outside": 5}
-    before, after = draw_cases(without, 8), draw_cases({**without, "street": 6}, 8)
-    kept = [case for case in after if case.level != "street"]
-    assert sorted(map(repr, kept)) == sorted(map(repr, before))
+    result_before, result_after = draw_cases(without, 8), draw_cases({**without, "street": 6}, 8)
+    kept = [case for case in result_after if case.level != "street"]
+    assert sorted(map(repr, kept)) == sorted(map(repr, result_before))
 
 
 def test_what_is_recorded_says_nothing_of_what_is_hidden():
     """What is not recorded may be as the vehicle file says, and what is level need not be recorded."""
     cases = draw_cases({"street": 240}, 5)
-    of = defaultdict(Counter)
+    item = defaultdict(Counter)
     for case in cases:
         sensors, streets = sensors_of(case), streets_of(case)
         assert len(case.name) == 8
-        of[" and ".join(case.hidden)][sensors.load_measured, streets.steepest > 0.0] += 1
+        item[" and ".join(case.hidden)][sensors.load_measured, streets.steepest > 0.0] += 1
         assert (streets.load is None) or sensors.load_measured
         assert POSITION_M[0] <= sensors.position_m <= POSITION_M[1]
         assert ALTITUDE_M[0] <= sensors.altitude_m <= ALTITUDE_M[1]
-    assert set(of[""]) == {(load, slope) for load in (True, False) for slope in (True, False)}
+    assert set(item[""]) == {(load, slope) for load in (True, False) for slope in (True, False)}
     for kind in STREET:
-        assert set(of[kind]) <= set(of[""])
+        assert set(item[kind]) <= set(item[""])
     slow = np.mean([sensors_of(case).every_s > 0.0 for case in cases])
     assert 0.23 < slow < 0.43
 

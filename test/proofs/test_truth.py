@@ -107,16 +107,16 @@ def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
         torque_nm=1.0, torque_share=0.001, torque_step_nm=0.1, road=0.0, speed_mps=1e-4, speed_step_mps=1e-4, dropouts=0.0
     )
     paths = [tmp_path / f"drive_{i}.csv" for i in range(len(made))]
-    for i, (path, one, run) in enumerate(zip(paths, made, simulate_truth(SHEET, Build(), {}, made), strict=True)):
-        record(path, one, run, good, sheet["track.sprocket_radius"], 1.7e9 + 1e6 * i, rng)
+    for i, (path, value, run) in enumerate(zip(paths, made, simulate_truth(SHEET, Build(), {}, made), strict=True)):
+        record(path, value, run, good, sheet["track.sprocket_radius"], 1.7e9 + 1e6 * i, rng)
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
-    found = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
-    left = np.concatenate([s.torque - p.torque for s, p in zip(sessions, found.predicted, strict=True)])
+    result = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
+    remainder = np.concatenate([s.torque - p.torque for s, p in zip(sessions, result.predicted, strict=True)])
     used = np.concatenate([s.used for s in sessions])
-    assert np.abs(left[used]).mean() < 0.01 * np.abs(np.concatenate([s.torque for s in sessions])[used]).mean()
-    assert slow_residual(found).share < 1.5 * MODEL_ERROR
-    values = found.base_values
+    assert np.abs(remainder[used]).mean() < 0.01 * np.abs(np.concatenate([s.torque for s in sessions])[used]).mean()
+    assert slow_residual(result).share < 1.5 * MODEL_ERROR
+    values = result.base_values
     assert values["conductivity"] == pytest.approx(Build().conductivity, rel=0.15)
     assert values["capacity_scale"] == pytest.approx(1.0, abs=0.15)
     assert values["loss_modulus_scale"] == pytest.approx(1.0, abs=0.15)

@@ -25,7 +25,7 @@ def test_cold_and_warm_starts_of_simulated_drives_are_told_apart():
     torques = [p.torque + rng.normal(0.0, 10.0, len(p.torque)) for p in base.predict(sessions, values, true)]
     used = [np.abs(s.speed) > 0.5 for s in sessions]
     sessions = [replace(s, torque=t, used=u) for s, t, u in zip(sessions, torques, used, strict=True)]
-    fitted = with_levels(fit(Problem(base, tuple(sessions), tuple(used)), [effect], rounds=2))
-    states = start_states(fitted, gaps)
+    fit_result = with_levels(fit(Problem(base, tuple(sessions), tuple(used)), [effect], rounds=2))
+    states = start_states(fit_result, gaps)
     np.testing.assert_allclose(states.alone, [1.0, 0.0, 1.0, 0.0], atol=0.2)
     assert (states.alone_std < 0.2).all()

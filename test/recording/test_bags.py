@@ -96,11 +96,11 @@ def serialized(store: Any, serialize: Callable[[Any, str], Any], **kwargs: int) 
 def by_library(path: Path) -> list[tuple[str, int, int, float]]:
     """Return role, stamp, log time and value of every sample, message by message, as the library decodes it."""
     rows = []
-    one = path.suffix == ".bag"
-    with Reader1(path) if one else Reader(path) as reader:
+    item = path.suffix == ".bag"
+    with Reader1(path) if item else Reader(path) as reader:
         for connection, log_ns, raw in reader.messages():
             kind = connection.msgtype
-            message: Any = STORE1.deserialize_ros1(raw, kind) if one else STORE.deserialize_cdr(raw, kind)
+            message: Any = STORE1.deserialize_ros1(raw, kind) if item else STORE.deserialize_cdr(raw, kind)
             stamp = getattr(message, "header", None)
             stamp_ns = stamp.stamp.sec * 10**9 + stamp.stamp.nanosec if stamp is not None else log_ns
             for role in TOPICS:
@@ -157,7 +157,7 @@ def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
         late, as_stamped = (
             open_source([path], Topics.parse({"speed": speed, "torque": {**line, "delay_s": delay}})) for delay in (0.25, 0.0)
         )
-        shifted, torque = ([row for row in by_blocks(one) if row[0] == "torque"] for one in (late, as_stamped))
+        shifted, torque = ([row for row in by_blocks(item) if row[0] == "torque"] for item in (late, as_stamped))
         assert len(shifted) >= 5
         assert shifted == [(role, stamp - 250_000_000, arrival, value) for role, stamp, arrival, value in torque]
         assert late.bindings["torque"].delay_s == 0.25
@@ -187,8 +187,8 @@ def test_a_database_that_was_not_closed_is_refused(tmp_path: Path, mode: str) ->
         database.execute("UPDATE messages SET timestamp = timestamp + 1")
         if mode == "wal":
             database.commit()
-        for one in file.parent.iterdir():
-            shutil.copy(one, broken.parent)  # as after a kill
+        for item in file.parent.iterdir():
+            shutil.copy(item, broken.parent)  # as after a kill
         database.rollback()
     for path in (broken, broken.parent):
         with pytest.raises(InputError, match=r"changes in bag\.db3-.*pragma journal_mode=delete"):
@@ -267,10 +267,10 @@ def test_refused_with_what_is_there(tmp_path: Path, role: str, change: dict[str,
     lines = lines_of(*TOPICS)
     lines[role] |= change or {}
     lines = lines if change else {"load/front": lines["load/front"]}
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         open_source([write(tmp_path / "bag", count=3)], Topics.parse(lines, "topics.yaml"))
     for part in says:
-        assert part in str(caught.value)
+        assert part in str(error_info.value)
 
 
 MINE = f"uint8 id\nmy_msgs/Inner[2] inner\n{'=' * 80}\nMSG: my_msgs/Inner\nstring note\nfloat32 speed\n"
@@ -339,12 +339,12 @@ def test_messages_the_metadata_promises(tmp_path: Path) -> None:
 @pytest.mark.parametrize("keep", [0.0, 0.3, 0.8])
 def test_a_file_that_was_cut_off(tmp_path: Path, storage: str, keep: float) -> None:
     path = write(tmp_path / "bag", storage)
-    file = next(one for one in path.iterdir() if one.suffix in (".db3", ".mcap"))
+    file = next(item for item in path.iterdir() if item.suffix in (".db3", ".mcap"))
     raw = file.read_bytes()
     file.write_bytes(raw[: int(len(raw) * keep)])
-    with pytest.raises(InputError, match="bag") as caught:
+    with pytest.raises(InputError, match="bag") as error_info:
         by_blocks(open_source([file], TOPICS))
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(error_info.value)
 
 
 def test_paths_that_are_no_recording(tmp_path: Path) -> None:
@@ -429,13 +429,17 @@ def test_what_is_written_the_library_reads(tmp_path: Path, count: int) -> None:
     path = tmp_path / "out.mcap"
     path.write_text("old")
     write_outputs(path, count)
-    assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
+    assert [item.name for item in tmp_path.iterdir()] == ["out.mcap"]
     with Reader(path) as reader:
         assert reader.message_count == 2 * count + -(-count // 256)
-        assert {one.topic for one in reader.connections} == {"/trackres/resistance_torque", "/vehicle/speed", "/trackres/status"}
+        assert {item.topic for item in reader.connections} == {
+            "/trackres/resistance_torque",
+            "/vehicle/speed",
+            "/trackres/status",
+        }
         if count:
             assert (reader.start_time, reader.end_time) == (START, START + 10_000_000 * (count - 1) + 6)
-        rows = [(one.topic, log, STORE.deserialize_cdr(raw, one.msgtype)) for one, log, raw in reader.messages()]
+        rows = [(item.topic, log, STORE.deserialize_cdr(raw, item.msgtype)) for item, log, raw in reader.messages()]
     assert [log for _, log, _ in rows] == sorted(log for _, log, _ in rows)
     check_outputs(rows, count)
     first = path.read_bytes()
@@ -464,7 +468,7 @@ def test_nothing_is_left_or_lost_when_writing_fails(tmp_path: Path) -> None:
     path.write_text("old")
     with pytest.raises(InputError, match="unknown"), BagWriter(path) as writer:
         writer.topic("/a", "unknown/msg/Type")
-    assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
+    assert [file.name for file in tmp_path.iterdir()] == ["out.mcap"]
     assert path.read_text() == "old"
 
 
@@ -475,10 +479,10 @@ def test_what_a_writer_refuses(tmp_path: Path) -> None:
             writer.topic("/a", "std_msgs/msg/Float64", message, ["datum"])
         topic = writer.topic("/a", "std_msgs/msg/Float64", message, ["data"])
         bare = writer.topic("/b", "std_msgs/msg/Float64")
-        now = np.array([5])
+        time_now = np.array([5])
         with pytest.raises(InputError, match=r"and \(n, 1\)"):
-            writer.write_block(topic, now, now, np.zeros((1, 2)))
+            writer.write_block(topic, time_now, time_now, np.zeros((1, 2)))
         with pytest.raises(InputError, match="no template"):
-            writer.write_block(bare, now, now, np.zeros((1, 0)))
+            writer.write_block(bare, time_now, time_now, np.zeros((1, 0)))
         with pytest.raises(InputError, match="0 ns or later"):
-            writer.write_block(topic, now, -now, np.zeros((1, 1)))
+            writer.write_block(topic, time_now, -time_now, np.zeros((1, 1)))

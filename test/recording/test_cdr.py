@@ -92,13 +92,13 @@ def stamp_of(message: Any) -> int:
 @settings(max_examples=15, deadline=None)
 @given(data=st.data())
 def test_equals_decoding_each_message(msgtype: str, data: st.DataObject) -> None:
-    sent = data.draw(st.lists(messages(STORE, msgtype), min_size=1, max_size=12))
-    sent = [message for message in sent for _ in range(data.draw(st.integers(1, 3)))]
-    little = data.draw(st.lists(st.booleans(), min_size=len(sent), max_size=len(sent)))
-    padding = data.draw(st.lists(st.integers(0, 3), min_size=len(sent), max_size=len(sent)))
+    sent_message = data.draw(st.lists(messages(STORE, msgtype), min_size=1, max_size=12))
+    sent_message = [message for message in sent_message for _ in range(data.draw(st.integers(1, 3)))]
+    little = data.draw(st.lists(st.booleans(), min_size=len(sent_message), max_size=len(sent_message)))
+    padding = data.draw(st.lists(st.integers(0, 3), min_size=len(sent_message), max_size=len(sent_message)))
     raws = [
         bytes(STORE.serialize_cdr(message, msgtype, little_endian=side)) + b"\0" * pad
-        for message, side, pad in zip(sent, little, padding, strict=True)
+        for message, side, pad in zip(sent_message, little, padding, strict=True)
     ]
     reader = FieldReader(definitions(STORE.fielddefs, msgtype), msgtype, CASES[msgtype])
     check(reader.decode(raws), [STORE.deserialize_cdr(raw, msgtype) for raw in raws], CASES[msgtype])
@@ -108,8 +108,8 @@ def test_equals_decoding_each_message(msgtype: str, data: st.DataObject) -> None
 @settings(max_examples=10, deadline=None)
 @given(data=st.data())
 def test_equals_decoding_each_ros1_message(msgtype: str, data: st.DataObject) -> None:
-    sent = data.draw(st.lists(messages(STORE1, msgtype), min_size=1, max_size=6))
-    raws = [bytes(STORE1.serialize_ros1(message, msgtype)) for message in sent]
+    sent_message = data.draw(st.lists(messages(STORE1, msgtype), min_size=1, max_size=6))
+    raws = [bytes(STORE1.serialize_ros1(message, msgtype)) for message in sent_message]
     reader = FieldReader(definitions(STORE1.fielddefs, msgtype), msgtype, CASES[msgtype], Encoding.ROS1)
     check(reader.decode(raws), [STORE1.deserialize_ros1(raw, msgtype) for raw in raws], CASES[msgtype])
 
@@ -215,17 +215,17 @@ def test_more_layouts_than_are_kept() -> None:
 @settings(max_examples=200, deadline=None)
 @given(cut=st.integers(0, 79), extra=st.binary(max_size=6), at=st.integers(0, 30), byte=st.integers(0, 255))
 def test_damaged_messages_are_seen_as_the_full_decoder_sees_them(cut: int, extra: bytes, at: int, byte: int) -> None:
-    whole = twist(5.0)
-    broken = bytearray(whole)
+    total = twist(5.0)
+    broken = bytearray(total)
     broken[at] = byte
-    raws = [whole, whole[:cut], whole + extra, bytes(broken), whole]
+    raws = [total, total[:cut], total + extra, bytes(broken), total]
     decoded = twist_reader().decode(raws)
     for raw, malformed, value in zip(raws, decoded.is_malformed, decoded.value[:, 0], strict=True):
         error, read = "", math.nan
         try:
             read = STORE.deserialize_cdr(raw, TWIST).twist.linear.x  # type: ignore[attr-defined]
-        except Exception as caught:
-            error = str(caught)
+        except Exception as caught_error:
+            error = str(caught_error)
         # numbers do not depend on the text of the frame: text that is not UTF-8 does not cost the message
         assert malformed == (bool(error) and "codec" not in error)
         assert value == read or math.isnan(read)
@@ -254,10 +254,10 @@ def test_no_messages_and_empty_ones() -> None:
     ],
 )
 def test_a_field_that_is_no_number_is_refused(msgtype: str, field: str, says: str) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         FieldReader(definitions(STORE.fielddefs, msgtype), msgtype, [field])
-    assert says in str(caught.value)
-    assert field in str(caught.value)
+    assert says in str(error_info.value)
+    assert field in str(error_info.value)
 
 
 def test_layout_of_another_type() -> None:
@@ -271,11 +271,11 @@ def test_a_template_gives_what_serialising_gives(stamps: list[int], value: float
     types = definitions(STORE.fielddefs, TWIST)
     raw = twist(0.0, "odd")
     template = Template(raw, types, TWIST, ["twist.linear.x", "twist.angular.z"])
-    out = np.full((len(stamps), 3 + len(raw)), 7, np.uint8)
-    template.fill(out, 3, np.array(stamps), np.array([[value, row] for row in range(len(stamps))], np.float64))
-    assert (out[:, :3] == 7).all()
+    output = np.full((len(stamps), 3 + len(raw)), 7, np.uint8)
+    template.fill(output, 3, np.array(stamps), np.array([[value, row] for row in range(len(stamps))], np.float64))
+    assert (output[:, :3] == 7).all()
     for row, stamp in enumerate(stamps):
-        message: Any = STORE.deserialize_cdr(out[row, 3:].tobytes(), TWIST)
+        message: Any = STORE.deserialize_cdr(output[row, 3:].tobytes(), TWIST)
         assert stamp_of(message) == stamp
         assert message.header.frame_id == "odd"
         assert message.twist.linear.x == value or math.isnan(value)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import gzip
-from datetime import UTC, datetime, time, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -59,15 +59,15 @@ def test_every_form_of_a_table_has_the_same_samples(tmp_path, reader, form, codi
     for name, pack in (("run.csv", bytes), ("run.csv.gz", gzip.compress)):
         path = tmp_path / name
         path.write_bytes(pack(FORMS_OF_TABLES[form].encode(coding)))
-        found = tr.read(
+        result = tr.read(
             path,
             topics={"time": {"column": "Time"}, "speed": {"column": "Speed", "unit": "km/h"}, "torque": {"column": "Torque"}},
         )
-        assert found.series["speed"].value.tolist() == pytest.approx([i / 3.6 for i in range(12)])
-        assert found.series["torque"].value.tolist() == [50.0 + i for i in range(12)]
-        assert found.time_s("speed").tolist() == [i / 10 for i in range(12)]
+        assert result.series["speed"].value.tolist() == pytest.approx([i / 3.6 for i in range(12)])
+        assert result.series["torque"].value.tolist() == [50.0 + i for i in range(12)]
+        assert result.time_s("speed").tolist() == [i / 10 for i in range(12)]
         skipped = {"comments": 2, "names again": 2}.get(form)
-        assert [one.count for one in found.findings if one.kind == "comment"] == ([skipped] if skipped else [])
+        assert [finding.count for finding in result.findings if finding.kind == "comment"] == ([skipped] if skipped else [])
 
 
 def test_a_sheet_has_lines_above_its_names_too(tmp_path):
@@ -81,8 +81,8 @@ def test_a_sheet_has_lines_above_its_names_too(tmp_path):
         *([i, 3.6 * i] for i in range(9)),
     ]
     path = workbook(tmp_path / "run.xlsx", ("drive", rows))
-    found = tr.read(path, topics={"speed": {"column": "Speed"}})
-    assert found.series["speed"].value.tolist() == pytest.approx(list(range(9)))
+    result = tr.read(path, topics={"speed": {"column": "Speed"}})
+    assert result.series["speed"].value.tolist() == pytest.approx(list(range(9)))
 
 
 def test_a_cell_without_a_value_gives_no_sample(tmp_path, reader):
@@ -96,11 +96,11 @@ def test_a_german_export_reads_as_its_author_means_it(tmp_path, reader):
     rows = [f"23.11.2026 10:00:0{i},25;{i},5;1.23{i},5;{i}" for i in range(6)]
     path = written(tmp_path, table("Zeit;Geschw [km/h];Drehmoment [Nm];Nr", *rows))
     topics = {"time": {"column": "Zeit"}, "speed": {"column": "Geschw [km/h]"}, "torque": {"column": "Drehmoment [Nm]"}}
-    found = tr.read(path, topics=topics)
-    assert found.series["torque"].value.tolist() == [1230.5 + i for i in range(6)]
-    assert found.series["speed"].value.tolist() == [i + 0.5 for i in range(6)]
-    assert found.start_ns == round(WHEN.timestamp()) * 10**9 + 250_000_000
-    assert found.notes[:3] == (
+    result = tr.read(path, topics=topics)
+    assert result.series["torque"].value.tolist() == [1230.5 + i for i in range(6)]
+    assert result.series["speed"].value.tolist() == pytest.approx([(i + 0.5) / 3.6 for i in range(6)])
+    assert result.start_ns == round(WHEN.timestamp()) * 10**9 + 250_000_000
+    assert result.notes[:3] == (
         "cells are separated by semicolons",
         "decimal comma in Drehmoment [Nm], Geschw [km/h]",
         "time: column Zeit, dd.mm.yyyy hh:mm:ss, without a time zone: treated as UTC",
@@ -108,34 +108,41 @@ def test_a_german_export_reads_as_its_author_means_it(tmp_path, reader):
 
 
 @pytest.mark.parametrize(
-    ("line", "unit"),
+    ("line", "values"),
     [
-        ("speed: {column: 'v [km/h]'}", "km/h"),
-        ("speed: {column: v_kmh, offset: 1.0}", "kmh"),
-        ("speed: {column: 'v (mph)'}", "mph"),
-        ("speed: {column: 's [km]', derivative: true}", "km"),
-        ("torque: {column: 'Kraft [N]'}", "N"),
-        ("torque: {sum: [{column: 'a [kNm]'}, {column: 'b [Nm]'}]}", "kNm"),
-        ("time: {column: time_ms}", "ms"),
-        ("speed: {column: 'v [km/h]', unit: km/h}", ""),
-        ("speed: {column: 'v [km/h]', scale: 1.0}", ""),
-        ("speed: {column: 'v [m/s]', offset: 1.0}", ""),
-        ("belt: {column: 'T [K]', offset: -273.15}", ""),
-        ("torque: {sum: [{column: 'a [kNm]'}, {column: 'b [kNm]'}], scale: 1000.0}", ""),
-        ("enable: {column: 'mode [h]', values: [1]}", ""),
-        ("latitude: {column: lat_deg}", ""),
-        ("belt: {column: front_f}", ""),
-        ("torque: {column: left_kmh}", ""),
+        ("speed: {column: 'v [km/h]'}", [0, 1, 2]),
+        ("speed: {column: 'Speed (OBD)(km/h)'}", [0, 1, 2]),
+        ("speed: {column: v_kmh, offset: 3.6}", [1, 2, 3]),
+        ("speed: {column: 'v (mph)'}", [0, 1.609344, 2 * 1.609344]),
+        ("speed: {column: 's [km]', derivative: true}", [1000, 1000, 1000]),
+        ("speed: {column: 'GPS Speed (Meters/second)'}", [0, 3.6, 7.2]),
+        ("torque: {sum: [{column: 'a [kNm]'}, {column: 'b [Nm]'}]}", [0, 3603.6, 7207.2]),
+        ("torque: {sum: [{column: 'a [kNm]'}, {column: 'b [kNm]'}], scale: 1000.0}", [0, 7200, 14400]),
+        ("speed: {sum: [{column: 'l [km/h]'}, {column: 'r [km/h]'}], scale: 0.5}", [0, 1, 2]),
+        ("speed: {column: 'v [km/h]', unit: km/h}", [0, 1, 2]),
+        ("speed: {column: 'v [km/h]', scale: 0.277778}", [0, 1, 2]),
+        ("speed: {column: 'v [km/h]', scale: 1.0}", [0, 3.6, 7.2]),
+        ("belt: {column: 'T [K]', offset: -273.15}", [-273.15, -269.55, -265.95]),
+        ("belt: {column: front_f}", [0, 3.6, 7.2]),
+        ("torque: {column: left_kmh}", [0, 3.6, 7.2]),
     ],
 )
-def test_a_unit_in_a_name_that_is_not_used_is_noted(tmp_path, line, unit):
+def test_a_unit_in_a_name_is_used_once(tmp_path, line, values):
     topics = yaml.safe_load(line)
     ((role, source),) = topics.items()
-    names = [part["column"] for part in source.get("sum", [source])]
-    names += [name for name, other in (("time_s", "time"), ("speed_mps", "speed")) if role != other]
-    path = written(tmp_path, table(",".join(names), *(",".join([str(i)] * len(names)) for i in range(3))))
-    said = [note.partition(" according to its name")[0] for note in tr.read(path, topics=topics).notes if "its name" in note]
-    assert said == ([f"{role}: {names[0]} is in {unit}"] if unit else [])
+    names = [part["column"] for part in source.get("sum", [source])] + ["speed_mps"] * (role != "speed")
+    rows = [",".join([f"{i * 3.6}"] * len(names)) for i in range(3)]
+    path = written(tmp_path, table(",".join(["time_s", *names]), *(f"{3.6 * i},{row}" for i, row in enumerate(rows))))
+    read_values = tr.read(path, topics=topics).series[role].value
+    assert read_values == pytest.approx(values, abs=1e-4)
+
+
+def test_a_foreign_unit_in_a_name_is_refused_until_given(tmp_path):
+    path = written(tmp_path, table("time_s,speed_mps,Kraft [N]", "0,1,7", "1,1,8"))
+    with pytest.raises(InputError) as error_info:
+        tr.read(path, topics={"torque": {"column": "Kraft [N]"}})
+    line = str(error_info.value).partition("topics file: ")[2]
+    assert tr.read(path, topics=yaml.safe_load(line)).series["torque"].value.tolist() == [7.0, 8.0]
 
 
 @pytest.mark.parametrize(
@@ -150,9 +157,9 @@ def test_a_unit_in_a_name_that_is_not_used_is_noted(tmp_path, line, unit):
 )
 def test_a_number_with_two_readings_is_refused(tmp_path, reader, text, says):
     path = written(tmp_path, table("time_s;speed_mps", *(f"{i};{cell}" for i, cell in enumerate(text.split("|")))))
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         tr.read(path)
-    assert says in str(refused.value)
+    assert says in str(error_info.value)
 
 
 def test_other_columns_or_the_topics_file_decide_a_mark(tmp_path, reader):
@@ -188,12 +195,12 @@ def test_a_number_is_read_as_written_or_refused(tmp_path_factory, numbers, place
     text = table(f"time_s{separator}speed_mps", *(f"{i}{separator}{c}" for i, c in enumerate(cells)))
     path = written(tmp_path_factory.mktemp("t"), text)
     try:
-        found = tr.read(path).series["speed"].value
-    except InputError as refused:
-        assert "thousands" in str(refused) or "allowed: a number" in str(refused)  # noqa: PT017
+        result = tr.read(path).series["speed"].value
+    except InputError as refusal:
+        assert "thousands" in str(refusal) or "allowed: a number" in str(refusal)  # noqa: PT017
     else:
         if not (separator == "," and comma and grouped and not places):  # points between thousands, commas between cells
-            np.testing.assert_array_equal(found, values)
+            np.testing.assert_array_equal(result, values)
 
 
 FORMS = (
@@ -218,15 +225,15 @@ def test_a_time_is_read_as_written_or_refused(tmp_path_factory, begin, steps, fo
     pattern, sure = form
     path = written(tmp_path_factory.mktemp("t"), table("timestamp;speed_mps", *(f"{t.strftime(pattern)}{zone};1" for t in times)))
     try:
-        found = tr.read(path).series["speed"].stamp_ns
-    except InputError as refused:
+        result = tr.read(path).series["speed"].stamp_ns
+    except InputError as refusal:
         assert not sure
-        assert "the order of day and month is ambiguous" in str(refused)  # noqa: PT017
+        assert "the order of day and month is ambiguous" in str(refusal)  # noqa: PT017
         assert all(t.day <= 12 for t in times)
         order = "dmy" if pattern[1] == "d" else "mdy"
-        found = tr.read(path, topics={"time": {"column": "timestamp", "order": order}}).series["speed"].stamp_ns
+        result = tr.read(path, topics={"time": {"column": "timestamp", "order": order}}).series["speed"].stamp_ns
     epoch = datetime(1970, 1, 1) + timedelta(minutes=ZONES[zone])
-    assert found.tolist() == [(t - epoch) // timedelta(microseconds=1) * 1000 for t in times]
+    assert result.tolist() == [(t - epoch) // timedelta(microseconds=1) * 1000 for t in times]
 
 
 @pytest.mark.parametrize(
@@ -241,27 +248,25 @@ def test_a_time_is_read_as_written_or_refused(tmp_path_factory, begin, steps, fo
     ],
 )
 def test_a_time_that_is_none_is_refused(tmp_path, reader, rows, says):
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         tr.read(written(tmp_path, table("timestamp;speed_mps", *rows)))
-    assert says in str(refused.value)
+    assert says in str(error_info.value)
 
 
-NO_TIMES = (
-    "10/25/2026 02:59:59 PM", "25.10.26 02:59:59", "02:59:59", "2026-10-25", "2026-10-25 02:59:59:999", "2026-10-25 02:59:59 CET",
-)  # fmt: skip
+NO_TIMES = ("2026-10-25", "2026-10-25 02:59:59 CET", "02:59", "25-Mix-2026 02:59:59")
 
 
 @pytest.mark.parametrize("topics", [None, {"time": {"column": "Time"}}])
-@pytest.mark.parametrize("cell", [*NO_TIMES, time(2, 59, 59), timedelta(seconds=3599)])
+@pytest.mark.parametrize("cell", NO_TIMES)
 def test_a_cell_that_is_no_time_is_shown_with_the_forms(tmp_path, cell, topics):
     paths = [workbook(tmp_path / "run.xlsx", ("s", [["Time", "speed_mps"], [cell, 1.0]]))]
     paths += [written(tmp_path, table("Time;speed_mps", f"{cell};1"))]
     for path in paths:
-        with pytest.raises(InputError) as refused:
+        with pytest.raises(InputError) as error_info:
             tr.read(path, topics=topics)
-        assert f"Time: given '{cell}'; allowed: " in str(refused.value)
-        assert ("numbers, or dates" in str(refused.value)) == bool(topics)
-        assert "write date and time in one column as 2026-11-23T10:00:00" in str(refused.value)
+        assert f"Time: given '{cell}'; allowed: " in str(error_info.value)
+        assert ("numbers, or dates" in str(error_info.value)) == bool(topics)
+        assert "write date and time in one column as 2026-11-23T10:00:00" in str(error_info.value)
 
 
 def test_an_offset_moves_dates_and_a_scale_is_refused(tmp_path, reader):
@@ -278,7 +283,7 @@ def test_line_ends_and_marks_of_editors_change_nothing(tmp_path_factory, end, ma
     text = ("\ufeff" if mark else "") + end.join(lines) + (end if last else "")
     recording = tr.read(written(tmp_path_factory.mktemp("t"), text))
     assert recording.series["speed"].value.tolist() == [1.25, 2.5]
-    assert [one.kind for one in recording.findings] == ([] if last else ["cut"])
+    assert [finding.kind for finding in recording.findings] == ([] if last else ["cut"])
 
 
 def test_timestamps_of_parquet_are_times(tmp_path):
@@ -287,9 +292,9 @@ def test_timestamps_of_parquet_are_times(tmp_path):
     for zone, note in ((None, "without a time zone"), ("Europe/Berlin", "with a time zone")):
         stamps = pa.array([WHEN.replace(tzinfo=None) + timedelta(milliseconds=i) for i in range(3)], pa.timestamp("us", zone))
         parquet.write_table(pa.table({"timestamp": stamps, "speed_mps": [1.0, 2.0, 3.0]}), tmp_path / "run.parquet")
-        found = tr.read(tmp_path / "run.parquet")
-        assert (found.series["speed"].stamp_ns - round(WHEN.timestamp()) * 10**9).tolist() == [0, 10**6, 2 * 10**6]
-        assert any(note in one for one in found.notes)
+        result = tr.read(tmp_path / "run.parquet")
+        assert (result.series["speed"].stamp_ns - round(WHEN.timestamp()) * 10**9).tolist() == [0, 10**6, 2 * 10**6]
+        assert any(note in item for item in result.notes)
 
 
 # --- sums
@@ -302,11 +307,11 @@ def test_left_and_right_are_added_where_both_are_there(tmp_path, reader):
     path = written(
         tmp_path, table("time_s,speed_mps,left_nm,right_knm", "0,1,100,0.2", "1,1,,0.2", "2,1,50,", "3,1,100,0.3", "4,1,,")
     )
-    found = tr.read(path, topics=SUM)
-    assert found.series["torque"].value.tolist() == [301.0, 401.0]
-    assert found.time_s("torque").tolist() == [0.0, 3.0]
-    assert [(one.role, one.kind, one.count) for one in found.findings] == [("torque", "part", 2)]
-    assert "torque: sum of the columns left_nm, right_knm, where a row has them all" in found.notes
+    result = tr.read(path, topics=SUM)
+    assert result.series["torque"].value.tolist() == [301.0, 401.0]
+    assert result.time_s("torque").tolist() == [0.0, 3.0]
+    assert [(finding.role, finding.kind, finding.count) for finding in result.findings] == [("torque", "part", 2)]
+    assert "torque: sum of the columns left_nm, right_knm, where a row has them all" in result.notes
 
 
 # --- what may be the torque
@@ -317,10 +322,10 @@ def test_no_torque_names_what_may_hold_it(tmp_path, trackres):
     path = written(tmp_path, table(names, *(f"{i};5,5;1,5;2,5;x;1;3" for i in range(300))))
     likely = "M links [Nm], M rechts [Nm]"
     assert f"no torque channel is in use; candidates: {likely}" in tr.read(path).notes
-    done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
-    assert done.returncode == 2
-    assert f"it may be in {likely}: give it in a topics file: torque: {{column: NAME, unit: Nm}}" in done.stderr
-    assert "sum of left and right" in done.stderr
+    outcome = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
+    assert outcome.returncode == 2
+    assert f"it may be in {likely}: give it in a topics file: torque: {{column: NAME, unit: Nm}}" in outcome.stderr
+    assert "sum of left and right" in outcome.stderr
 
 
 # --- Excel
@@ -343,12 +348,12 @@ def test_a_workbook_reads_like_the_table_it_shows(tmp_path, good):
     rows = [[begin + timedelta(milliseconds=500 * i), 18.0 + i, "1.234,5" if i else None, "x"] for i in range(9)]
     cover = ("cover", [["a drive"], ["of November"]])
     path = workbook(tmp_path / "run.xlsx", cover, ("drive", [[], ["Zeit", "speed_kmh", "torque_nm", "note"], *rows, [None] * 4]))
-    found = tr.read(path, topics={"time": {"column": "Zeit"}})
-    assert found.series["speed"].value.tolist() == [(18.0 + i) * (1 / 3.6) for i in range(9)]
-    assert found.series["torque"].value.tolist() == [1234.5] * 8
-    assert found.start_ns == round(WHEN.timestamp()) * 10**9
+    result = tr.read(path, topics={"time": {"column": "Zeit"}})
+    assert result.series["speed"].value.tolist() == [(18.0 + i) * (1 / 3.6) for i in range(9)]
+    assert result.series["torque"].value.tolist() == [1234.5] * 8
+    assert result.start_ns == round(WHEN.timestamp()) * 10**9
     for note in ("sheet drive", "time: column Zeit, dates of Excel, without a time zone", "decimal comma in torque_nm"):
-        assert any(one.startswith(note) for one in found.notes)
+        assert any(item.startswith(note) for item in result.notes)
     written(tmp_path, "time: {column: Zeit}\n", "topics.yaml")
     assert "sheet drive" in good(
         "replay", path, "--vehicle", "xgd24d", "--topics", tmp_path / "topics.yaml", "-o", tmp_path / "o.csv"
@@ -368,21 +373,21 @@ def test_a_workbook_reads_like_the_table_it_shows(tmp_path, good):
     ],
 )
 def test_a_cell_of_a_workbook_that_is_none_is_refused(tmp_path, rows, says):
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         tr.read(workbook(tmp_path / "run.xlsx", ("s", [["time_s", "speed_mps"], *rows])))
-    assert says in str(refused.value)
+    assert says in str(error_info.value)
 
 
 def test_a_row_of_units_below_the_names_counts(tmp_path):
     sheet = [["Time", "VehSpd", "weight_kn", "note"], ["ms", "km/h", "kN", None], [0, 36, 90, "x"], [500, 72, 91, "y"]]
-    found = tr.read(workbook(tmp_path / "run.xlsx", ("s", sheet)), topics={"speed": {"column": "VehSpd"}})
-    assert found.series["speed"].value.tolist() == pytest.approx([10.0, 20.0])
-    assert found.series["load"].value.tolist() == [90e3, 91e3]
-    assert found.time_s("speed").tolist() == [0.0, 0.5]
-    assert {"time: Time is in ms according to the file", "speed: VehSpd is in km/h according to the file"} <= set(found.notes)
+    result = tr.read(workbook(tmp_path / "run.xlsx", ("s", sheet)), topics={"speed": {"column": "VehSpd"}})
+    assert result.series["speed"].value.tolist() == pytest.approx([10.0, 20.0])
+    assert result.series["load"].value.tolist() == [90e3, 91e3]
+    assert result.time_s("speed").tolist() == [0.0, 0.5]
+    assert {"time: Time is in ms according to the file", "speed: VehSpd is in km/h according to the file"} <= set(result.notes)
 
 
 def test_two_sheets_that_fit_are_both_named(tmp_path):
     rows = [["time_s", "speed_mps"], [0, 1], [1, 2]]
-    found = tr.read(workbook(tmp_path / "run.xlsx", ("a", rows), ("b", rows)))
-    assert any(note.startswith("also possible: ") and note.endswith("sheet b") for note in found.notes)
+    result = tr.read(workbook(tmp_path / "run.xlsx", ("a", rows), ("b", rows)))
+    assert any(note.startswith("also possible: ") and note.endswith("sheet b") for note in result.notes)

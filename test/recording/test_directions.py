@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
@@ -103,7 +104,7 @@ def test_a_message_without_a_direction_gives_no_speed(can_log):
     )
     keep = ~broken | (np.abs(TRUE) < 1e-9)
     np.testing.assert_allclose(recording.series["speed"].value, TRUE[keep], atol=1e-3)
-    assert ("no_direction", int(np.sum(~keep))) in {(one.kind, one.count) for one in recording.findings}
+    assert ("no_direction", int(np.sum(~keep))) in {(finding.kind, finding.count) for finding in recording.findings}
 
 
 @pytest.mark.parametrize("suffix", ["csv", "log", "mf4"])
@@ -122,7 +123,7 @@ def test_what_a_validity_refuses_gives_no_sample_and_is_counted(can_log, tmp_pat
         lines["direction"] = {"channel": "back", "values": ways}
     recording = read(path, **lines)
     np.testing.assert_allclose(recording.series["speed"].value, TRUE[valid], atol=1e-3)
-    assert ("invalid", int(np.sum(~valid))) in {(one.kind, one.count) for one in recording.findings}
+    assert ("invalid", int(np.sum(~valid))) in {(finding.kind, finding.count) for finding in recording.findings}
 
 
 def table(folder, **columns):
@@ -159,7 +160,7 @@ def test_a_column_reverse_of_words_is_left_alone(tmp_path):
     path.write_text("\n".join(["time_s,speed_mps,reverse", *rows]) + "\n")
     recording = tr.read(path)
     assert "direction" not in recording.series
-    assert "unsigned" in {one.kind for one in recording.findings}
+    assert "unsigned" in {finding.kind for finding in recording.findings}
 
 
 # The public command, on the case of the specification
@@ -182,12 +183,12 @@ def test_a_speed_never_negative_beside_reverse_is_a_finding(tmp_path, good):
     report = json.loads(
         good("replay", path, "--topics", tmp_path / "t.yaml", "--vehicle", "xgd24d", "-o", tmp_path / "o.csv", "--json")
     )
-    found = [one for one in tr.read(path, topics=tmp_path / "t.yaml").findings if one.kind == "unsigned"]
-    assert len(found) == 1
-    assert "direction: {channel: ReverseGearEngagedSignal" in found[0].text
+    results = [finding for finding in tr.read(path, topics=tmp_path / "t.yaml").findings if finding.kind == "unsigned"]
+    assert len(results) == 1
+    assert "direction: {channel: ReverseGearEngagedSignal" in results[0].text
     assert "never negative" in json.dumps(report)
     path = table(tmp_path, v=TRUE, ReverseGearEngagedSignal=BACK)
-    assert "unsigned" not in {one.kind for one in tr.read(path, topics=tmp_path / "t.yaml").findings}
+    assert "unsigned" not in {finding.kind for finding in tr.read(path, topics=tmp_path / "t.yaml").findings}
 
 
 # Rules
@@ -198,8 +199,8 @@ def test_neutral_keeps_the_way_and_a_negative_speed_its_sign(tmp_path):
     speed[50:60] = -2.0
     lever[:20], lever[20:100], lever[100:] = -1.0, 0.0, 1.0
     recording = tr.read(table(tmp_path, speed_mps=speed, travel_direction=lever))
-    expected = np.where(TIMES < 9.95, -np.abs(speed), speed)
-    np.testing.assert_array_equal(recording.series["speed"].value, expected)
+    expectation = np.where(TIMES < 9.95, -np.abs(speed), speed)
+    np.testing.assert_array_equal(recording.series["speed"].value, expectation)
 
 
 def test_a_direction_in_another_message_expires_and_is_said(tmp_path):
@@ -216,8 +217,8 @@ def test_a_direction_in_another_message_expires_and_is_said(tmp_path):
 
 def test_a_companion_of_one_message_is_not_timed_apart():
     apart, together = Companion(1.0, shares_message=False), Companion(1.0, shares_message=True)
-    for one in (apart, together):
-        one.take_sample(10**9, -1.0)
+    for item in (apart, together):
+        item.take_sample(10**9, -1.0)
     assert (apart.value_at(15 * 10**8), together.value_at(10**9)) == (-1.0, -1.0)
     assert math.isnan(together.value_at(10**9 + 1))
     assert math.isnan(apart.value_at(2 * 10**9 + 1))
@@ -249,3 +250,31 @@ def test_a_direction_without_a_meaning_is_refused_with_a_remedy(tmp_path, line, 
     path = table(tmp_path, speed_mps=np.abs(TRUE), Lever7=BACK)
     with pytest.raises(InputError, match=said):
         tr.read(path, topics={"speed": {"column": "speed_mps"}, "direction": line})
+
+
+FLAGS = {
+    "reverse_gear": (0, 1), "Is Reversing [-]": (0, 1), "driving_backwards": (0, 1), "Reverse": ("false", "true"),
+    "forward": (1, 0), "direction": (1, -1), "gear": (3, -1), "MachineDirection": (1, 0),
+}  # fmt: skip
+"""By the name of a column: its cells forward and backwards."""
+
+
+@pytest.mark.parametrize("name", FLAGS)
+def test_the_printed_line_for_a_missing_sign_gives_it(tmp_path, name):
+    rows = zip(TIMES, np.abs(TRUE), BACK, strict=True)
+    path = tmp_path / "drive.csv"
+    path.write_text(f"time_s,speed_mps,{name}\n" + "".join(f"{t:g},{v:g},{FLAGS[name][back]}\n" for t, v, back in rows))
+    (text,) = [one.text for one in tr.read(path).findings if one.kind == "unsigned"]
+    line = yaml.safe_load(text.partition("with the values that it has: ")[2])
+    assert_true(tr.read(path, topics=line))
+
+
+@pytest.mark.parametrize("words", [("false", "true"), ("FALSE", "TRUE"), ("0", "1")])
+def test_a_validity_in_a_table_may_be_true_or_false(tmp_path, words):
+    valid = np.arange(len(TRUE)) % 4 != 1
+    path = tmp_path / "drive.csv"
+    rows = zip(TIMES, TRUE, valid, strict=True)
+    path.write_text("time_s,speed_mps,ok\n" + "".join(f"{t:g},{v:g},{words[int(ok)]}\n" for t, v, ok in rows))
+    found = read(path, speed={"column": "speed_mps", "valid": {"column": "ok"}})
+    np.testing.assert_allclose(found.series["speed"].value, TRUE[valid])
+    assert ("invalid", int(np.sum(~valid))) in {(one.kind, one.count) for one in found.findings}

@@ -112,8 +112,8 @@ def test_only_regular_files_are_opened(tmp_path, refused, suffix):
 
 def test_a_socket_is_refused(tmp_path, refused, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with socket.socket(socket.AF_UNIX) as one:
-        one.bind("s.csv")
+    with socket.socket(socket.AF_UNIX) as item:
+        item.bind("s.csv")
         assert "a socket" in refused(Path("s.csv"))
 
 
@@ -125,10 +125,10 @@ def test_names_that_no_terminal_takes(tmp_path, refused, good):
     columns = "time_s,speed_mps,odd\x07\u2028name"
     path.write_text(f"{columns}\n" + "".join(f"{row / 10},{row % 5 + 1},0\n" for row in range(100)))
     output = Path(os.fsdecode(os.fsencode(tmp_path) + b"/out\n\xfe.csv"))
-    said = good("replay", path, "--vehicle", "xgd24d", "-o", output)
-    assert all(line.isprintable() for line in said.split("\n"))
-    assert "odd\\x07\\u2028name" in said
-    assert "out\\n\\udcfe.csv" in said
+    text = good("replay", path, "--vehicle", "xgd24d", "-o", output)
+    assert all(line.isprintable() for line in text.split("\n"))
+    assert "odd\\x07\\u2028name" in text
+    assert "out\\n\\udcfe.csv" in text
     assert output.exists()
 
 
@@ -138,9 +138,9 @@ def test_names_that_no_terminal_takes(tmp_path, refused, good):
 def test_any_bytes_are_read_or_refused_in_one_line(tmp_path_factory, suffix, head, rest):
     path = tmp_path_factory.mktemp("any") / f"run{suffix}"
     path.write_bytes(head + rest)
-    said = refusal(path)
-    assert said.isprintable()
-    assert OWN_FAULT not in said
+    text = refusal(path)
+    assert text.isprintable()
+    assert OWN_FAULT not in text
 
 
 def refusal(path: Path) -> str:
@@ -163,24 +163,24 @@ def refusal(path: Path) -> str:
     ],
 )
 def test_what_any_library_raises_is_one_line_with_its_cause(error, says):
-    with pytest.raises(InputError) as caught, reading(Path("run.csv"), "a table"):
+    with pytest.raises(InputError) as error_info, reading(Path("run.csv"), "a table"):
         raise error
-    assert says in str(caught.value)
-    assert str(caught.value).startswith("run.csv: given")
-    assert str(caught.value).isprintable()
-    assert caught.value.__cause__ is error
+    assert says in str(error_info.value)
+    assert str(error_info.value).startswith("run.csv: given")
+    assert str(error_info.value).isprintable()
+    assert error_info.value.__cause__ is error
 
 
 def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_bytes(CSV)
-    monkeypatch.setattr("trackres_ros.recording.channel_source.choose", lambda *_: 1 // 0)
+    monkeypatch.setattr("trackres_ros.recording.channel_source.torque_columns", lambda *_: 1 // 0)
     with pytest.raises(ZeroDivisionError):  # outside of reading a fault is unchanged
         open_source([path])
     monkeypatch.setattr("trackres_ros.recording.text_table.header_of", lambda *_: "none")
-    with pytest.raises(InputError, match=r"AttributeError: .* at text_table\.py:\d+") as caught:
+    with pytest.raises(InputError, match=r"AttributeError: .* at text_table\.py:\d+") as error_info:
         open_source([path])
-    assert OWN_FAULT in str(caught.value)
+    assert OWN_FAULT in str(error_info.value)
 
 
 # --- tables
@@ -199,12 +199,12 @@ def test_50_000_columns(tmp_path, refused):
 
 def test_every_damage_of_an_archive_is_said(tmp_path):
     path = tmp_path / "run.csv.gz"
-    whole = gzip.compress(b"time_s,speed_mps\n" + b"".join(b"%d,%d\n" % (row, row * row % 97) for row in range(2000)))
-    for place in range(0, len(whole), 37):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
-        said = refusal(path)
-        assert OWN_FAULT not in said
-        assert str(path) in said or len(speeds(path, None).series["speed"]) == 2000
+    total = gzip.compress(b"time_s,speed_mps\n" + b"".join(b"%d,%d\n" % (row, row * row % 97) for row in range(2000)))
+    for place in range(0, len(total), 37):
+        path.write_bytes(total[:place] + bytes([total[place] ^ 0x55]) + total[place + 1 :])
+        text = refusal(path)
+        assert OWN_FAULT not in text
+        assert str(path) in text or len(speeds(path, None).series["speed"]) == 2000
 
 
 @pytest.mark.parametrize(
@@ -240,12 +240,12 @@ def test_parquet_in_bounded_memory_and_damage_in_it(tmp_path):
         table = pa.table({"time_s": time_s, "speed_mps": np.sin(time_s), "note": np.zeros(rows)})
         parquet.write_table(table, path, row_group_size=rows, compression="none")
         del table
-        pool, before = pa.proxy_memory_pool(pa.default_memory_pool()), pa.default_memory_pool()
+        pool, result_before = pa.proxy_memory_pool(pa.default_memory_pool()), pa.default_memory_pool()
         pa.set_memory_pool(pool)
         try:
             assert sum(map(len, open_source([path]).blocks())) == rows
         finally:
-            pa.set_memory_pool(before)
+            pa.set_memory_pool(result_before)
         peaks.append(pool.max_memory())
     assert peaks[1] < 1.5 * peaks[0]
     path = tmp_path / "run.parquet"
@@ -401,13 +401,16 @@ def test_the_search_for_defects_joins_one_role_at_a_time(peak_of):
     roles, rows = ("load", "torque", "ambient", "speed"), 50_000
     of_role, stamp = np.tile(np.arange(4, dtype=np.int16), rows), np.repeat(np.arange(rows) * 10_000_000, 4)
     value = np.where((stamp // 10**9 % 100 < 80) | (of_role == 2), 5.0, np.arange(4 * rows))  # at times stuck
-    kept = [SampleBlock(*(one[at : at + 20_000] for one in (of_role, stamp, stamp, value))) for at in range(0, 4 * rows, 20_000)]
+    kept = [
+        SampleBlock(*(entry[item : item + 20_000] for entry in (of_role, stamp, stamp, value)))
+        for item in range(0, 4 * rows, 20_000)
+    ]
     long = SimpleNamespace(
         name="run", roles=roles, notes=(), findings=(), torque_candidates=(), zero_is_unset=False, blocks=lambda *_: iter(kept)
     )
     source = KeptSource(long, keep=True)
     assert sum(map(len, source.blocks())) == 4 * rows
-    found, peak = peak_of(source.all_findings)
-    assert found == Recording.from_source(long).findings
-    assert {one.role for one in found if one.kind == "stuck"} == {"torque", "speed"}
+    result, peak = peak_of(source.all_findings)
+    assert result == Recording.from_source(long).findings
+    assert {entry.role for entry in result if entry.kind == "stuck"} == {"torque", "speed"}
     assert peak < 1.5 * (of_role.nbytes + 2 * stamp.nbytes + value.nbytes), peak

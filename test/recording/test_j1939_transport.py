@@ -24,10 +24,10 @@ def frames_of(senders):
 def joined(frames):
     """Group, sender and content of the messages joined from frames, 10 ms apart; and the counts of losses."""
     met = Counter()
-    sent = [Frame(STEP_NS * place, number, True, 1, data) for place, (number, data) in enumerate(frames)]
-    found = list(with_joined(iter(sent), met))
-    assert [frame for frame in found if len(frame.data) <= 8] == sent
-    long = [frame for frame in found if len(frame.data) > 8]
+    sent_messages = [Frame(STEP_NS * place, number, True, 1, data) for place, (number, data) in enumerate(frames)]
+    result = list(with_joined(iter(sent_messages), met))
+    assert [frame for frame in result if len(frame.data) <= 8] == sent_messages
+    long = [frame for frame in result if len(frame.data) > 8]
     return [(frame.id >> 8 & 0x3FFFF, frame.id & 0xFF, frame.data) for frame in long], +met
 
 
@@ -41,8 +41,8 @@ def test_interleaved_messages_are_joined_as_sent(senders, random):
     mixed = []
     while queues := [queue for queue in queues if queue]:
         mixed.append(random.choice(queues).pop(0))
-    found, met = joined(mixed)
-    assert sorted(found) == expected(senders)
+    result, met = joined(mixed)
+    assert sorted(result) == expected(senders)
     assert not met
 
 
@@ -54,8 +54,8 @@ def test_a_lost_frame_loses_one_message_and_is_counted(senders, data):
     own = [place for place in own if transfers[hit][place][1][0] != 19]
     lost = data.draw(st.sampled_from(own))
     del transfers[hit][lost]
-    found, met = joined([frame for frames in transfers.values() for frame in frames])
-    assert sorted(found) == expected({key: one for key, one in senders.items() if key != hit})
+    result, met = joined([frame for frames in transfers.values() for frame in frames])
+    assert sorted(result) == expected({key: value for key, value in senders.items() if key != hit})
     assert set(met) == {"stray" if lost == 0 else "incomplete"}
 
 
@@ -63,20 +63,20 @@ def test_a_lost_frame_loses_one_message_and_is_counted(senders, data):
 def test_packets_sent_again_change_nothing(content, data):
     frames = packets(0xFFC0, content, 3, 0x21)
     parts = frames[2:-1]
-    again = data.draw(st.lists(st.sampled_from(parts), max_size=4))
-    found, met = joined([*frames[:2], *data.draw(st.permutations(parts)), *again, frames[-1]])
-    assert found == [(0xFFC0, 3, content)]
+    repetition = data.draw(st.lists(st.sampled_from(parts), max_size=4))
+    result, met = joined([*frames[:2], *data.draw(st.permutations(parts)), *repetition, frames[-1]])
+    assert result == [(0xFFC0, 3, content)]
     assert not met
 
 
 def test_what_ends_a_message_early_is_counted():
-    whole = packets(0xFFC0, bytes(20), 3, 0x21)
+    total = packets(0xFFC0, bytes(20), 3, 0x21)
     abort = (0x1CEC0321, bytes([255, 3, 255, 255, 255, 0xC0, 0xFF, 0]))  # from the receiver
-    assert joined([*whole[:3], abort]) == ([], {"incomplete": 1})
-    assert joined([*whole[:3], *whole]) == ([(0xFFC0, 3, bytes(20))], {"incomplete": 1})
-    assert joined([whole[0], *[(0x100, b"")] * 200, *whole[2:]]) == ([], {"incomplete": 1, "stray": 3})
-    contradiction = (whole[0][0], bytes([16, 20, 0, 2, 255, 0xC0, 0xFF, 0]))
-    assert joined([contradiction, *whole[2:]]) == ([], {"incomplete": 1, "stray": 3})
+    assert joined([*total[:3], abort]) == ([], {"incomplete": 1})
+    assert joined([*total[:3], *total]) == ([(0xFFC0, 3, bytes(20))], {"incomplete": 1})
+    assert joined([total[0], *[(0x100, b"")] * 200, *total[2:]]) == ([], {"incomplete": 1, "stray": 3})
+    contradiction = (total[0][0], bytes([16, 20, 0, 2, 255, 0xC0, 0xFF, 0]))
+    assert joined([contradiction, *total[2:]]) == ([], {"incomplete": 1, "stray": 3})
 
 
 def test_a_packet_after_a_whole_broadcast_is_counted():

@@ -53,12 +53,12 @@ def files(tmp_path_factory):
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "CSV"])
 def test_one_drive_gives_the_same_replay(files, kind):
-    wanted, found = (tr.replay(files[one][0], "xgd24d", topics=files[one][1]) for one in ("CSV", kind))
-    assert len(found.time_s) == len(wanted.time_s) == 1000
+    wanted, result = (tr.replay(files[item][0], "xgd24d", topics=files[item][1]) for item in ("CSV", kind))
+    assert len(result.time_s) == len(wanted.time_s) == 1000
     for name in ("speed_mps", "weight_n", "ambient_degc", "resistance_torque_nm", "belt_degc/rear_left"):
-        np.testing.assert_allclose(found[name], wanted[name], rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(result[name], wanted[name], rtol=1e-9, err_msg=name)
     # The residual holds the inertia: a stamp in seconds since 1970, as bus logging has it, moves an acceleration by 1e-5.
-    np.testing.assert_allclose(found["residual_nm"], wanted["residual_nm"], rtol=0.0, atol=0.1)
+    np.testing.assert_allclose(result["residual_nm"], wanted["residual_nm"], rtol=0.0, atol=0.1)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "bag"])
@@ -67,10 +67,10 @@ def test_one_channel_may_serve_several_roles(files, kind):
     load = topics["load"]
     shares = {f"load/{axle}": replace(load, scale=scale * load.scale) for axle, scale in (("front", 0.25), ("rear", 0.75))}
     shared = replace(topics, bindings=MappingProxyType({"speed": topics["speed"], **shares}))
-    (whole, parts) = (Recording.from_source(open_source([path], one)).series for one in (topics, shared))
+    (total, parts) = (Recording.from_source(open_source([path], item)).series for item in (topics, shared))
     for role, binding in shares.items():
-        np.testing.assert_array_equal(parts[role].stamp_ns, whole["load"].stamp_ns)
-        np.testing.assert_allclose(parts[role].value, binding.scale / load.scale * whole["load"].value, rtol=1e-15)
+        np.testing.assert_array_equal(parts[role].stamp_ns, total["load"].stamp_ns)
+        np.testing.assert_allclose(parts[role].value, binding.scale / load.scale * total["load"].value, rtol=1e-15)
 
 
 @given(
@@ -100,7 +100,9 @@ def test_merged_streams_keep_every_row_in_order(times, at_once):
     if all(sorted(wanted) == wanted for wanted in times):
         assert stamps.tolist() == sorted(stamps.tolist())
         if at_once == LONGEST:
-            assert cells[:, 0].tolist() == [number for _, number in sorted((t, n) for n, one in enumerate(times) for t in one)]
+            assert cells[:, 0].tolist() == [
+                number for _, number in sorted((t, n) for n, value in enumerate(times) for t in value)
+            ]
 
 
 def test_every_unit_of_a_role_is_known_in_any_spelling():
@@ -141,12 +143,12 @@ def test_an_unused_line_is_noted_and_changes_nothing(files, kind, kept):
     lines = {*other, *([] if topics.dbc else ["dbc"]), *(["time"] if kind in ("bag", "MF4", "BLF", "ASC") else [])}
     strange = replace(strange, time=files["CSV"][1]["speed"]) if "time" in lines else strange
     strange = strange.with_databases([path]) if "dbc" in lines else strange
-    wanted, found = (tr.replay(path, "xgd24d", topics=one if one.bindings or one.dbc else None) for one in (plain, strange))
-    noted = [note for note in found.notes if " is not used, as this source has " in note]
+    wanted, result = (tr.replay(path, "xgd24d", topics=item if item.bindings or item.dbc else None) for item in (plain, strange))
+    noted = [note for note in result.notes if " is not used, as this source has " in note]
     assert {note.split(": ")[1] for note in noted} == lines
     assert not any(" is not used" in note for note in wanted.notes)
     for name in wanted.columns:
-        np.testing.assert_array_equal(found[name], wanted[name], err_msg=name)
+        np.testing.assert_array_equal(result[name], wanted[name], err_msg=name)
     read = tr.read(path, topics=strange)
     assert topics_in_use([read, tr.read(path)] if kind == "known names" else [read]).bindings == used
 
@@ -175,7 +177,7 @@ def test_a_value_is_scale_and_offset_then_the_unit(role, said, data):
     file = _Channels(Channel("X", of_file), *([] if role == "speed" else [Channel("speed_mps")]))
     file.has_times = role != "time"
     choice = choose(file, Topics.parse({role: line}))
-    binding = next(one for one in (choice.time, *choice.channels) if one and one.role == role).binding
+    binding = next(item for item in (choice.time, *choice.channels) if item and item.role == role).binding
     unit = UNITS[inside][line.get("unit", inside if "scale" in line else of_file)]
     if line.keys() - {"derivative"} == {"column", "offset"} and line["offset"] == unit.offset:
         unit = UNITS[inside][inside]  # it is the conversion of kelvin
@@ -194,38 +196,43 @@ def test_the_unit_of_a_file_fits_a_known_name_or_is_refused(name):
         file = _Channels(Channel(name, of_file), *([] if role == "speed" else [Channel("speed_mps", "m/s")]))
         file.has_times = role != TIME
         choice = choose(file, topics)
-        return next(one.binding for one in (choice.time, *choice.channels) if one and one.role == role), choice.notes
+        return next(item.binding for item in (choice.time, *choice.channels) if item and item.role == role), choice.notes
 
     wanted = bound("")
     assert all(bound(spelled) == wanted for spelled in (unit, f"[{unit}]", "-", "bool"))
     known, notes = bound("on/off")
     assert known == wanted[0]
     assert role == TIME or notes == [f"{role}: {name} is in on/off according to the file: no known unit, so its name decides"]
-    for other in {other for units in UNITS.values() for other in units} - {unit, "1"}:
-        if unit == "1" and other in UNITS["1"]:
-            noted = [f"{role}: {name} is in {other} according to the file"]
-            assert (bound(other)[0].scale, bound(other)[1]) == (UNITS["1"][other].scale, noted)
+    for other_item in {other_item for units in UNITS.values() for other_item in units} - {unit, "1"}:
+        if unit == "1" and other_item in UNITS["1"]:
+            noted = [f"{role}: {name} is in {other_item} according to the file"]
+            assert (bound(other_item)[0].scale, bound(other_item)[1]) == (UNITS["1"][other_item].scale, noted)
             continue
-        with pytest.raises(InputError, match=f"unit of {name}: given '{other}'; allowed: {unit}; .*{role}: {{channel: {name}"):
-            bound(other)
-        if other in UNITS[inside]:  # the line that the error shows
-            found, _ = bound(other, Topics.parse({role: {"channel": name, "unit": other}}))
-            assert (found.scale, found.offset) == UNITS[inside][other]
+        with pytest.raises(
+            InputError, match=f"unit of {name}: given '{other_item}'; allowed: {unit}; .*{role}: {{channel: {name}"
+        ):
+            bound(other_item)
+        if other_item in UNITS[inside]:  # the line that the error shows
+            result, _ = bound(other_item, Topics.parse({role: {"channel": name, "unit": other_item}}))
+            assert (result.scale, result.offset) == UNITS[inside][other_item]
 
 
 def test_parts_with_other_times_are_added_between_samples(tmp_path):
-    path, left, right = tmp_path / "sum.mf4", np.arange(0, 10, 0.1), np.arange(0.03, 10, 0.05)
+    path, remainder, right = tmp_path / "sum.mf4", np.arange(0, 10, 0.1), np.arange(0.03, 10, 0.05)
     with MDF() as mdf:
-        mdf.append([Signal(10.0 * left, left, name="Trq", unit="kNm"), Signal(left, left, name="speed_mps")], acq_name="left")
+        mdf.append(
+            [Signal(10.0 * remainder, remainder, name="Trq", unit="kNm"), Signal(remainder, remainder, name="speed_mps")],
+            acq_name="left",
+        )
         mdf.append([Signal(5.0 * right, right, name="Trq", unit="kNm")], acq_name="right")
         mdf.save(path)
     parts = [{"channel": "left/Trq"}, {"channel": "right/Trq"}]
-    found = tr.read(path, topics={"torque": {"sum": parts}})
-    torque = found.series["torque"]
-    assert {f"torque: {side}/Trq is in kNm according to the file" for side in ("left", "right")} <= set(found.notes)
-    assert "torque: sum of the columns left/Trq, right/Trq" in found.notes
+    result = tr.read(path, topics={"torque": {"sum": parts}})
+    torque = result.series["torque"]
+    assert {f"torque: {side}/Trq is in kNm according to the file" for side in ("left", "right")} <= set(result.notes)
+    assert "torque: sum of the columns left/Trq, right/Trq" in result.notes
     np.testing.assert_allclose(torque.value, 15e3 * (torque.stamp_ns - torque.stamp_ns[0] + 1e8) / 1e9, rtol=1e-9)
-    assert len(torque) == len(left) - 1  # before the first sample of the right one there is none
+    assert len(torque) == len(remainder) - 1  # before the first sample of the right one there is none
     with pytest.raises(InputError, match=r"2 columns Trq.*left/Trq, right/Trq"):
         tr.read(path, topics={"torque": {"channel": "Trq"}})
 
@@ -302,13 +309,13 @@ def test_a_text_of_mdf_is_a_number_only_in_an_enumeration(tmp_path, count):
             mdf.append([Signal(raw, t, name=f"t{place}", unit=unit, conversion=deepcopy(table))])
         mdf.append([Signal(t, t, name="speed_mps")])
         mdf.save(path)
-    found = tr.read(path, topics={f"torque/t{place}": {"channel": f"t{place}", "unit": "Nm"} for place in range(len(TABLES))})
+    result = tr.read(path, topics={f"torque/t{place}": {"channel": f"t{place}", "unit": "Nm"} for place in range(len(TABLES))})
     for place, (what, (_, wanted)) in enumerate(TABLES.items()):
-        values = found.series[f"torque/t{place}"].value
+        values = result.series[f"torque/t{place}"].value
         assert sorted(set(values)) == wanted, what
         assert len(values) == count // 4 * len(wanted), what
     lost = sum(count // 4 * (4 - len(wanted)) for _, wanted in TABLES.values())
-    assert sum(one.count for one in found.findings if one.kind == "absent") == lost
+    assert sum(finding.count for finding in result.findings if finding.kind == "absent") == lost
 
 
 @pytest.mark.parametrize(("sync", "what"), [(1, ""), (2, "an angle"), (3, "a distance"), (4, "an index"), (None, "no master")])
@@ -325,14 +332,14 @@ def test_channels_of_mdf_without_times_are_not_read(tmp_path, sync, what):
         mdf.save(path)
     speed = {"speed": {"channel": "Spd", "unit": "m/s"}}
     if sync == 1:
-        found = tr.read(path, topics={"torque": {"channel": "Trq"}})
-        assert all(found.time_s(role).tolist() == pytest.approx((2.0 * t).tolist()) for role in ("speed", "torque"))
+        result = tr.read(path, topics={"torque": {"channel": "Trq"}})
+        assert all(result.time_s(role).tolist() == pytest.approx((2.0 * t).tolist()) for role in ("speed", "torque"))
         return
     with pytest.raises(InputError, match=rf"'columns Spd; not read, as .*{what}: .*Trq, .*speed_mps'"):
         tr.read(path)
-    found = tr.read(path, topics=speed)
-    assert list(found.series) == ["speed"]
-    assert any(note.startswith("not read, as ") and what in note for note in found.notes)
+    result = tr.read(path, topics=speed)
+    assert list(result.series) == ["speed"]
+    assert any(note.startswith("not read, as ") and what in note for note in result.notes)
     for name in ("Trq", "Trq/Trq"):
         with pytest.raises(InputError, match=rf"torque: column: given '{name}'; allowed: a channel that can be read; .*{what}"):
             tr.read(path, topics={**speed, "torque": {"channel": name}})
@@ -354,9 +361,9 @@ def test_a_list_of_mdf_that_never_ends_is_refused(files, tmp_path, monkeypatch, 
 
 
 def test_frames_that_say_nothing_are_counted(files):
-    found = {finding.kind: finding.count for finding in tr.read(files["BLF"][0], topics=files["BLF"][1]).findings}
-    assert (found["unknown_topic"], found["other_source"], found["absent"], found["unlisted"]) == (120, 20, 20, 20)
-    assert "malformed" not in found
+    results = {finding.kind: finding.count for finding in tr.read(files["BLF"][0], topics=files["BLF"][1]).findings}
+    assert (results["unknown_topic"], results["other_source"], results["absent"], results["unlisted"]) == (120, 20, 20, 20)
+    assert "malformed" not in results
 
 
 @pytest.mark.parametrize("kind", ["MF4 of a bus", "BLF", "ASC", "candump"])
@@ -387,11 +394,11 @@ def test_frames_of_another_bus_change_no_series(kind, tmp_path):
             log(frame)
             frame.channel, frame.data = 1, bytearray(8)
             log(frame)
-    found = tr.read(path, topics=topics)
+    result = tr.read(path, topics=topics)
     for role, series in wanted.series.items():
-        np.testing.assert_array_equal(found.series[role].value, series.value)
-        assert np.abs(found.series[role].stamp_ns - series.stamp_ns).max() < 1000
-    of_buses = {finding.text for finding in found.findings if finding.kind == "other_bus"}
+        np.testing.assert_array_equal(result.series[role].value, series.value)
+        assert np.abs(result.series[role].stamp_ns - series.stamp_ns).max() < 1000
+    of_buses = {finding.text for finding in result.findings if finding.kind == "other_bus"}
     assert any(text.startswith("100 frames") and "Motion" in text and "bus.dbc}" in text for text in of_buses)
 
 
@@ -403,8 +410,8 @@ def test_a_message_that_hides_another_one_is_named(files, tmp_path):
     with pytest.raises(InputError, match=reason):
         Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
     lines |= {"load": {"channel": "Motion/GrossLoad"}}
-    found = Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
-    assert [finding.kind for finding in found.findings if re.match(reason, finding.text)] == ["empty"]
+    result = Recording.from_source(open_source([files["BLF"][0]], Topics.parse(lines, "t.yaml", tmp_path)))
+    assert [finding.kind for finding in result.findings if re.match(reason, finding.text)] == ["empty"]
 
 
 def test_times_since_the_line_before_give_the_same_stamps(files, tmp_path):
@@ -412,17 +419,17 @@ def test_times_since_the_line_before_give_the_same_stamps(files, tmp_path):
     lines = path.read_text().replace("timestamps absolute", "timestamps relative").splitlines(keepends=True)
     last = Decimal()
     for place, line in enumerate(lines):
-        at = line.split()[0] if line.strip() else ""
-        if re.fullmatch(r"\d+\.\d+", at):
-            lines[place], last = line.replace(at, str(Decimal(at) - last), 1), Decimal(at)
+        place_here = line.split()[0] if line.strip() else ""
+        if re.fullmatch(r"\d+\.\d+", place_here):
+            lines[place], last = line.replace(place_here, str(Decimal(place_here) - last), 1), Decimal(place_here)
     frames = [place for place, line in enumerate(lines) if " Rx " in line]
     half = lines[frames[100]].split()[0]  # another event shares the time until the frame
     lines[frames[100]] = f"  {half} 1  Statistic: D 1 R 0 XD 0 XR 0 E 0 O 0 B 0.2%\n" + lines[frames[100]].replace(half, "0.0", 1)
     relative = tmp_path / "relative.asc"
     relative.write_text("".join(lines))
-    wanted, found = (tr.read(one, topics=topics).series for one in (path, relative))
+    wanted, result = (tr.read(item, topics=topics).series for item in (path, relative))
     for role, series in wanted.items():
-        np.testing.assert_array_equal(found[role].stamp_ns, series.stamp_ns)
+        np.testing.assert_array_equal(result[role].stamp_ns, series.stamp_ns)
 
 
 @pytest.mark.parametrize("kind", ["ASC", "candump"])
@@ -434,9 +441,11 @@ def test_a_log_cut_anywhere_is_read_to_its_last_whole_line(files, tmp_path, kind
     wanted = tr.read(cut, topics=topics)
     for length in range(1, len(last), 2):
         cut.write_bytes(b"".join([*lines, last[:length]]))
-        found = tr.read(cut, topics=topics)
-        assert {role: len(one) for role, one in found.series.items()} == {role: len(one) for role, one in wanted.series.items()}
-        assert [one.count for one in found.findings if one.kind == "cut"] == [1]
+        result = tr.read(cut, topics=topics)
+        assert {role: len(value) for role, value in result.series.items()} == {
+            role: len(value) for role, value in wanted.series.items()
+        }
+        assert [value.count for value in result.findings if value.kind == "cut"] == [1]
 
 
 @pytest.mark.parametrize("kind", ["ASC", "candump"])
@@ -452,11 +461,13 @@ def test_lines_that_are_no_frames_are_counted_alone(files, tmp_path, kind):
     for place in (20, 30, 31):
         lines[place:place] = wrong
     odd.write_text("".join(lines))
-    wanted, found = tr.read(path, topics=topics), tr.read(odd, topics=topics)
+    wanted, result = tr.read(path, topics=topics), tr.read(odd, topics=topics)
     for role, series in wanted.series.items():
-        np.testing.assert_array_equal(found.series[role].value, series.value)
-    before, after = (sum(one.count for one in read.findings if one.kind == "unusable") for read in (wanted, found))
-    assert after - before == 3 * len(wrong)
+        np.testing.assert_array_equal(result.series[role].value, series.value)
+    result_before, result_after = (
+        sum(finding.count for finding in read.findings if finding.kind == "unusable") for read in (wanted, result)
+    )
+    assert result_after - result_before == 3 * len(wrong)
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -465,16 +476,16 @@ def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     for kind in ("bag", "MF4", "MF4 of a bus", "BLF", "known names"):
         path, of_a_bus = files[kind][0], kind in ("MF4 of a bus", "BLF")
         kept.write_text(good("topics", "guess", path, *(("--dbc", dbc) if of_a_bus else ())))
-        guessed, read = (tr.replay(path, "xgd24d", topics=one) for one in ({"dbc": dbc} if of_a_bus else None, kept))
+        guessed, read = (tr.replay(path, "xgd24d", topics=item) for item in ({"dbc": dbc} if of_a_bus else None, kept))
         for name in guessed.columns:
             np.testing.assert_array_equal(read[name], guessed[name], err_msg=f"{kind}: {name}")
         assert len(read.time_s) == 1000
-    done = good("replay", files["ASC"][0], "--dbc", files["ASC"][0].with_name("bus.dbc"), "--vehicle", "xgd24d", cwd=tmp_path)
-    assert "speed: {channel: VehicleSpeed, unit: km/h}  # guessed" in done
+    outcome = good("replay", files["ASC"][0], "--dbc", files["ASC"][0].with_name("bus.dbc"), "--vehicle", "xgd24d", cwd=tmp_path)
+    assert "speed: {channel: VehicleSpeed, unit: km/h}  # guessed" in outcome
 
 
 def test_without_a_unit_nothing_is_guessed(files):
-    with pytest.raises(InputError, match=r"speed: \{channel: NAME, unit: km/h\}"):
+    with pytest.raises(InputError, match=r"speed: \{channel: run.VehicleSpeed.VehicleSpeed, unit: km/h\}"):
         open_source([files["MATLAB 5"][0]])
 
 
@@ -485,10 +496,10 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
     for suffix in ("mf4", "parquet"):
         tr.replay(path, "xgd24d", topics=topics, output=tmp_path / f"out.{suffix}")
     wanted = parquet.read_table(tmp_path / "out.parquet")
-    with MDF(tmp_path / "out.mf4") as found:
-        units = {channel.name: channel.unit for channel in found.groups[0].channels}
+    with MDF(tmp_path / "out.mf4") as result:
+        units = {channel.name: channel.unit for channel in result.groups[0].channels}
         for name in wanted.column_names[1:]:
-            signal = found.get(name)
+            signal = result.get(name)
             np.testing.assert_array_equal(signal.samples.astype(float), wanted[name].to_numpy().astype(float), err_msg=name)
             np.testing.assert_array_equal(signal.timestamps, wanted["time_s"].to_numpy())
     assert (units["resistance_torque_nm"], units["speed_mps"], units["belt_degc/rear_left"]) == ("N m", "m/s", "degC")
@@ -498,7 +509,7 @@ def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
             tr.replay(tmp_path / "drive.csv", "xgd24d", output=tmp_path / f"early.{suffix}")
         topics = {"time": {"column": "time_s", "offset": 100.0}}
         assert tr.replay(tmp_path / "drive.csv", "xgd24d", topics=topics, output=tmp_path / f"late.{suffix}").steps == 3
-    assert not [one for one in tmp_path.iterdir() if one.name.startswith((".", "early"))]
+    assert not [file for file in tmp_path.iterdir() if file.name.startswith((".", "early"))]
 
 
 def _saved(path, version, content):
@@ -520,11 +531,11 @@ def test_all_of_a_matlab_file_is_read_or_named(tmp_path, version):
     others = {"belt_degc": np.ones((2000, 2)), "turning": t + 1j, "torque_nm": 1.0, "enable": True, "wheel_count": 7}
     content = {"time_s": t, "speed_mps": 5.0 + np.sin(t), "weight_n": 340e3, "stood_s": 600.0, **others}
     path = _saved(tmp_path / "run.mat", version, content)
-    found = tr.read(path)
-    named = {begin: set(rest.split(", ")) for begin, _, rest in (note.partition(": ") for note in found.notes)}
+    result = tr.read(path)
+    named = {begin: set(rest.split(", ")) for begin, _, rest in (note.partition(": ") for note in result.notes)}
     assert named["one number for the whole recording"] == {"run.weight_n", "run.stood_s"}
     assert named["not read (no vectors)"] == {f"run.{name}" for name in others}
-    assert found.series["stood"].value[0] == 600.0
+    assert result.series["stood"].value[0] == 600.0
     assert set(tr.replay(path, "xgd24d")["weight_n"]) == {340e3}
     by_topics = tr.read(path, topics={"passengers": {"channel": "run.wheel_count"}, "time": {"channel": "run.time_s"}})
     assert not any("is not used" in note for note in by_topics.notes)
@@ -535,9 +546,9 @@ def test_all_of_a_matlab_file_is_read_or_named(tmp_path, version):
 def test_a_number_for_a_role_with_a_vector_is_not_read(tmp_path, version):
     t = np.arange(20) / 10.0
     path = _saved(tmp_path / "run.mat", version, {"t": t, "speed_mps": t, "weight_n": 1e5 + t, "weight_kn": 340.0})
-    found = tr.read(path)
-    assert found.series["load"].value.tolist() == (1e5 + t).tolist()
-    assert "not read (no vectors): run.weight_kn" in found.notes
+    result = tr.read(path)
+    assert result.series["load"].value.tolist() == (1e5 + t).tolist()
+    assert "not read (no vectors): run.weight_kn" in result.notes
 
 
 def test_a_time_that_is_none_is_refused_as_given(tmp_path):
@@ -580,6 +591,6 @@ def test_a_missing_library_says_how_to_install_it(files, monkeypatch):
 
 
 def test_suffixes_are_of_one_kind_each():
-    found = [suffix for kind in shipped_kinds() for suffix in kind.suffixes]
-    assert sorted(found) == sorted(set(found))
-    assert set(found) <= set(suffixes())
+    results = [suffix for kind in shipped_kinds() for suffix in kind.suffixes]
+    assert sorted(results) == sorted(set(results))
+    assert set(results) <= set(suffixes())

@@ -54,9 +54,9 @@ def workbook(folder: Path) -> Path:
     book, path, bomb = openpyxl.Workbook(), folder / "run.xlsx", folder / "bomb.xlsx"
     book.active.append(["time_s", "speed_mps"])
     book.save(path)
-    with zipfile.ZipFile(path) as whole, zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as packed:
-        for name in whole.namelist():
-            packed.writestr(name, b"<a/>" * (MANY // 32) if name == "xl/styles.xml" else whole.read(name))
+    with zipfile.ZipFile(path) as total, zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name in total.namelist():
+            packed.writestr(name, b"<a/>" * (MANY // 32) if name == "xl/styles.xml" else total.read(name))
     return bomb
 
 
@@ -144,13 +144,13 @@ def test_nothing_unpacks_beyond_the_limit(tmp_path, monkeypatch, kind):
     topics = (
         Topics.parse(topics_of("BLF"), "t.yaml", tmp_path) if kind == "BLF" else TOPICS if path.suffix in ("", ".mcap") else None
     )
-    before = {limit: resource.getrlimit(limit) for limit in (resource.RLIMIT_DATA, resource.RLIMIT_FSIZE)}
+    result_befores = {limit: resource.getrlimit(limit) for limit in (resource.RLIMIT_DATA, resource.RLIMIT_FSIZE)}
     # Where memory ends, libxml2 speaks of the syntax.
-    with pytest.raises(InputError, match=r"content that takes more than|File too large|XMLSyntaxError") as refused:
+    with pytest.raises(InputError, match=r"content that takes more than|File too large|XMLSyntaxError") as error_info:
         for _ in open_source([path], topics).blocks():
             pass
-    assert path.name in str(refused.value)
-    assert {limit: resource.getrlimit(limit) for limit in before} == before
+    assert path.name in str(error_info.value)
+    assert {limit: resource.getrlimit(limit) for limit in result_befores} == result_befores
 
 
 def endless(parts: int):
@@ -189,7 +189,7 @@ def test_another_thread_has_the_limits_too(tmp_path, monkeypatch):
             yield
         yield
 
-    refused = []
+    refusals = []
 
     def read() -> None:
         for parts in ((bytearray(MANY) for _ in range(1)), slow(0.2)):
@@ -197,11 +197,11 @@ def test_another_thread_has_the_limits_too(tmp_path, monkeypatch):
                 for _ in read_in_steps(tmp_path, "a file", parts):
                     pass
             except InputError as error:
-                refused.append(str(error))
+                refusals.append(str(error))
 
     thread = threading.Thread(target=read)
     thread.start()
     thread.join()
-    assert len(refused) == 2
-    assert "64 MB of memory" in refused[0]
-    assert "0.05 s" in refused[1]
+    assert len(refusals) == 2
+    assert "64 MB of memory" in refusals[0]
+    assert "0.05 s" in refusals[1]

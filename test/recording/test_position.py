@@ -158,10 +158,12 @@ def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) ->
     topics = Topics.parse({"position": {"topic": "/gps"}, "speed": speed})
     number = store.types["std_msgs/msg/Float64"]
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        of = {t: writer.add_connection(t, k, typestore=store) for t, k in (("/gps", FIX), ("/speed", "std_msgs/msg/Float64"))}
+        item = {t: writer.add_connection(t, k, typestore=store) for t, k in (("/gps", FIX), ("/speed", "std_msgs/msg/Float64"))}
         for i, fix in enumerate(fixes(store)):
-            writer.write(of["/gps"], (1_700_000_000 + i) * 10**9, store.serialize_cdr(fix, FIX))
-            writer.write(of["/speed"], (1_700_000_000 + i) * 10**9 + 1, store.serialize_cdr(number(5.0), "std_msgs/msg/Float64"))
+            writer.write(item["/gps"], (1_700_000_000 + i) * 10**9, store.serialize_cdr(fix, FIX))
+            writer.write(
+                item["/speed"], (1_700_000_000 + i) * 10**9 + 1, store.serialize_cdr(number(5.0), "std_msgs/msg/Float64")
+            )
     there = np.array([status != NO_FIX for status in STATES])
     want = {"latitude": np.radians(47.0 + 0.001 * np.arange(6)), "longitude": np.radians(8.0 + 0.002 * np.arange(6))}
     read = tr.read(tmp_path / "bag", topics=topics)
@@ -177,5 +179,5 @@ def test_a_vehicle_without_a_route_listens_to_no_position() -> None:
     from trackres_ros.node.transport import input_topics
 
     topics = Topics.parse({"position": {"topic": "/gps"}, "speed": {"topic": "/s", "type": "std_msgs/Float64", "field": "data"}})
-    assert [given.name for given in input_topics(topics)] == ["/s"]
-    assert [given.valued for given in input_topics(topics, on_route=True)] == [("latitude", "longitude"), ("speed",)]
+    assert [topic.name for topic in input_topics(topics)] == ["/s"]
+    assert [topic.valued for topic in input_topics(topics, on_route=True)] == [("latitude", "longitude"), ("speed",)]

@@ -36,9 +36,9 @@ def test_speed_equals_decoding_each_message(recording: Recording) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     rows = []
     with Reader(BAG) as reader:
-        wanted = [one for one in reader.connections if one.topic == "/odometry"]
-        for one, log_ns, raw in reader.messages(wanted):
-            message: Any = store.deserialize_cdr(raw, one.msgtype)
+        wanted = [value for value in reader.connections if value.topic == "/odometry"]
+        for value, log_ns, raw in reader.messages(wanted):
+            message: Any = store.deserialize_cdr(raw, value.msgtype)
             stamp = message.header.stamp
             rows.append((stamp.sec * 10**9 + stamp.nanosec, log_ns, message.twist.twist.linear.x))
     speed = recording.series["speed"]

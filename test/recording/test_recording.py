@@ -51,7 +51,7 @@ class Given:
 
 
 def recorded(zero_is_unset: bool = True, **series: tuple[object, ...]) -> Recording:
-    return Recording.from_source(Given({role.replace("__", "/"): one for role, one in series.items()}, zero_is_unset))
+    return Recording.from_source(Given({role.replace("__", "/"): value for role, value in series.items()}, zero_is_unset))
 
 
 def found(recording: Recording, role: str = "speed") -> dict[str, Finding]:
@@ -119,7 +119,7 @@ def test_findings_have_the_time_of_the_output(monkeypatch: pytest.MonkeyPatch) -
         assert found(recording, "load")["zero_stamp"].first_time_s == pytest.approx(30.0)
         assert found(recording)["dropout"].first_time_s == pytest.approx(110.0 - begins)
         result = tr.replay(recording, "xgd24d")
-        assert {one.kind: one.first_time_s for one in result.findings}["dropout"] == pytest.approx(8.0)
+        assert {finding.kind: finding.first_time_s for finding in result.findings}["dropout"] == pytest.approx(8.0)
         assert result["stamp_ns"][0] == 102 * S
 
 
@@ -154,15 +154,15 @@ def test_zero_is_a_time_in_a_table_and_unset_in_a_bag() -> None:
     assert "zero_stamp" not in found(table)
     assert found(bag)["zero_stamp"].count == 1
     assert table.time_s("speed")[1] == bag.time_s("speed")[1] == 0.1
-    for off in (0.0, -5e8):  # of a stamp from the log
-        stamps = np.where(time % 0.5 < 0.01, 0.0, 1e9 + off + time)
+    for deviation in (0.0, -5e8):  # of a stamp from the log
+        stamps = np.where(time % 0.5 < 0.01, 0.0, 1e9 + deviation + time)
         unset = recorded(speed=(stamps, np.rint(np.sin(time)), 1e9 + time), load=(0.0 * time, 2e5, 1e9 + time))
         np.testing.assert_allclose(unset.time_s("speed"), time, atol=1e-6)
         assert "100 samples at 10 Hz" in "\n".join(unset.report())
-        np.testing.assert_allclose(unset.time_s("load"), time - off, atol=1e-6)
+        np.testing.assert_allclose(unset.time_s("load"), time - deviation, atol=1e-6)
         assert found(unset).keys() <= {"zero_stamp", "quantised", "stamp_offset"}
-    for before in (1e3, 1.7e9):  # a first time of 0, and then others
-        late = {"speed": (np.append(0.0, before + time), np.append(0.0, np.sin(time)))}
+    for result_before in (1e3, 1.7e9):  # a first time of 0, and then others
+        late = {"speed": (np.append(0.0, result_before + time), np.append(0.0, np.sin(time)))}
         assert found(Recording.from_source(Given(late, zero_is_unset=False)))["gap"].count == 1
         assert "gap" not in found(Recording.from_source(Given(late, zero_is_unset=True)))
 
@@ -187,7 +187,8 @@ def test_aligned_never_sees_the_future(log: list[tuple[int, bool, float]]) -> No
     """In the order of the log, though its time steps back."""
     source = Given({"speed": ([], []), "load": ([], [])})
     source.rows = [
-        (int(at), int(load), 0, value) for at, (_, load, value) in zip(np.cumsum([s for s, *_ in log]), log, strict=True)
+        (int(sample_times), int(load), 0, value)
+        for sample_times, (_, load, value) in zip(np.cumsum([s for s, *_ in log]), log, strict=True)
     ]
     held, last = iter(Recording.from_source(source).aligned()["load"]), np.nan
     for _, rows in groupby(source.rows, key=itemgetter(0)):

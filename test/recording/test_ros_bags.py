@@ -48,13 +48,13 @@ def write(path, storage, count=1500, mode=None, broken=()):
     options = rosbag2_py.StorageOptions(uri=str(path), storage_id=storage)
     converter = rosbag2_py.ConverterOptions("cdr", "cdr")
     if mode:
-        chosen = rosbag2_py.CompressionOptions(
+        choice = rosbag2_py.CompressionOptions(
             compression_format="zstd",
             compression_mode=rosbag2_py.CompressionMode.FILE if mode == "file" else rosbag2_py.CompressionMode.MESSAGE,
             compression_queue_size=0,
             compression_threads=0,
         )
-        writer = rosbag2_py.SequentialCompressionWriter(chosen)
+        writer = rosbag2_py.SequentialCompressionWriter(choice)
     writer.open(options, converter)
     for place, (topic, kind) in enumerate(TOPICS.items()):
         writer.create_topic(rosbag2_py.TopicMetadata(id=place, name=topic, type=kind, serialization_format="cdr"))
@@ -79,7 +79,7 @@ def read(path):
     except InputError as error:
         return type(error), str(error).partition(":")[0]
     joined = [np.concatenate([getattr(block, name) for block in blocks]) for name in ("role", "stamp_ns", "arrival_ns", "value")]
-    return source.roles, source.notes, [repr(one) for one in source.findings], [one.tobytes() for one in joined]
+    return source.roles, source.notes, [repr(item) for item in source.findings], [item.tobytes() for item in joined]
 
 
 @pytest.fixture
@@ -100,8 +100,8 @@ def both(monkeypatch):
 def test_a_bag_gives_the_same_with_either_library(tmp_path, both, storage, capfd):
     path = write(tmp_path / "bag", storage)
     capfd.readouterr()
-    for one in (path, next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))):
-        first, second = both(one)
+    for item in (path, next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))):
+        first, second = both(item)
         assert first == second
         assert len(second[3][3]) == 8 * 1500 * len(second[0])
     assert capfd.readouterr().err == ""
@@ -133,8 +133,8 @@ def test_both_refuse_a_folder_without_metadata_or_file(tmp_path, both):
     shutil.copytree(path, kept)
     (path / "metadata.yaml").unlink()
     next(kept.glob("*.mcap")).unlink()
-    for one in (path, kept):
-        first, second = both(one)
+    for item in (path, kept):
+        first, second = both(item)
         assert first == second
         assert first[0] is InputError
 
@@ -160,10 +160,10 @@ def test_a_file_that_would_fill_the_memory_is_refused(tmp_path, both):
     path = write(tmp_path / "bag", "mcap", 10)
     file = next(path.glob("*.mcap"))
     data = bytearray(file.read_bytes())
-    at = 8
-    while data[at] != 6:
-        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-    data[at + 25 : at + 33] = (2**40).to_bytes(8, "little")
+    place = 8
+    while data[place] != 6:
+        place += 9 + int.from_bytes(data[place + 1 : place + 9], "little")
+    data[place + 25 : place + 33] = (2**40).to_bytes(8, "little")
     huge = Path(tmp_path / "huge.mcap")
     huge.write_bytes(bytes(data))
     assert both(huge)[1][0] is InputError

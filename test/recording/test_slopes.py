@@ -21,18 +21,18 @@ def hills(seconds=1800):
 def test_a_slope_is_that_of_the_road(noise, step, off):
     time, speed, _, altitude, slope = hills()
     shown = altitude + np.random.default_rng(2).normal(0.0, noise, len(time))
-    found = slopes(time, speed, np.round(shown / step) * step if step else shown).value
-    assert np.isfinite(found).all()
-    assert np.sqrt(np.mean((found - slope)[100:-100] ** 2)) < off
+    result = slopes(time, speed, np.round(shown / step) * step if step else shown).value
+    assert np.isfinite(result).all()
+    assert np.sqrt(np.mean((result - slope)[100:-100] ** 2)) < off
 
 
 def test_altitude_drift_at_standstill_is_no_slope():
     time, speed, _, altitude, slope = hills()
     settling = altitude + 80.0 * np.maximum(0.0, 1.0 - time / 400.0)  # as a receiver that still settles
-    found = slopes(time, speed, settling).value
-    assert np.isnan(found).any()
-    known = np.isfinite(found)
-    assert np.sqrt(np.mean((found - slope)[known] ** 2)) < 0.01
+    result = slopes(time, speed, settling).value
+    assert np.isnan(result).any()
+    known = np.isfinite(result)
+    assert np.sqrt(np.mean((result - slope)[known] ** 2)) < 0.01
     assert known[time > 700.0].mean() > 0.9
     still = slopes(time, 0.0 * speed, settling).value
     assert np.isnan(still).all()
@@ -40,9 +40,9 @@ def test_altitude_drift_at_standstill_is_no_slope():
 
 def test_no_slope_is_steeper_than_roads_are():
     time, speed, way, _, _ = hills()
-    found = slopes(time, speed, 0.01 * way + np.where(way > way[-1] / 2, 300.0, 0.0)).value
-    assert np.nanmax(np.abs(found)) <= STEEPEST
-    assert np.isnan(found).any()
+    result = slopes(time, speed, 0.01 * way + np.where(way > way[-1] / 2, 300.0, 0.0)).value
+    assert np.nanmax(np.abs(result)) <= STEEPEST
+    assert np.isnan(result).any()
 
 
 def test_in_reverse_the_slope_is_that_the_way_the_vehicle_points():

@@ -55,20 +55,20 @@ def live(topics: Topics, sides: list[tuple[str, int, dict[str, float]]]) -> list
     """Torques that the live node makes of these messages: stamps [ns] and values."""
     inputs = input_topics(topics)
     taken = InputReader(inputs, ("speed", "torque"), topics.bindings)
-    index = {given.name: number for number, given in enumerate(inputs)}
-    found = []
+    index = {given_values.name: number for number, given_values in enumerate(inputs)}
+    results = []
     for number, (topic, stamp, efforts) in enumerate(sides):
-        at = SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9)
-        message = SimpleNamespace(header=SimpleNamespace(stamp=at), name=list(efforts), effort=list(efforts.values()))
-        found += taken.samples(index[topic], *taken.read(index[topic], message), START + number)
-    return [(stamp, value) for _, stamp, value in found]
+        place = SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9)
+        message = SimpleNamespace(header=SimpleNamespace(stamp=place), name=list(efforts), effort=list(efforts.values()))
+        results += taken.samples(index[topic], *taken.read(index[topic], message), START + number)
+    return [(stamp, value) for _, stamp, value in results]
 
 
 def test_sides_are_added_at_the_times_of_the_first(tmp_path):
-    left = [("/left", START + 100 * i * MS, {"s": 10.0 * i}) for i in range(8)]
+    remainders = [("/left", START + 100 * i * MS, {"s": 10.0 * i}) for i in range(8)]
     right = [("/right", START + (100 * i + 50) * MS, {"s": 1.0 * i}) for i in range(8) if i not in (5, 6, 7)]
-    found = tr.read(write(tmp_path / "run.mcap", sorted(left + right, key=lambda one: one[1])), topics=TWO)
-    torque = found.series["torque"]
+    result = tr.read(write(tmp_path / "run.mcap", sorted(remainders + right, key=lambda one: one[1])), topics=TWO)
+    torque = result.series["torque"]
     assert ((torque.stamp_ns - START) / MS).tolist() == [
         0.0,
         100.0,
@@ -76,44 +76,44 @@ def test_sides_are_added_at_the_times_of_the_first(tmp_path):
         300.0,
     ]  # late by 100 ms
     np.testing.assert_allclose(torque.value, [-(10.0 * i + 1000.0 * (i - 0.5) + 5.0) for i in range(1, 5)])
-    assert [(one.role, one.kind) for one in found.findings if one.kind == "part"] == [("torque", "part")]
-    assert "torque: sum at the times of /left; /right interpolated between samples at most 0.5 s apart" in found.notes
+    assert [(one.role, one.kind) for one in result.findings if one.kind == "part"] == [("torque", "part")]
+    assert "torque: sum at the times of /left; /right interpolated between samples at most 0.5 s apart" in result.notes
 
 
 def test_a_gap_of_one_side_is_a_gap_of_the_sum(tmp_path):
-    left = [("/left", START + 100 * i * MS, {"s": 1.0}) for i in range(31)]
+    remainders = [("/left", START + 100 * i * MS, {"s": 1.0}) for i in range(31)]
     right = [("/right", START + 100 * i * MS, {"s": 1.0}) for i in range(31) if not 10 < i < 20]
-    found = tr.read(write(tmp_path / "run.mcap", sorted(left + right, key=lambda one: one[1])), topics=TWO)
-    given_at = ((found.series["torque"].stamp_ns - START) / MS / 100 + 1).round().astype(int).tolist()
+    result = tr.read(write(tmp_path / "run.mcap", sorted(remainders + right, key=lambda one: one[1])), topics=TWO)
+    given_at = ((result.series["torque"].stamp_ns - START) / MS / 100 + 1).round().astype(int).tolist()
     assert given_at == [i for i in range(31) if not 10 < i < 20]
-    assert set(found.series["torque"].value.tolist()) == {-1006.0}
+    assert set(result.series["torque"].value.tolist()) == {-1006.0}
 
 
 def test_fields_of_one_message_belong_together(tmp_path):
     topics = {"speed": SPEED, "torque": {"sum": [{**LEFT, "field": "effort[l]"}, {**LEFT, "field": "effort[r]", "scale": 2.0}]}}
     sides = [("/left", START + i * MS, {"l": 1.0 * i, "r": 10.0} if i % 3 else {"l": 7.0}) for i in range(1, 9)]
-    found = tr.read(write(tmp_path / "run.mcap", sides), topics=topics)
-    assert found.series["torque"].value.tolist() == [20.0 + i for i in range(1, 9) if i % 3]
-    assert any(one.kind == "part" and one.count == 2 for one in found.findings)
+    result = tr.read(write(tmp_path / "run.mcap", sides), topics=topics)
+    assert result.series["torque"].value.tolist() == [20.0 + i for i in range(1, 9) if i % 3]
+    assert any(finding.kind == "part" and finding.count == 2 for finding in result.findings)
     assert live(Topics.parse(topics), sides) == [(START + i * MS, 20.0 + i) for i in range(1, 9) if i % 3]
 
 
 def test_no_part_is_added_twice_in_messages_of_one_time():
     """As where the log has the time of a simulation, and one of two publishers leaves out a field."""
-    one = Sum("torque", Topics.parse({"torque": {"sum": [{**LEFT, "field": "effort[l]"}, LEFT]}})["torque"])
-    found = [one.add(part, START, START, value) for part, value in ((0, 1.0), (0, 2.0), (1, 10.0))]
-    assert found == [[], [], [(START, 12.0)]]
-    assert one.lone_samples == 1
+    item = Sum("torque", Topics.parse({"torque": {"sum": [{**LEFT, "field": "effort[l]"}, LEFT]}})["torque"])
+    results = [item.add(part, START, START, value) for part, value in ((0, 1.0), (0, 2.0), (1, 10.0))]
+    assert results == [[], [], [(START, 12.0)]]
+    assert item.lone_samples == 1
 
 
 STEPS = st.lists(st.tuples(st.booleans(), st.integers(-20, 700), st.floats(-1e3, 1e3)), min_size=1, max_size=25)
 
 
 def messages(steps: list[tuple[bool, int, float]]) -> list[tuple[str, int, dict[str, float]]]:
-    sides, at = [], START
-    for left, step, value in steps:
-        at += step * MS
-        sides.append(("/left" if left else "/right", at, {"s": 1e6 if left else value}))
+    sides, place = [], START
+    for remainder, step, value in steps:
+        place += step * MS
+        sides.append(("/left" if remainder else "/right", place, {"s": 1e6 if remainder else value}))
     return sides
 
 
@@ -129,21 +129,24 @@ def test_a_sum_is_never_half_and_at_a_time_of_the_first(steps):
 @given(STEPS)
 def test_live_adds_as_a_bag_does(tmp_path_factory, steps):
     sides = messages([(True, 0, 1.0), (False, 0, 1.0), *steps])
-    found = tr.read(write(tmp_path_factory.mktemp("t") / "run.mcap", sides), topics=TWO).series["torque"]
-    assert list(zip(found.stamp_ns.tolist(), found.value.tolist(), strict=True)) == live(TWO, sides)
+    result = tr.read(write(tmp_path_factory.mktemp("t") / "run.mcap", sides), topics=TWO).series["torque"]
+    assert list(zip(result.stamp_ns.tolist(), result.value.tolist(), strict=True)) == live(TWO, sides)
 
 
 def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackres):
     path = write(tmp_path / "run.mcap", [("/left", START, {"s": 1.0}), ("/right", START, {"s": 1.0})])
-    found = tr.read(path, topics={"speed": SPEED})
-    assert "no torque channel is in use; candidates: /left, /right" in found.notes
+    result = tr.read(path, topics={"speed": SPEED})
+    assert "no torque channel is in use; candidates: /left, /right" in result.notes
     with pytest.raises(tr.InputError, match=r"/left, /right: .*: torque: \{topic: NAME, type: TYPE.*\[\{topic: \.\.\."):
-        tr.diagnose(found, "agri3t")
+        tr.diagnose(result, "agri3t")
     with pytest.raises(tr.InputError, match=r"topics file: torque: \{topic: NAME, type: TYPE, field: FIELD\}$"):
-        tr.diagnose(replace(found, torque_candidates=()), "agri3t")
-    done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
-    assert done.returncode == 2
-    assert "it may be in /left, /right: give it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
+        tr.diagnose(replace(result, torque_candidates=()), "agri3t")
+    (tmp_path / "topics.yaml").write_text(yaml.safe_dump({"speed": SPEED}))
+    outcome = trackres("diagnose", path, "--topics", tmp_path / "topics.yaml", "--vehicle", "xgd24d", "-o", tmp_path / "report")
+    assert outcome.returncode == 2
+    assert (
+        "it may be in /left, /right: give it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in outcome.stderr
+    )
 
 
 def of_line(**line):
@@ -162,8 +165,8 @@ def of_line(**line):
     ids=str,
 )
 def test_a_corrected_line_converts_the_values_read_with_the_old(before, by):
-    (after,) = correct_bindings("torque", by, {"torque": before}).values()
-    read = Topics.parse(yaml.safe_load(line_of("torque", after)))["torque"]
+    (result_after,) = correct_bindings("torque", by, {"torque": before}).values()
+    read = Topics.parse(yaml.safe_load(line_of("torque", result_after)))["torque"]
     assert read.converts
     assert replace(read, scale=1.0, offset=0.0, unit="", converts=False) == replace(
         before, scale=1.0, offset=0.0, unit="", converts=False
@@ -174,11 +177,18 @@ def test_a_corrected_line_converts_the_values_read_with_the_old(before, by):
 
 
 def test_an_offset_is_divided_among_the_parts_of_a_role():
-    given = {"torque/left": TopicBinding(column="l"), "torque/right": TopicBinding(column="r", offset=3.0)}
-    assert [one.offset for one in correct_bindings("torque", Conversion(offset=-8.0), given).values()] == [-4.0, -1.0]
+    given_valuess = {"torque/left": TopicBinding(column="l"), "torque/right": TopicBinding(column="r", offset=3.0)}
+    assert [binding.offset for binding in correct_bindings("torque", Conversion(offset=-8.0), given_valuess).values()] == [
+        -4.0,
+        -1.0,
+    ]
     other = {"torque": TopicBinding(column="c")}
-    said = [line_to_write("torque", Conversion(-1.0), *each) for each in ((other,), (given,), (other, given, other))]
-    assert said[2].split(" should be ")[1] == ", for other recordings ".join(of.split(" should be ")[1] for of in said[:2])
+    texts = [
+        line_to_write("torque", Conversion(-1.0), *item) for item in ((other,), (given_valuess,), (other, given_valuess, other))
+    ]
+    assert texts[2].split(" should be ")[1] == ", for other recordings ".join(
+        entry.split(" should be ")[1] for entry in texts[:2]
+    )
 
 
 PART = {"column": "a"}
@@ -201,9 +211,9 @@ PART = {"column": "a"}
     ],
 )
 def test_a_sum_that_is_none_is_refused(line, says):
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         Topics.parse({"torque": line}, "topics.yaml")
-    assert says in str(refused.value)
-    assert "topics.yaml: torque" in str(refused.value)
+    assert says in str(error_info.value)
+    assert "topics.yaml: torque" in str(error_info.value)
     with pytest.raises(InputError, match="not an angle"):
         Topics.parse({"heading": {"sum": [PART, {"column": "b"}]}})

@@ -98,11 +98,11 @@ torque: {column: "Torque [kNm]", scale: 1000}
     ],
 )
 def test_refused_with_file_role_key_and_what_is_allowed(tmp_path: Path, text: str, says: list[str]) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         load(tmp_path, text)
     for part in [str(tmp_path / "topics.yaml"), *says]:
-        assert part in str(caught.value)
-    assert "\n" not in str(caught.value)
+        assert part in str(error_info.value)
+    assert "\n" not in str(error_info.value)
 
 
 def test_field_paths() -> None:
@@ -118,8 +118,8 @@ def test_a_binding_reads_a_message() -> None:
     joints = SimpleNamespace(name=["a", "b"], effort=[1.0, 2.0])
     binding = TopicBinding("/t", "sensor_msgs/msg/JointState", "effort[b]", scale=3.0, offset=1.0)
     assert binding.read(joints) == 7.0
-    for field, why in (("effort[c]", "its names are a, b"), ("effort[2]", "the array effort has only 2 elements")):
-        with pytest.raises(LookupError, match=why):
+    for field, reason in (("effort[c]", "its names are a, b"), ("effort[2]", "the array effort has only 2 elements")):
+        with pytest.raises(LookupError, match=reason):
             TopicBinding("/t", "sensor_msgs/msg/JointState", field).read(joints)
     assert TopicBinding("/t", "x/msg/Y", "effort[0]").read(joints) == 1.0
     nested = SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=4)))
@@ -127,7 +127,7 @@ def test_a_binding_reads_a_message() -> None:
 
 
 def test_guess_prefers_types_and_names_the_rest() -> None:
-    topics, said = guess(
+    topics, text = guess(
         {
             "/odom": "nav_msgs/msg/Odometry",
             "/robot/odom_filtered": "nav_msgs/msg/Odometry",
@@ -152,11 +152,11 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
         "yaw_rate": ("/imu", "angular_velocity.z", 1.0),
         "specific_force": ("/imu", "linear_acceleration.x", 1.0),
     }
-    assert said[0] == (
+    assert text[0] == (
         "speed: guessed from /odom (nav_msgs/msg/Odometry, twist.twist.linear.x) in m/s; "
         "also possible: /robot/odom_filtered, /twist"
     )
-    assert not any(sentence.startswith("accel") or "cmd_vel" in sentence for sentence in said)
+    assert not any(sentence.startswith("accel") or "cmd_vel" in sentence for sentence in text)
 
 
 NUMBER = "std_msgs/msg/Float64"
@@ -177,7 +177,7 @@ def guessed(role: str, topic: str) -> TopicBinding | None:
 def test_a_unit_in_a_name_is_used_or_forbids_the_guess(role: str, unit: str) -> None:
     topic, known = f"/vehicle/{NAMES[role]}_{re.sub('[ /]', '_', unit)}", conversion(unit, ROLES[role].unit)
     of_file = guess_channels([Channel(topic, "")], ()).bindings.get(role)
-    assert [one and (one.scale, one.offset) for one in (guessed(role, topic), of_file)] == [known, known]
+    assert [item and (item.scale, item.offset) for item in (guessed(role, topic), of_file)] == [known, known]
 
 
 LETTERS = [("load", "weight_t", 1e3 * GRAVITY), ("load", "weight_f", 1.0), ("speed", "speed_ms", 1.0), ("speed", "speed_m", 1.0)]
@@ -185,9 +185,9 @@ LETTERS = [("load", "weight_t", 1e3 * GRAVITY), ("load", "weight_f", 1.0), ("spe
 
 @pytest.mark.parametrize(("role", "topic", "scale"), [*LETTERS, ("load", "load_kn_raw", 1e3)])
 def test_one_letter_is_a_unit_only_of_its_own_role(role: str, topic: str, scale: float) -> None:
-    found = guessed(role, f"/{topic}")
-    assert found is not None
-    assert found.scale == scale
+    result = guessed(role, f"/{topic}")
+    assert result is not None
+    assert result.scale == scale
 
 
 OF_PARTS = ["drive/{}/torque", "torque_{}", "Trq_{}", "axle/{}/load", "load_{}_kn"]
@@ -205,10 +205,10 @@ def test_a_part_of_a_torque_or_load_is_not_guessed(named: str, parts: tuple[str,
         assert set(topics) == {"speed"}
         line = yaml.safe_load(next(note for note in notes if note.startswith(role)).rpartition("topics file: ")[2])
         assert len(Topics.parse(line).bindings[role].sources) == len(there)
-        found = guess_channels([Channel(name, unit) for name in there], ())
-        assert (found.bindings, [one.column for one in found.parts[role]]) == ({}, there)
-    whole = guess_channels([Channel(name, unit) for name in (*names, role)], ())
-    assert (whole.bindings[role].column, whole.alternatives[role], whole.parts) == (role, [], {})
+        result = guess_channels([Channel(name, unit) for name in there], ())
+        assert (result.bindings, [item.column for item in result.parts[role]]) == ({}, there)
+    total = guess_channels([Channel(name, unit) for name in (*names, role)], ())
+    assert (total.bindings[role].column, total.alternatives[role], total.parts) == (role, [], {})
 
 
 TORQUES = ("torque_nm", "torque_knm", "drive/torque", "chassis/torque_nm")
@@ -222,9 +222,9 @@ TORQUES = ("torque_nm", "torque_knm", "drive/torque", "chassis/torque_nm")
 )
 def test_all_guesses_are_of_one_vehicle(vehicles: list[str], torques: list[str], speed: str) -> None:
     number, kind = "std_msgs/msg/Float64", SPEED["type"]
-    vehicles = [one for one in vehicles if len(one.split("/")) == len(vehicles[0].split("/"))]
-    bag = {f"/{one}/{speed}": kind for one in vehicles} | {
-        f"/{one}/{name}": number for one, torque in zip(vehicles, torques, strict=False) for name in (torque, "load_kn")
+    vehicles = [vehicle for vehicle in vehicles if len(vehicle.split("/")) == len(vehicles[0].split("/"))]
+    bag = {f"/{vehicle}/{speed}": kind for vehicle in vehicles} | {
+        f"/{vehicle}/{name}": number for vehicle, torque in zip(vehicles, torques, strict=False) for name in (torque, "load_kn")
     }
     topics, _ = guess(bag)
     of_vehicle = topics["speed"].topic.removesuffix(speed)
@@ -310,11 +310,11 @@ def test_of_a_truck_bus_only_the_right_signals_are_guessed(missing: str | None, 
     grouped = {name: f"{group}{mark}{name}" for group, names in GROUPS.items() for name in names.split() if mark}
     wanted = OF_J1939 | ({missing: {"speed": "FrontAxleSpeed"}.get(missing)} if missing else {})
     there = [(name, unit) for unit, names in J1939.items() for name in names.split() if not missing or name != OF_J1939[missing]]
-    found, others, _ = guess_channels([Channel(grouped.get(name, name), unit) for name, unit in there], ())
-    assert {role: one.column for role, one in found.items()} == {
+    result, others, _ = guess_channels([Channel(grouped.get(name, name), unit) for name, unit in there], ())
+    assert {role: value.column for role, value in result.items()} == {
         role: grouped.get(name, name) for role, name in wanted.items() if name
     }
-    assert {role: names for role, names in others.items() if names} == (
+    assert {role: [one.column for one in options] for role, options in others.items() if options} == (
         {} if missing == "speed" else {"speed": ["FrontAxleSpeed"]}
     )
 
@@ -330,7 +330,7 @@ TEMPERATURE = "sensor_msgs/msg/Temperature"
 def test_a_measured_torque_and_an_ambient_air_are_preferred(role: str, unit: str, kind: str, better: str, other: str) -> None:
     by_unit, others, _ = guess_channels([Channel(name, unit) for name in (other, better)], ())
     by_type, _ = guess({"/speed": SPEED["type"], f"/{other}": kind, f"/{better}": kind})
-    assert (by_unit[role].column, others[role], by_type[role].topic) == (better, [other], f"/{better}")
+    assert (by_unit[role].column, [one.column for one in others[role]], by_type[role].topic) == (better, [other], f"/{better}")
 
 
 @pytest.mark.parametrize("name", [
@@ -340,10 +340,10 @@ def test_a_measured_torque_and_an_ambient_air_are_preferred(role: str, unit: str
 ])  # fmt: skip
 def test_the_speed_of_the_vehicle_is_guessed_from_any_unit(name: str) -> None:
     assert guess_channels([Channel(name, "km/h")], ())[0]["speed"].column == name
-    topics, (said,) = guess({f"/{name}": NUMBER})
+    topics, (text,) = guess({f"/{name}": NUMBER})
     assert topics["speed"].topic == f"/{name}"
     of_kmh = name.endswith(("kmh", "Kph", "km_h"))
-    assert ("in km/h" in said, topics["speed"].scale) == (of_kmh, 1 / 3.6 if of_kmh else 1.0)
+    assert ("in km/h" in text, topics["speed"].scale) == (of_kmh, 1 / 3.6 if of_kmh else 1.0)
 
 
 def test_a_second_speed_alone_is_no_second_vehicle() -> None:
@@ -359,7 +359,7 @@ def test_a_second_speed_alone_is_no_second_vehicle() -> None:
 )  # fmt: skip
 def test_nothing_tells_the_speed(wrong: str) -> None:
     number = "std_msgs/msg/Float64"
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error_info:
         guess({"/cmd_vel": "geometry_msgs/msg/TwistStamped", f"/{wrong}": number, "/imu": "sensor_msgs/msg/Imu"})
     for part in ("/cmd_vel (geometry_msgs/msg/TwistStamped)", f"/{wrong}", "/imu (sensor_msgs/msg/Imu)", "topics file"):
-        assert part in str(caught.value)
+        assert part in str(error_info.value)

@@ -74,23 +74,23 @@ def whole_blocks(path):
 
 @pytest.mark.parametrize("write", [by_us, by_others, with_lz4, by_rosbags, without_chunks])
 def test_a_file_cut_anywhere_is_read_up_to_its_last_whole_block(write, tmp_path):
-    whole, cut, again = (tmp_path / name for name in ("whole.mcap", "whole.mcap.part", "again.mcap"))
-    write(whole)
-    raw, chance, read = whole.read_bytes(), random.Random(4), []
+    total, cut, repetition = (tmp_path / name for name in ("whole.mcap", "whole.mcap.part", "again.mcap"))
+    write(total)
+    raw, chance, read = total.read_bytes(), random.Random(4), []
     for size in sorted(chance.sample(range(len(raw) // 4, len(raw)), 25)):
         rubbish = chance.choice([b"", bytes(700), chance.randbytes(40)])  # as a power cut leaves behind
         cut.write_bytes(raw[:size] + rubbish)
-        if not (found := whole_blocks(cut)):
+        if not (result := whole_blocks(cut)):
             continue
-        rows = found.series["speed"].value
+        rows = result.series["speed"].value
         assert np.array_equal(rows, np.arange(len(rows)))
         read.append(len(rows))
-        assert any("is unfinished" in finding.text for finding in found.findings)
-        recovered = tr.recover(cut, output=again)
+        assert any("is unfinished" in finding.text for finding in result.findings)
+        recovered = tr.recover(cut, output=repetition)
         assert cut.exists()
-        with Reader(again) as bag:
+        with Reader(repetition) as bag:
             assert len(list(bag.messages())) == recovered.messages >= len(rows)
-        finished = tr.read(again, topics=TOPICS)
+        finished = tr.read(repetition, topics=TOPICS)
         assert np.array_equal(finished.series["speed"].value, rows)
     assert read == sorted(read)
     if write is not by_rosbags:  # which has one chunk of it all
@@ -100,35 +100,37 @@ def test_a_file_cut_anywhere_is_read_up_to_its_last_whole_block(write, tmp_path)
 
 def test_a_recovered_file_holds_for_the_library_of_the_format(tmp_path):
     reader = pytest.importorskip("mcap.reader")
-    whole, cut, again = (tmp_path / name for name in ("whole.mcap", "cut.mcap", "again.mcap"))
-    by_us(whole)
-    cut.write_bytes(whole.read_bytes()[:-2000])
-    recovered = tr.recover(cut, output=again)
-    with again.open("rb") as file:
+    total, cut, repetition = (tmp_path / name for name in ("whole.mcap", "cut.mcap", "again.mcap"))
+    by_us(total)
+    cut.write_bytes(total.read_bytes()[:-2000])
+    recovered = tr.recover(cut, output=repetition)
+    with repetition.open("rb") as file:
         bag = reader.make_reader(file, validate_crcs=True)
         assert bag.get_summary().statistics.message_count == recovered.messages == len(list(bag.iter_messages()))
         assert {channel.topic for channel in bag.get_summary().channels.values()} == {"/speed", "/load"}
 
 
 def test_recover_reports_what_it_wrote_and_refuses_other_files(good, trackres, tmp_path):
-    whole, part = tmp_path / "whole.mcap", tmp_path / "drive.mcap.part"
-    by_us(whole)
-    part.write_bytes(whole.read_bytes()[:-5000])
-    told = json.loads(good("recover", part, "-o", tmp_path / "drive.mcap", "--json"))
-    assert told["written"] == str(tmp_path / "drive.mcap")
-    assert told["messages"] > 500
-    assert f"{told['messages']} messages, {told['duration_s']:.1f} s" in good("recover", part, "-o", tmp_path / "drive.mcap")
-    part.write_bytes(whole.read_bytes()[:60])
+    total, part = tmp_path / "whole.mcap", tmp_path / "drive.mcap.part"
+    by_us(total)
+    part.write_bytes(total.read_bytes()[:-5000])
+    statement = json.loads(good("recover", part, "-o", tmp_path / "drive.mcap", "--json"))
+    assert statement["written"] == str(tmp_path / "drive.mcap")
+    assert statement["messages"] > 500
+    assert f"{statement['messages']} messages, {statement['duration_s']:.1f} s" in good(
+        "recover", part, "-o", tmp_path / "drive.mcap"
+    )
+    part.write_bytes(total.read_bytes()[:60])
     (tmp_path / "text.mcap").write_text("no bag")
-    for given, output, said in (
-        (whole, "out.mcap", "an MCAP file that was not finished"),
+    for given_values, output, text in (
+        (total, "out.mcap", "an MCAP file that was not finished"),
         (part, "out.mcap", "one with at least one complete message"),
         (tmp_path / "text.mcap", "out.mcap", "an MCAP bag"),
         (tmp_path / "nothing.part", "out.mcap", "no such file or folder"),
         (part, "out.csv", "ends in .mcap"),
         (part, "none/out.mcap", "folder"),
     ):
-        done = trackres("recover", given, "-o", tmp_path / output)
-        assert done.returncode == 2
-        assert said in done.stderr, done.stderr
+        outcome = trackres("recover", given_values, "-o", tmp_path / output)
+        assert outcome.returncode == 2
+        assert text in outcome.stderr, outcome.stderr
         assert not (tmp_path / "out.mcap").exists()

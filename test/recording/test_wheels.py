@@ -39,8 +39,8 @@ def test_radii_and_slip_are_found_whichever_wheels_give_speed(of_vehicle: str, g
     for wheel in wheels(held):
         assert wheel.ratio == pytest.approx(RATIOS[wheel.name], abs=4.0 * wheel.ratio_std + 2e-4)
         assert wheel.ratio_std < 1e-3
-    (found,) = driven_wheels(wheels(held)).items()
-    name, (slip, std) = found
+    (result,) = driven_wheels(wheels(held)).items()
+    name, (slip, std) = result
     assert name == "rear"
     assert slip == pytest.approx(SLIP, abs=4.0 * std + 0.03 * SLIP)
     assert ("has the same slip" in wheel_notes(held)[1]) == (of_vehicle == "rear")

@@ -20,13 +20,13 @@ SECRET = "root:x:0:0"
 @pytest.fixture
 def little_room():
     """No file of this process becomes larger than a few bytes, as on a disk that is full."""
-    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    result_before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
     def begin():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (64, before[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (64, result_before[1]))
 
     yield begin
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    resource.setrlimit(resource.RLIMIT_FSIZE, result_before)
     signal.signal(signal.SIGXFSZ, handler)
 
 
@@ -77,10 +77,10 @@ def test_a_place_that_cannot_be_written_is_refused_first(refused, inputs, monkey
     cli.get_command(None, words.split()[0])  # loaded before its function is another
     for work in ("trackres_ros.tasks.diagnose.diagnose", "trackres_ros.coastdown", "trackres_ros.tools.fleet.compare.compare"):
         monkeypatch.setattr(work, never)
-    before = sorted(inputs.rglob("*"))
+    result_before = sorted(inputs.rglob("*"))
     option, *suffix = option.split()
     assert place in refused(*words.split(), option, "".join([place, *suffix]), cwd=inputs)
-    assert sorted(inputs.rglob("*")) == before
+    assert sorted(inputs.rglob("*")) == result_before
 
 
 def test_a_check_of_a_place_leaves_nothing_there(tmp_path):
@@ -105,28 +105,28 @@ OF_SWEEP = "sweep vehicle.yaml --vary loss_modulus_scale=1 --cycle d.csv"
         "simulate --vehicle vehicle.yaml --speed-kmh 5 -o rubber/nr_sbr_10hz.csv",
         f"{OF_SWEEP} -o d.csv",
         f"{OF_SWEEP} -o rubber/nr_sbr_10hz.csv",
-        *(f"{OF_REPLAY} -o {one}.csv" for one in ("d", "route")),
-        *(f"{OF_REPLAY} -o x.csv --save-vehicle {one}.yaml" for one in ("vehicle", "around", "topics", "params")),
-        *(f"{OF_REPLAY} -o x.csv --save-state {one}" for one in ("d.csv", "vehicle.yaml", "topics.yaml", "vehicle.csv")),
+        *(f"{OF_REPLAY} -o {item}.csv" for item in ("d", "route")),
+        *(f"{OF_REPLAY} -o x.csv --save-vehicle {item}.yaml" for item in ("vehicle", "around", "topics", "params")),
+        *(f"{OF_REPLAY} -o x.csv --save-state {item}" for item in ("d.csv", "vehicle.yaml", "topics.yaml", "vehicle.csv")),
         "compound fit vehicle.csv --vehicle vehicle.yaml -o .",
         "compound fit rubber/nr_sbr_10hz.csv --vehicle vehicle.yaml -o .",
         "diagnose d.csv --vehicle vehicle.yaml -o .",
     ],
 )
 def test_no_output_replaces_an_input(refused, inputs, words):
-    before = {path: path.read_bytes() for path in inputs.rglob("*") if path.is_file()}
+    result_befores = {path: path.read_bytes() for path in inputs.rglob("*") if path.is_file()}
     shown = refused(*words.split(), cwd=inputs)
     assert ("which it would overwrite" in shown) or ("which is another kind of file" in shown)
-    assert {path: path.read_bytes() for path in inputs.rglob("*") if path.is_file()} == before
+    assert {path: path.read_bytes() for path in inputs.rglob("*") if path.is_file()} == result_befores
 
 
 @pytest.mark.parametrize("outputs", [
     "-o x.csv --save-state x.csv", "-o x.csv --save-state ./x.png", "-o y.csv --save-state x.yaml --save-vehicle x.yaml",
 ])  # fmt: skip
 def test_no_output_of_a_replay_replaces_another(refused, inputs, tmp_path, outputs):
-    shown = refused("replay", inputs / "d.csv", "--vehicle", "agri3t", "--learning", "watch", *outputs.split(), cwd=tmp_path)
-    assert "a file for each output" in shown
-    assert "--save-state" in shown
+    shown_text = refused("replay", inputs / "d.csv", "--vehicle", "agri3t", "--learning", "watch", *outputs.split(), cwd=tmp_path)
+    assert "a file for each output" in shown_text
+    assert "--save-state" in shown_text
     assert not list(tmp_path.iterdir())
 
 
@@ -143,28 +143,28 @@ def test_recordings_of_different_names_have_different_results(good, inputs, tmp_
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet", ".mf4", ".mcap"])
 def test_an_output_may_have_a_name_that_is_not_utf_8(good, inputs, tmp_path, suffix):
-    out = tmp_path / (os.fsdecode(b"caf\xe9") + suffix)
-    good("replay", inputs / "d.csv", "--vehicle", "agri3t", "-o", out)
-    assert out.is_file()
+    output = tmp_path / (os.fsdecode(b"caf\xe9") + suffix)
+    good("replay", inputs / "d.csv", "--vehicle", "agri3t", "-o", output)
+    assert output.is_file()
 
 
 def test_no_saved_result_replaces_an_input(inputs, monkeypatch):
     monkeypatch.chdir(inputs)
-    before = (inputs / "d.csv").read_bytes()
+    result_before = (inputs / "d.csv").read_bytes()
     for result in (tr.replay("d.csv", "agri3t"), tr.simulate("agri3t", profile="d.csv")):
         with pytest.raises(tr.InputError, match="overwrite"):
             result.save(inputs / "link.csv")
     with pytest.raises(tr.InputError, match="overwrite"):
         tr.CoastdownResult(None, (), [inputs / "vehicle.yaml"]).save_vehicle(inputs / "vehicle.yaml")
-    assert (inputs / "d.csv").read_bytes() == before
+    assert (inputs / "d.csv").read_bytes() == result_before
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_saved_state_replaces_only_a_state(good, inputs, tmp_path):
-    state, out = tmp_path / "state", tmp_path / "x.csv"
+    state, output = tmp_path / "state", tmp_path / "x.csv"
     state.touch()  # an empty file is no loss
     for resumed in ((), ("--resume", state)):
-        good("replay", inputs / "d.csv", "--vehicle", "agri3t", *resumed, "--save-state", state, "-o", out)
+        good("replay", inputs / "d.csv", "--vehicle", "agri3t", *resumed, "--save-state", state, "-o", output)
     assert state.read_bytes().startswith(b'{"format"')
 
 

@@ -58,36 +58,38 @@ def test_an_unnamed_replay_writes_a_table_smaller_than_the_bag(folder, good, sam
 
 def test_simulate_writes_the_columns_of_the_issue(folder, good):
     drive = ("--speed-kmh", 50, "--ramp-s", 50, "--duration-s", 300, "--ambient-degc", 15, "--weight-kn", 300, "--dt", 0.5)
-    done = json.loads(good("simulate", "--vehicle", "xgd24d", *drive, "-o", folder / "s.csv", "--json"))
+    outcome = json.loads(good("simulate", "--vehicle", "xgd24d", *drive, "-o", folder / "s.csv", "--json"))
     columns = table(folder / "s.csv")
     conditions = ["time_s", "speed_mps", "weight_n", "ambient_degc", "belt_degc"]
     torques = ["resistance_torque_nm", "hysteresis_nm", "bearing_nm", "wind_nm", "effects_nm", "inertia_nm", "drive_torque_nm"]
     assert list(columns) == [*conditions, *torques]
-    assert len(columns["time_s"]) == done["rows"] == 601
+    assert len(columns["time_s"]) == outcome["rows"] == 601
     assert columns["weight_n"] == pytest.approx(300e3)
     assert columns["inertia_nm"][50] > 1000 > abs(columns["inertia_nm"][-1])
     force = columns["resistance_torque_nm"] / load("xgd24d").tracks["triangular"].sprocket_radius
-    joules, metres = (np.sum(0.5 * (columns["speed_mps"] * of)[1:]) for of in (force, np.ones(601)))
-    assert done["drive"]["kwh_per_km"] == pytest.approx(joules / 3.6e6 / (metres / 1000.0), rel=1e-4)
+    joules, metres = (np.sum(0.5 * (columns["speed_mps"] * item)[1:]) for item in (force, np.ones(601)))
+    assert outcome["drive"]["kwh_per_km"] == pytest.approx(joules / 3.6e6 / (metres / 1000.0), rel=1e-4)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])
 def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix, good):
     profile = folder / "profile.csv"
     profile.write_text("time_s,speed_kmh\n0,0\n20,36\n60,36\n")
-    out = folder / f"p.{suffix}"
-    done = json.loads(good("simulate", "--vehicle", "xgd24d", "--profile", profile, "--initial-degc", 40, "-o", out, "--json"))
-    assert out.stat().st_size > 1000
-    assert done["points"][-1]["speed_mps"] == pytest.approx(10.0)
-    assert 39 < done["points"][0]["belt_degc"] < 43
+    output = folder / f"p.{suffix}"
+    outcome = json.loads(
+        good("simulate", "--vehicle", "xgd24d", "--profile", profile, "--initial-degc", 40, "-o", output, "--json")
+    )
+    assert output.stat().st_size > 1000
+    assert outcome["points"][-1]["speed_mps"] == pytest.approx(10.0)
+    assert 39 < outcome["points"][0]["belt_degc"] < 43
 
 
 def test_a_profile_sets_weight_weather_and_slope(folder, good):
     def run(text, *options):
-        profile, out = folder / "profile.csv", folder / "conditions.csv"
+        profile, output = folder / "profile.csv", folder / "conditions.csv"
         profile.write_text(text)
-        good("simulate", "--vehicle", "xgd24d", "--profile", profile, "-o", out, *options)
-        return table(out)
+        good("simulate", "--vehicle", "xgd24d", "--profile", profile, "-o", output, *options)
+        return table(output)
 
     flat = run("time_s,speed_mps\n0,0\n10,5\n60,5\n")
     columns = run("time_s,speed_mps,weight_n,ambient_degc,grade\n0,0,300000,-10,0\n10,5,300000,-10,0\n60,5,,,0.05\n")
@@ -112,7 +114,7 @@ def test_a_profile_sets_weight_weather_and_slope(folder, good):
         ("time_s,speed_mps,accel_mps2\n0,0,1\n10,5,1\n", (), "accel"),
         ("time_s,speed_mps,ambient_degc\n0,0,288\n10,5,288\n", (), "-60 to 60 degC"),
         ("time_s,speed_mps,weight_n\n0,0,27700\n10,5,1\n", (), "load"),
-        ("time_s,speed_mps,grade\n0,0,nan\n10,5,0\n", (), "grade"),
+        ("time_s,speed_mps,grade\n0,0,inf\n10,5,0\n", (), "grade"),
         ("time_s,speed_mps,ambient_degc\n0,0,10\n10,5,10\n", ("--ambient-degc", "5"), "--ambient-degc"),
     ],
 )
@@ -126,9 +128,9 @@ def test_methods_differ_as_the_model_says(folder, good):
     torque = {}
     for method in ("spectral", "rainflow"):
         drive = ("--speed-kmh", 10, "--duration-s", 60, "--method", method, "--thermal", "core_surface")
-        done = json.loads(good("simulate", "--vehicle", "xgd24d", *drive, "-o", folder / f"{method}.csv", "--json"))
-        assert (done["method"], done["thermal"]) == (method, "core_surface")
-        torque[method] = done["points"][-1]["hysteresis_nm"]
+        outcome = json.loads(good("simulate", "--vehicle", "xgd24d", *drive, "-o", folder / f"{method}.csv", "--json"))
+        assert (outcome["method"], outcome["thermal"]) == (method, "core_surface")
+        torque[method] = outcome["points"][-1]["hysteresis_nm"]
     assert 1.4 < torque["spectral"] / torque["rainflow"] < 2.2
 
 
@@ -155,13 +157,13 @@ def test_vehicle_check_prints_what_follows_with_units(good):
 @pytest.mark.usefixtures("undrawn")
 def test_a_replay_of_refused_speeds_does_not_say_it_stood(folder, good):
     """A share of one in ten is a remark, here of a speed in km/h that is read as m/s."""
-    for driving, said in ((300, True), (10, False)):
+    for driving, text_here in ((300, True), (10, False)):
         speeds = [0.0] * 100 + [3.6 * 12.0] * driving
         rows = "\n".join(f"{0.1 * i:.1f},{speed}" for i, speed in enumerate(speeds))
         (folder / "fast.csv").write_text(f"time_s,speed_mps\n{rows}\n")
         text = good("replay", folder / "fast.csv", "--vehicle", "husky", "-o", folder / "out.csv")
         remark = f"! {driving} of {100 + driving} speeds refused as too fast for this vehicle: wrong unit?"
-        assert (remark in text) == said
+        assert (remark in text) == text_here
         assert "The vehicle stood the whole time in the accepted samples" in text
 
 
@@ -169,29 +171,35 @@ def test_a_replay_of_refused_speeds_does_not_say_it_stood(folder, good):
 def test_a_drive_without_steps_has_no_totals(folder, good):
     for rows in ("0,1\n", "0,1\n60,1\n120,1\n"):
         (folder / "one.csv").write_text(f"time_s,speed_mps\n{rows}")
-        shown = good("replay", folder / "one.csv", "--vehicle", "husky", "-o", folder / "one_out.csv")
-        assert "The drive has no totals: no two rows without a long gap between them" in shown
-        assert "stood" not in shown
+        shown_text = good("replay", folder / "one.csv", "--vehicle", "husky", "-o", folder / "one_out.csv")
+        assert "The drive has no totals: no two rows without a long gap between them" in shown_text
+        assert "stood" not in shown_text
 
 
 def test_a_small_drive_has_two_figures_of_everything():
-    of = {"distance_m": 4.2, "under_way_s": 21.0, "mean_resistance_nm": 0.31, "largest_resistance_nm": 9.4, "energy_mj": 0.00123}
-    text = drive_text({**of, "kwh_per_km": 0.0813})
+    item = {
+        "distance_m": 4.2,
+        "under_way_s": 21.0,
+        "mean_resistance_nm": 0.31,
+        "largest_resistance_nm": 9.4,
+        "energy_mj": 0.00123,
+    }
+    text = drive_text({**item, "kwh_per_km": 0.0813})
     assert text == (
         "The drive: 0.0042 km, 0.35 min of driving; mean resistance 0.31 Nm, at most 9.4 Nm; 0.0012 MJ (0.081 kWh/km)"
     )
 
 
 def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository, good):
-    out = folder / "estimate.csv"
+    output = folder / "estimate.csv"
     topics = repository / "config" / "topics" / "sample.yaml"
-    done = json.loads(good("replay", sample, "--vehicle", "xgd24d", "--topics", topics, "-o", out, "--json"))
-    assert done["written"] == [str(out), str(folder / "estimate.png")]
-    columns = table(out)
-    assert len(columns["time_s"]) == done["steps"] == done["counters"]["speed"]["accepted"]
-    assert 2700 < done["resistance_torque_nm"]["largest"] < 3500
+    outcome = json.loads(good("replay", sample, "--vehicle", "xgd24d", "--topics", topics, "-o", output, "--json"))
+    assert outcome["written"] == [str(output), str(folder / "estimate.png")]
+    columns = table(output)
+    assert len(columns["time_s"]) == outcome["steps"] == outcome["counters"]["speed"]["accepted"]
+    assert 2700 < outcome["resistance_torque_nm"]["largest"] < 3500
     assert columns["belt_degc/front_left"][-1] > columns["belt_degc/front_left"][0]
-    drive, speed, torque = done["drive"], columns["speed_mps"], columns["resistance_torque_nm"]
+    drive, speed, torque = outcome["drive"], columns["speed_mps"], columns["resistance_torque_nm"]
     assert drive["distance_m"] == pytest.approx(trapezoid(np.abs(speed), columns["time_s"]), rel=0.02)
     assert drive["mean_resistance_nm"] == pytest.approx(np.mean(torque[np.abs(speed) > 0.1]), rel=0.05)
     assert 0.0 < drive["under_way_s"] <= columns["time_s"][-1]
@@ -235,10 +243,10 @@ def test_replay_stopped_and_resumed_gives_the_same_rows(folder, good):
         ("second", ("--resume", folder / "state.json")),
     ):
         good("replay", folder / f"{name}.csv", "--vehicle", "xgd24d", "-o", folder / f"{name}-out.csv", *extra)
-    whole, first, second = (table(folder / f"{name}-out.csv") for name in ("whole", "first", "second"))
-    for name in whole:
+    total, first, second = (table(folder / f"{name}-out.csv") for name in ("whole", "first", "second"))
+    for name in total:
         if name != "time_s":
-            assert np.array_equal(whole[name], np.concatenate([first[name], second[name]]), equal_nan=True), name
+            assert np.array_equal(total[name], np.concatenate([first[name], second[name]]), equal_nan=True), name
 
 
 def test_a_recording_with_torque_gives_a_residual(folder, good):
@@ -285,9 +293,9 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, refused, ar
     config = repository / "config"
     broken = (config / "xgd24d.yaml").read_text().replace("thickness: {value: 0.035", "thickness: {value: 0.35")
     (tmp_path / "broken.yaml").write_text(broken.replace("rubber/nr", f"{config}/rubber/nr"))
-    before = sorted(tmp_path.iterdir())
+    result_before = sorted(tmp_path.iterdir())
     assert named in refused(*arguments, cwd=tmp_path)
-    assert sorted(tmp_path.iterdir()) == before
+    assert sorted(tmp_path.iterdir()) == result_before
 
 
 @pytest.mark.parametrize(
@@ -304,8 +312,8 @@ def test_an_unknown_command_suggests_the_closest_one(refused, words, said):
 
 
 def test_a_shell_completes_vehicles_and_files():
-    found = vehicles_to_complete(None, None, "xg")
-    assert [(item.type, item.value) for item in found] == [("plain", "xgd24d"), ("file", "xg")]
+    result = vehicles_to_complete(None, None, "xg")
+    assert [(item.type, item.value) for item in result] == [("plain", "xgd24d"), ("file", "xg")]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -313,10 +321,10 @@ def test_no_zero_that_is_shown_has_a_sign(folder, good):
     assert no_signed_zero("wind 0, inertia -1, -0.4")
     assert not no_signed_zero("wind -0, inertia 1")
     assert not no_signed_zero("speed,-0.0,1")
-    of = ("--vehicle", "xgd24d", "--speed-kmh", -0.001)
-    assert no_signed_zero(good("explain", *of, "--belt-degc", 0))
-    drive, again = folder / "slow.csv", folder / "again.csv"
-    assert no_signed_zero(good("simulate", *of, "--duration-s", 60, "--ambient-degc", 0, "-o", drive))
+    item = ("--vehicle", "xgd24d", "--speed-kmh", -0.001)
+    assert no_signed_zero(good("explain", *item, "--belt-degc", 0))
+    drive, repetition = folder / "slow.csv", folder / "again.csv"
+    assert no_signed_zero(good("simulate", *item, "--duration-s", 60, "--ambient-degc", 0, "-o", drive))
     assert no_signed_zero(drive.read_text())
-    assert no_signed_zero(good("replay", drive, "--vehicle", "xgd24d", "-o", again))
-    assert no_signed_zero(again.read_text())
+    assert no_signed_zero(good("replay", drive, "--vehicle", "xgd24d", "-o", repetition))
+    assert no_signed_zero(repetition.read_text())

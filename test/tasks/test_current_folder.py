@@ -61,8 +61,8 @@ def start(folder, tmp_path):
     def start(program, words, **variables):
         script.write_text(program)
         words = [sys.executable, str(script), *words]
-        given = {"cwd": folder, "env": {**plain, **variables, "OF_THIS_TEST": str(tmp_path)}, "text": True}
-        return subprocess.Popen(words, **given, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        given_valuess = {"cwd": folder, "env": {**plain, **variables, "OF_THIS_TEST": str(tmp_path)}, "text": True}
+        return subprocess.Popen(words, **given_valuess, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
     yield start
     for process in ours(tmp_path):
@@ -84,10 +84,10 @@ def nothing_sprang(folder):
 
 
 def ended_well(process):
-    out, err = process.communicate()
-    assert process.returncode == 0, out + err
+    output, err = process.communicate()
+    assert process.returncode == 0, output + err
     assert "matplotlibrc" not in err
-    return out
+    return output
 
 
 def test_a_trap_springs_where_python_looks_for_modules_here(folder):
@@ -121,6 +121,6 @@ def test_a_shipped_vehicle_is_checked_among_traps(start, folder):
 def test_workers_of_a_fleet_among_traps_spring_none(start, folder):
     pytest.importorskip("distributed", reason="the extra fleet is not installed")
     words = ["fleet", "run", "drive.csv", "--vehicle", "xgd24d", "--workers", "1", "--period", "none", "-o", "out"]
-    said = start(COMMAND, words).communicate()
-    assert "drive.csv: given 'no torque" in said[1], said  # so a worker has read it
+    text = start(COMMAND, words).communicate()
+    assert "drive.csv: given 'no torque" in text[1], text  # so a worker has read it
     assert nothing_sprang(folder)

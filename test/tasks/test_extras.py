@@ -42,8 +42,8 @@ def without(blocked, commands, folder):
         (folder / str(number) / "drive.csv").write_text("time_s,speed_mps\n" + rows)
     environment = {**os.environ, "TRACKRES_INTERPRETED": "1"}
     command = [sys.executable, "-c", FORKS, json.dumps([blocked, commands])]
-    done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-    for number, code in enumerate(map(int, done.stdout.split())):
+    process = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    for number, code in enumerate(map(int, process.stdout.split())):
         made = {path.name for path in (folder / str(number)).rglob("*")} - {"here", "drive.csv"}
         yield code, *((folder / f"{number}.{name}").read_text() for name in ("out", "err")), made
 
@@ -67,11 +67,11 @@ NEEDED = [
 
 def test_a_library_that_is_missing_is_said_before_any_work(tmp_path):
     cases = [([module], words) for words, modules in NEEDED for module in modules]
-    for (modules, words), (code, out, err, made) in zip(cases, without([], cases, tmp_path), strict=True):
-        said, nothing = (out, err) if "--json" in words else (err, out)
+    for (modules, words), (code, output, err, made) in zip(cases, without([], cases, tmp_path), strict=True):
+        text, nothing = (output, err) if "--json" in words else (err, output)
         assert (code, nothing, made) == (2, "", set()), (modules, words, err)
-        assert said.count("\n") == 1, said
-        assert "pip install" in said
+        assert text.count("\n") == 1, text
+        assert "pip install" in text
 
 
 def test_without_any_of_them_the_rest_works(tmp_path):
@@ -85,9 +85,9 @@ def test_without_any_of_them_the_rest_works(tmp_path):
     for number in (1, 2):  # with a picture of earlier results
         (tmp_path / str(number)).mkdir()
         (tmp_path / str(number) / "out.png").touch()
-    for code, out, err, made in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
+    for code, output, err, made in without(OPTIONAL.split(), [([], words) for words in works], tmp_path):
         assert code == 0, err
-        assert out, err
+        assert output, err
         assert "Traceback" not in err
         assert "out.png" not in made
 
@@ -96,16 +96,16 @@ def into(stdout, stderr, *words):
     """Exit code of a command with these two streams, given as descriptors; None is a stream that the caller has closed."""
     streams = [None if to is None else os.fdopen(os.dup(to), "w") for to in (stdout, stderr)]
     with redirect_stdout(streams[0]), redirect_stderr(streams[1]):
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as error_info:
             cli_main.main([str(word) for word in words])
         for stream in (sys.stdout, sys.stderr):
             stream.close()
-    return ended.value.code
+    return error_info.value.code
 
 
 def test_a_closed_or_full_stream_changes_no_result(tmp_path):
-    out, err = tmp_path / "out.csv", tmp_path / "err"
-    simulate = ("simulate", "--vehicle", "agri3t", "--speed-kmh", 5, "--duration-s", 5, "-o", out)
+    output, err = tmp_path / "out.csv", tmp_path / "err"
+    simulate = ("simulate", "--vehicle", "agri3t", "--speed-kmh", 5, "--duration-s", 5, "-o", output)
     unread, closed = os.pipe()
     os.close(unread)
     full, errors = os.open("/dev/full", os.O_WRONLY), os.open(err, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
@@ -113,15 +113,15 @@ def test_a_closed_or_full_stream_changes_no_result(tmp_path):
         for words in (simulate, (*simulate, "--json")):
             os.truncate(err, 0)
             assert into(stdout, stderr, *words) == code, (stdout, stderr, words)
-            assert out.stat().st_size > 100
-            out.unlink()
+            assert output.stat().st_size > 100
+            output.unlink()
             if stderr is not None:
                 assert err.read_text().count("\n") == (code != 0)
                 assert ("standard output: No space left" in err.read_text()) == (code != 0)
     assert into(closed, errors, "--help") == 0
     assert into(full, None, "repla", "--json") == 2
-    for one in (closed, full, errors):
-        os.close(one)
+    for item in (closed, full, errors):
+        os.close(item)
 
 
 def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
@@ -129,11 +129,11 @@ def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert wait_for(lambda: list(tmp_path.rglob("*.csv")) or process.poll() is not None, working=process.pid)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=120)
+    _, text = process.communicate(timeout=120)
     assert process.returncode == 130
-    assert "written so far" in said
+    assert "written so far" in text
     first = sorted(path for path in (tmp_path / "fleet").rglob("*.csv"))[0]
-    assert str(first) in said
+    assert str(first) in text
 
 
 SWALLOWED = """
@@ -159,9 +159,9 @@ except KeyboardInterrupt:
 
 
 def test_a_swallowed_interrupt_is_raised_again_until_handled():
-    done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=True, timeout=50)
-    assert done.stdout == "taken\n"
-    assert "Exception ignored" in done.stderr
+    process = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=True, timeout=50)
+    assert process.stdout == "taken\n"
+    assert "Exception ignored" in process.stderr
 
 
 MET_IN_A_STRING = """
@@ -178,8 +178,8 @@ except KeyboardInterrupt:
 
 def test_an_interrupt_during_eval_of_a_string_exits_with_130(tmp_path):
     (tmp_path / "interrupted.py").write_text(MET_IN_A_STRING)
-    done = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, timeout=50, capture_output=True)
-    assert done.returncode == 130
+    process = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, timeout=50, capture_output=True)
+    assert process.returncode == 130
 
 
 def test_a_command_interrupted_before_it_wrote_says_so(tmp_path, monkeypatch, capsys):
@@ -187,7 +187,7 @@ def test_a_command_interrupted_before_it_wrote_says_so(tmp_path, monkeypatch, ca
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli_main.cli, "main", stop)
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as error_info:
         cli_main.main(["simulate"])
-    assert ended.value.code == 130
+    assert error_info.value.code == 130
     assert "nothing was written" in capsys.readouterr().err

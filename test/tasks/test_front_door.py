@@ -103,7 +103,7 @@ def test_what_is_declared_for_editors_is_what_is_there():
 
 
 def test_no_module_hides_what_is_exported():
-    modules = {found.name for found in pkgutil.iter_modules(tr.__path__)}
+    modules = {result.name for result in pkgutil.iter_modules(tr.__path__)}
     assert modules & set(tr.__all__) == {"effects"}
     assert tr.effects is sys.modules["trackres_ros.effects"]
 
@@ -120,9 +120,9 @@ def test_it_is_imported_at_once_and_loads_nothing():
         "late = {'numpy', 'scipy', 'yaml'} & set(sys.modules); "
         "print(took, *(name for name in new if name.startswith('trackres_ros.')), *late)"
     )
-    said = [subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout.split() for _ in range(5)]
-    assert all(words[1:] == ["trackres_ros.version"] for words in said)
-    assert min(float(words[0]) for words in said) < 0.030
+    texts = [subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout.split() for _ in range(5)]
+    assert all(words[1:] == ["trackres_ros.version"] for words in texts)
+    assert min(float(words[0]) for words in texts) < 0.030
 
 
 def commands_of(path):
@@ -135,7 +135,7 @@ def commands_of(path):
         for alias in node.names
     }
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
-    return {node.name: node for node in functions if any("command(" in ast.unparse(one) for one in node.decorator_list)}, homes
+    return {node.name: node for node in functions if any("command(" in ast.unparse(item) for item in node.decorator_list)}, homes
 
 
 def test_the_command_line_calls_nothing_else():
@@ -164,10 +164,10 @@ def test_a_list_shows_the_first_sentence_of_each_command(name):
 
 def test_a_list_of_commands_loads_none_of_them():
     program = "import sys; from trackres_ros.tasks.main import main\ntry: main(['--help'])\nfinally: print(*sys.modules)"
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout
-    loaded = set(said.splitlines()[-1].split())
+    text = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout
+    loaded = set(text.splitlines()[-1].split())
     assert not loaded & {"numpy", "yaml", *(f"trackres_ros.tasks.{module}" for module, _ in COMMANDS.values())}
-    assert all(f"\n  {name} " in said for name in COMMANDS)
+    assert all(f"\n  {name} " in text for name in COMMANDS)
 
 
 @pytest.mark.parametrize("given", [str, Path, lambda path: [path]], ids=["text", "path", "list"])
@@ -193,11 +193,11 @@ def test_a_recording_gives_its_samples_in_reading_order(sample, drive):
 
     for path, topics in ((sample.path, sample.topics), (drive, None)):
         source = open_source([path], Topics.load(topics) if topics else None)
-        before = list(source.blocks(1000))
-        again = list(tr.read(path, topics=topics).blocks(777))
+        result_before = list(source.blocks(1000))
+        repetition = list(tr.read(path, topics=topics).blocks(777))
         for field in ("role", "stamp_ns", "arrival_ns", "value"):
-            one, other = (np.concatenate([getattr(block, field) for block in blocks]) for blocks in (before, again))
-            assert np.array_equal(one, other), field
+            item, other = (np.concatenate([getattr(block, field) for block in blocks]) for blocks in (result_before, repetition))
+            assert np.array_equal(item, other), field
 
 
 @pytest.mark.parametrize(
@@ -215,10 +215,10 @@ def test_a_recording_made_by_hand_is_replayed_with_speed_last(xgd24d, times, swa
     series = {role: Series(when, arrived[role], value + 10.0 * (role == "ambient")) for role in arrived}
     recording = tr.Recording("by hand", series | {"load": Series(when[:2], when[:2], value[:2])}, zero_is_unset=False)
     (block,) = recording.blocks()
-    role, given = block.role[block.role < 2], block.value[block.role < 2]
+    role, given_values = block.role[block.role < 2], block.value[block.role < 2]
     assert role.tolist() == [1, 0] * 6 * times
-    assert given[::2].tolist() == (10.0 + value).tolist()
-    assert given[1::2].tolist() == value.tolist()
+    assert given_values[::2].tolist() == (10.0 + value).tolist()
+    assert given_values[1::2].tolist() == value.tolist()
     assert recording.aligned()["ambient"] == pytest.approx(10.0 + value, abs=float(bool(swapped)))  # by log time
 
 
@@ -237,36 +237,36 @@ def test_results_are_copied_and_pickled_whole(drive, sample, replayed, xgd24d):
     road = tr.load_vehicle(next(iter(shipped_road_vehicles())))
     point = tr.explain(xgd24d, speed_kmh=20, belt_degc=15)
     results = sample, recording, replayed, simulated, point, tr.check_vehicle(xgd24d)
-    for one in (xgd24d, road, *results, *(tr.Estimator(xgd24d, entries=e) for e in (COMPILED, INTERPRETED))):
-        for again in (copy.copy(one), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
-            assert type(again) is type(one)
-            assert repr(again) == repr(one)
-    again = pickle.loads(pickle.dumps(recording))
-    assert again.report() == recording.report()
-    assert all(np.array_equal(again.series[role].value, samples.value) for role, samples in recording.series.items())
+    for item in (xgd24d, road, *results, *(tr.Estimator(xgd24d, entries=e) for e in (COMPILED, INTERPRETED))):
+        for repetition in (copy.copy(item), copy.deepcopy(item), pickle.loads(pickle.dumps(item))):
+            assert type(repetition) is type(item)
+            assert repr(repetition) == repr(item)
+    repetition = pickle.loads(pickle.dumps(recording))
+    assert repetition.report() == recording.report()
+    assert all(np.array_equal(repetition.series[role].value, samples.value) for role, samples in recording.series.items())
     with pytest.raises(TypeError):
-        again.series["speed"] = None
+        repetition.series["speed"] = None
 
 
 def test_results_are_compared_and_hashed_by_identity(drive, replayed, xgd24d):
     others = tr.replay(drive, xgd24d), tr.simulate(xgd24d, speed_kmh=20, duration_s=5), tr.read(drive), tr.read(drive)
     assert len({replayed, *others, *others}) == 5
-    assert all((one == other) == (one is other) for one in others for other in others)
+    assert all((item == other_item) == (item is other_item) for item in others for other_item in others)
 
 
 def test_an_error_is_the_same_in_another_process():
-    for one in (tr.InputError("a", 1, "b", "c"), tr.MissingExtraError("to_pandas", "pandas", "notebook", "now")):
-        again = pickle.loads(pickle.dumps(one))
-        assert type(again) is type(one)
-        assert (str(again), again.as_dict()) == (str(one), one.as_dict())
+    for item in (tr.InputError("a", 1, "b", "c"), tr.MissingExtraError("to_pandas", "pandas", "notebook", "now")):
+        repetition = pickle.loads(pickle.dumps(item))
+        assert type(repetition) is type(item)
+        assert (str(repetition), repetition.as_dict()) == (str(item), item.as_dict())
 
 
 def test_arrays_of_results_are_the_callers_own(drive, replayed, xgd24d):
     for result in (replayed, tr.simulate(xgd24d, speed_kmh=20, duration_s=5)):
         for name in result:
-            before = result[name].copy()
+            result_before = result[name].copy()
             result[name][:] = 99
-            assert np.array_equal(result[name], before, equal_nan=True), name
+            assert np.array_equal(result[name], result_before, equal_nan=True), name
     recording = tr.read(drive)
     for series in recording.aligned().values():
         series[:] = 0.0
@@ -287,9 +287,9 @@ def test_what_is_saved_is_what_the_command_writes(drive, replayed, folder, suffi
 
 
 def test_a_replay_says_what_the_command_says(drive, replayed, folder, printed):
-    told = printed("replay", drive, "--vehicle", "xgd24d", "-o", folder / "told.csv")
-    assert told.pop("written") == [str(folder / "told.csv"), str(folder / "told.png")]
-    assert told == json.loads(json.dumps(replayed.as_dict()))
+    statement = printed("replay", drive, "--vehicle", "xgd24d", "-o", folder / "told.csv")
+    assert statement.pop("written") == [str(folder / "told.csv"), str(folder / "told.png")]
+    assert statement == json.loads(json.dumps(replayed.as_dict()))
     assert (folder / "told.png").read_bytes() == replayed.plot()._repr_png_()
 
 
@@ -339,8 +339,10 @@ def test_pandas_has_every_column_with_its_unit(replayed, folder):
     assert units["resistance_torque_nm"] == "N m"
     assert units["belt_degc/front_left"] == "degC"
     assert [name for name, unit in units.items() if not unit] == ["reasons"]
-    for one in learnables(tr.load_vehicle("ztbus_hess19")):
-        assert [unit_of(name) for name in columns_of(one)[:2]] == 2 * [{"1": "", "Nm": "N m"}.get(one.unit, one.unit)]
+    for learnable in learnables(tr.load_vehicle("ztbus_hess19")):
+        assert [unit_of(name) for name in columns_of(learnable)[:2]] == 2 * [
+            {"1": "", "Nm": "N m"}.get(learnable.unit, learnable.unit)
+        ]
 
 
 def test_xarray_has_an_axis_of_assemblies(replayed):
@@ -382,9 +384,9 @@ def test_a_file_name_is_no_markup(folder, drive):
 def test_simulate_is_the_command(folder, printed):
     driven = tr.simulate("agri3t", speed_kmh=12, duration_s=60, ambient_degc=5, dt=0.5, output=folder / "s1.csv")
     options = ("--speed-kmh", 12, "--duration-s", 60, "--ambient-degc", 5, "--dt", 0.5)
-    told = printed("simulate", "--vehicle", "agri3t", *options, "-o", folder / "s2.csv")
-    assert told.pop("output") == str(folder / "s2.csv")
-    assert told == driven.as_dict()
+    statement = printed("simulate", "--vehicle", "agri3t", *options, "-o", folder / "s2.csv")
+    assert statement.pop("output") == str(folder / "s2.csv")
+    assert statement == driven.as_dict()
     assert (folder / "s1.csv").read_bytes() == (folder / "s2.csv").read_bytes()
 
 
@@ -395,7 +397,7 @@ def test_simulate_and_explain_remark_on_inactive_effects(folder):
     for file, effects in zip(files, ({"curve_of_speed": curve}, {"turning_scrub": {"friction": 0.5}}), strict=True):
         file.write_text(yaml.safe_dump({**content, "effects": effects}))
     remarks = [tr.simulate(file, speed_kmh=10, duration_s=20, dt=1.0).remarks for file in files]
-    assert [len(each) for each in remarks] == [1, 1]
+    assert [len(remark) for remark in remarks] == [1, 1]
     assert "outside the range it was fitted on" in remarks[0][0]
     assert "an effect is inactive" in remarks[1][0]
     points = [tr.explain(file, speed_kmh=10, belt_degc=20) for file in files]
@@ -411,8 +413,8 @@ def test_a_profile_is_a_table_or_what_was_read_of_it(drive, xgd24d):
         assert np.array_equal(by_path[column], read[column]), column
     stamp_ns, value = recording.series["speed"].stamp_ns, recording.series["speed"].value
     orders = (replace(recording.series["ambient"], stamp_ns=stamp_ns[::by], value=value[::by]) for by in (1, -1))
-    mixed = [replace(recording, order=None, series={**recording.series, "ambient": one}) for one in orders]
-    assert np.array_equal(*(tr.simulate(xgd24d, profile=one)["ambient_degc"] for one in mixed))
+    mixed = [replace(recording, order=None, series={**recording.series, "ambient": item}) for item in orders]
+    assert np.array_equal(*(tr.simulate(xgd24d, profile=item)["ambient_degc"] for item in mixed))
     hot = replace(recording.series["ambient"], value=np.inf * np.ones(len(recording.series["ambient"])))
     with pytest.raises(tr.InputError, match="ambient: given inf; allowed: finite"):
         tr.simulate(xgd24d, profile=replace(recording, order=None, series={**recording.series, "ambient": hot}))
@@ -423,11 +425,11 @@ def test_explain_and_check_are_the_commands(printed):
     options = ("--speed-kmh", 10, "--belt-degc", 30, "--weight-kn", 25, "--method", "rainflow")
     assert printed("explain", "--vehicle", "agri3t", *options) == json.loads(json.dumps(point.as_dict()))
     checked = json.loads(json.dumps(tr.check_vehicle("agri3t", points=20).as_dict()))
-    told = printed("vehicle", "check", "agri3t", "--points", 20)
-    for result in (checked, told):
+    statement = printed("vehicle", "check", "agri3t", "--points", 20)
+    for result in (checked, statement):
         for track in result["tracks"].values():
             assert track["table"].pop("seconds") < 60
-    assert checked == told
+    assert checked == statement
 
 
 def test_a_name_alone_is_one_name(drive, monkeypatch):
@@ -436,7 +438,7 @@ def test_a_name_alone_is_one_name(drive, monkeypatch):
     for given in ("grade", ["grade"], ("grade",)):
         with pytest.raises(ZeroDivisionError):
             tr.diagnose(drive, "agri3t", hide=given, holdout=given)
-    assert [(tuple(of.hide), tuple(of.holdout)) for of in options] == [(("grade",), ("grade",))] * 3
+    assert [(tuple(option.hide), tuple(option.holdout)) for option in options] == [(("grade",), ("grade",))] * 3
 
 
 @pytest.mark.parametrize(
@@ -464,10 +466,10 @@ def test_a_name_alone_is_one_name(drive, monkeypatch):
     ],
 )
 def test_bad_input_names_the_argument(drive, folder, call, where):
-    with pytest.raises(tr.InputError) as refused:
+    with pytest.raises(tr.InputError) as error_info:
         call(drive, folder)
-    assert refused.value.where == where
-    assert refused.value.allowed
+    assert error_info.value.where == where
+    assert error_info.value.allowed
 
 
 def test_the_command_names_the_option_instead(drive, folder, refused):
@@ -512,7 +514,7 @@ def test_a_vehicle_without_belts_can_be_simulated_and_explained(name):
     assert drive.drive["energy_mj"] > 0.0
     assert "belts" not in drive._repr_html_()
     checked = tr.check_vehicle(vehicle)
-    assert [at["resistance_std_nm"] > 0.0 for at in checked["level_ground"]] == [True] * 3
+    assert [item["resistance_std_nm"] > 0.0 for item in checked["level_ground"]] == [True] * 3
     assert "base model road_load" in repr(checked)
 
 
@@ -575,13 +577,13 @@ def test_an_argument_of_another_type_is_refused_by_its_name(drive, function, nam
     usable = {**USABLE.get(function, {}), **({"speed_kmh": None, "duration_s": None} if name == "profile" else {})}
     optional = inspect.signature(getattr(tr, function)).parameters[name].default is None
     for bad in (3.5, object(), b"x", np.ones(2), "x\0y", [object()], *(() if optional else (None,))):
-        with pytest.raises(tr.InputError) as refused:
+        with pytest.raises(tr.InputError) as error_info:
             getattr(tr, function)(**{**usable, name: bad})
-        assert refused.value.where == name
+        assert error_info.value.where == name
 
 
 @pytest.mark.parametrize(
-    ("function", "name"), [one for one in OTHER if one[1] in ("recording", "recordings", "profile") and one[0] != "recover"]
+    ("function", "name"), [item for item in OTHER if item[1] in ("recording", "recordings", "profile") and item[0] != "recover"]
 )
 def test_data_in_memory_are_to_be_written_to_a_file(drive, function, name, monkeypatch):
     monkeypatch.chdir(drive.parent)
@@ -613,9 +615,9 @@ def test_a_numeric_argument_refuses_what_is_no_such_number(tmp_path, monkeypatch
     if inspect.signature(getattr(tr, function)).parameters[name].default is not None:
         no_numbers += (None,)
     for bad in (math.nan, math.inf, -math.inf, True, 1e300, 10**400, np.float32("nan"), np.int64(-(2**60)), *no_numbers):
-        with pytest.raises(tr.InputError) as refused:
+        with pytest.raises(tr.InputError) as error_info:
             getattr(tr, function)(**{**USABLE[function], name: bad})
-        assert name == refused.value.where
+        assert name == error_info.value.where
     assert not list(tmp_path.iterdir())
 
 
@@ -638,9 +640,9 @@ def test_numbers_of_numpy_are_numbers():
 def test_a_weight_that_a_profile_refuses_is_refused(xgd24d, tmp_path, share):
     file, weight = tmp_path / "profile.csv", share * xgd24d.weight
     file.write_text(f"time_s,speed_mps,weight_n\n0,1,{weight}\n1,1,{weight}\n")
-    for given in ({"profile": file}, {"speed_kmh": 3.6, "duration_s": 1.0, "weight_kn": weight / 1e3}):
+    for item in ({"profile": file}, {"speed_kmh": 3.6, "duration_s": 1.0, "weight_kn": weight / 1e3}):
         with pytest.raises(tr.InputError, match=r"load|weight_kn"):
-            tr.simulate(xgd24d, **given)
+            tr.simulate(xgd24d, **item)
 
 
 @pytest.mark.parametrize(("duration_s", "dt"), [(15.0, 10.0), (14.9, 10.0), (0.5, 0.3), (1.0, 0.1), (2.0, 0.4), (7.0, 0.7)])
@@ -663,6 +665,6 @@ def test_a_picture_is_of_the_kind_that_its_name_says(replayed, tmp_path, name):
 
 
 def test_a_missing_state_is_not_to_be_deleted(xgd24d, drive):
-    with pytest.raises(tr.InputError, match="missing") as refused:
+    with pytest.raises(tr.InputError, match="missing") as error_info:
         tr.replay(drive, xgd24d, resume="missing.json")
-    assert not refused.value.remedy
+    assert not error_info.value.remedy

@@ -28,8 +28,8 @@ def overview(assemblies=ASSEMBLIES, remarks=()):
         "grade_nm": -12345.0, "inertia_nm": 123456.0, "resistance_std_nm": 10438.0, "speed_mps": 15.0,
     }  # fmt: skip
     for name in assemblies:
-        of = {"belt_degc": 104.2, "belt_std_k": 12.3, "load_n": 123456.0, "resistance_torque_nm": 12345.0}
-        values |= {f"{column}/{name}": value for column, value in of.items()}
+        item = {"belt_degc": 104.2, "belt_std_k": 12.3, "load_n": 123456.0, "resistance_torque_nm": 12345.0}
+        values |= {f"{column}/{name}": value for column, value in item.items()}
     counts = (("accepted", 123456789), ("non_finite", 12345), ("out_of_range", 12345), ("bad_stamp", 99), ("dropped", 1234567))
     inputs = [
         InputState("load/rear_right", topic, 1000.0, age, value, counts)
@@ -37,10 +37,10 @@ def overview(assemblies=ASSEMBLIES, remarks=()):
     ]
     inputs.append(InputState("torque", "torque", math.nan, math.nan, math.nan, ()))
     compared = Mismatch(True, 12.0, 500.0, 0.5, True, "measured torque is 500 Nm above the expected one")
-    told = tuple(Notice(name, kind.meaning) for name, kind in KINDS.items() if name in remarks)
+    statement = tuple(Notice(name, kind.meaning) for name, kind in KINDS.items() if name in remarks)
     state = "/home/somebody/.local/state/trackres/x.json"
     return Overview(
-        Level.WARN, told, 1_700_000_000 * 10**9, 0.02, 1000.0, 5, 1.0, -98765.0, values, tuple(assemblies), tuple(inputs),
+        Level.WARN, statement, 1_700_000_000 * 10**9, 0.02, 1000.0, 5, 1.0, -98765.0, values, tuple(assemblies), tuple(inputs),
         compared, None, "", state, 3.0, "", "",
     )  # fmt: skip
 
@@ -83,9 +83,9 @@ def test_what_is_watched_for_is_shown_and_said():
     assert re.sub(r"\s+", "", f"disturbance: {belief.text}") in words
     assert "disturbance:" not in bare
     assert as_dict(overview(), False)["disturbance"] is None
-    said = as_dict(watching, False)["disturbance"]
-    assert (said["there"], said["present"], said["torque_nm"]) == (0.97, True, 291.0)
-    drift = as_dict(replace(watching, disturbance=replace(belief, form="drift", probability=math.nan)), False)
+    text = as_dict(watching, False)["disturbance"]
+    assert (text["there"], text["present"], text["torque_nm"]) == (0.97, True, 291.0)
+    drift = as_dict(replace(watching, disturbance=replace(belief, form="drift", there=math.nan)), False)
     assert json.loads(json.dumps(drift, allow_nan=False))["disturbance"]["there"] is None
 
 
@@ -101,11 +101,11 @@ def test_what_is_learned_is_shown_and_said():
 def test_the_line_and_the_json_say_the_same():
     seen = overview()
     assert "feed-forward -98765 Nm" in line(seen)
-    told = json.loads(json.dumps(as_dict(seen, True), allow_nan=False))
-    assert told["final"] is True
-    assert told["feedforward_published_nm"] == -98765.0
-    assert told["inputs"][-1]["age_s"] is None
-    assert told["inputs"][0]["counts"]["dropped"] == 1234567
+    statement = json.loads(json.dumps(as_dict(seen, True), allow_nan=False))
+    assert statement["final"] is True
+    assert statement["feedforward_published_nm"] == -98765.0
+    assert statement["inputs"][-1]["age_s"] is None
+    assert statement["inputs"][0]["counts"]["dropped"] == 1234567
 
 
 @pytest.mark.parametrize("display", [LiveJson, lambda seen: LiveTable(lambda: "a vehicle", seen)])

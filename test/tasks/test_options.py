@@ -75,12 +75,12 @@ def test_no_command_takes_an_empty_text_for_a_path(name, refused, tmp_path, monk
     for option in COMMANDS[name].params:
         if isinstance(option, click.Option) and option.is_flag:
             continue
-        given = [("",)] if isinstance(option, click.Argument) else [(option.opts[0], "")]
-        given += [(f"{word}=",) for word in option.opts if word.startswith("--")]
-        for one in given:
-            shown = refused(*name.split(), *one)
-            assert "not empty" in shown, one
-            assert one[0].rstrip("=") in shown
+        given_values = [("",)] if isinstance(option, click.Argument) else [(option.opts[0], "")]
+        given_values += [(f"{word}=",) for word in option.opts if word.startswith("--")]
+        for item in given_values:
+            shown = refused(*name.split(), *item)
+            assert "not empty" in shown, item
+            assert item[0].rstrip("=") in shown
             assert "imported" not in shown
     assert [path.name for path in tmp_path.iterdir()] == ["mine.py"]
 
@@ -104,14 +104,14 @@ def values(parameter):
 @st.composite
 def words(draw, command):
     """The words of a call: required ones, and some of the others."""
-    drawn = []
+    drawings = []
     for parameter in command.params:
         if isinstance(parameter, click.Argument):
-            drawn += [draw(st.sampled_from(["drive.csv", "xgd24d"]) | values(parameter))]
+            drawings += [draw(st.sampled_from(["drive.csv", "xgd24d"]) | values(parameter))]
         elif parameter.required or draw(st.integers(0, 3)) == 0:
             switch = isinstance(parameter, click.Option) and parameter.is_flag
-            drawn += [parameter.opts[0], *([] if switch else [draw(values(parameter))])]
-    return drawn
+            drawings += [parameter.opts[0], *([] if switch else [draw(values(parameter))])]
+    return drawings
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -120,10 +120,10 @@ def test_whatever_is_typed_ends_in_one_line(name, trackres, folder):
     @given(words(COMMANDS[name]))
     def check(call):
         call = [*name.split(), *call, *ENDED.get(name, [])]
-        code, said = interrupted(trackres, call, folder, LONGEST_S)
-        assert code in ENDS, (call, said)
+        code, text = interrupted(trackres, call, folder, LONGEST_S)
+        assert code in ENDS, (call, text)
         if code == 2 and "--json" not in call:
-            assert sum(line.startswith("trackres: error: ") for line in said.splitlines()) == 1 or not call[1:], (call, said)
+            assert sum(line.startswith("trackres: error: ") for line in text.splitlines()) == 1 or not call[1:], (call, text)
 
     check()
 

@@ -63,36 +63,38 @@ def printed(text, total, parts):
 
 @pytest.mark.usefixtures("undrawn")
 def test_replay(vehicle, drive, tmp_path, good):
-    said = good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv")
+    text = good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv")
     table = columns(tmp_path / "out.csv")
     adds_up(table)
     for column in ("resistance_torque_nm", "hysteresis_nm"):
         each = sum(table[name] for name in table.dtype.names if name.startswith(f"{column}/"))
         np.testing.assert_allclose(each, table[column], atol=1e-9, rtol=0)
     assert np.any(table["effects_nm"]) == (vehicle != "xgd24d")
-    printed(next(line for line in said.splitlines() if line.startswith("At the end")), "resistance", RESISTANCE_PARTS)
-    told = json.loads(good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv", "--json"))["last"]
-    assert sum(told[column] for column in RESISTANCE_PARTS.values()) == pytest.approx(told["resistance_torque_nm"], abs=1e-9)
+    printed(next(line for line in text.splitlines() if line.startswith("At the end")), "resistance", RESISTANCE_PARTS)
+    statement = json.loads(good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv", "--json"))["last"]
+    assert sum(statement[column] for column in RESISTANCE_PARTS.values()) == pytest.approx(
+        statement["resistance_torque_nm"], abs=1e-9
+    )
 
 
 def test_simulate(vehicle, tmp_path, good):
-    said = good("simulate", "--vehicle", vehicle, "--speed-kmh", 30, "--duration-s", 60, "-o", tmp_path / "out.csv")
+    text = good("simulate", "--vehicle", vehicle, "--speed-kmh", 30, "--duration-s", 60, "-o", tmp_path / "out.csv")
     adds_up(columns(tmp_path / "out.csv"))
-    head, _, *rows = said.splitlines()
+    head, _, *rows = text.splitlines()
     numbers = takewhile(lambda row: not row.lstrip().startswith(("The ", "!")), rows)
-    shown = [dict(zip(head.split(), map(float, row.split()), strict=True)) for row in numbers]
-    assert shown
-    for row in shown:
+    shown_texts = [dict(zip(head.split(), map(float, row.split()), strict=True)) for row in numbers]
+    assert shown_texts
+    for row in shown_texts:
         assert abs(sum(row[part] for part in RESISTANCE_PARTS) - row["resistance"]) <= 2.5
 
 
 @pytest.mark.parametrize("speed_kmh", [-30, 20])
 def test_explain(vehicle, speed_kmh, good):
-    given = ("explain", "--vehicle", vehicle, "--speed-kmh", speed_kmh, "--belt-degc", 20)
-    torque = json.loads(good(*given, "--json"))["torque_nm"]
+    given_valuess = ("explain", "--vehicle", vehicle, "--speed-kmh", speed_kmh, "--belt-degc", 20)
+    torque = json.loads(good(*given_valuess, "--json"))["torque_nm"]
     assert sum(torque[part] for part in RESISTANCE_PARTS) == pytest.approx(torque["resistance"], abs=1e-9)
     assert (torque["effects"] != 0.0) == (vehicle != "xgd24d")
-    printed(next(line for line in good(*given).splitlines() if line.startswith("Torque")), "resistance", RESISTANCE_PARTS)
+    printed(next(line for line in good(*given_valuess).splitlines() if line.startswith("Torque")), "resistance", RESISTANCE_PARTS)
 
 
 def test_errors_are_json_where_json_is_asked_for(tmp_path, trackres):
@@ -105,10 +107,10 @@ def test_errors_are_json_where_json_is_asked_for(tmp_path, trackres):
         ("vehicle", "check", "nonsense"),
         ("diagnose", "nowhere.csv", "--vehicle", "xgd24d", "-o", tmp_path / "report"),
     ):
-        done = trackres(*words, "--json", cwd=tmp_path)
-        assert done.returncode == 2, done.stderr
-        error = json.loads(done.stdout)["error"]
+        outcome = trackres(*words, "--json", cwd=tmp_path)
+        assert outcome.returncode == 2, outcome.stderr
+        error = json.loads(outcome.stdout)["error"]
         assert set(error) == {"where", "given", "allowed", "remedy"}
         assert error["where"]
         assert error["allowed"]
-        assert done.stderr == ""
+        assert outcome.stderr == ""

@@ -77,11 +77,11 @@ def test_where_two_differ(good, tmp_path):
     content["chassis"]["ambient"]["value"] = 20.0
     content["model"]["thermal"] = "core_surface"
     file.write_text(yaml.safe_dump(content))
-    found = {d["path"]: d for d in json.loads(good("vehicle", "diff", "xgd24d", file, "--json"))["differences"]}
-    assert set(found) == {"name", "model.thermal", "chassis.bearing_friction", "chassis.axles.rear.load", "chassis.ambient"}
-    assert found["chassis.ambient"]["ratio"] is None  # a share of degC says nothing
-    assert found["chassis.bearing_friction"]["ratio"] == pytest.approx(0.8)
-    assert found["chassis.bearing_friction"]["ranges"] == [[0.004, 0.012], [0.005, 0.007]]
+    results = {d["path"]: d for d in json.loads(good("vehicle", "diff", "xgd24d", file, "--json"))["differences"]}
+    assert set(results) == {"name", "model.thermal", "chassis.bearing_friction", "chassis.axles.rear.load", "chassis.ambient"}
+    assert results["chassis.ambient"]["ratio"] is None  # a share of degC says nothing
+    assert results["chassis.bearing_friction"]["ratio"] == pytest.approx(0.8)
+    assert results["chassis.bearing_friction"]["ranges"] == [[0.004, 0.012], [0.005, 0.007]]
     text = good("vehicle", "diff", "xgd24d", file)
     assert "-20.0 %" in text
     assert good("vehicle", "diff", "agri3t", "agri3t").strip() == "They have the same values."

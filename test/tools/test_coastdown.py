@@ -41,8 +41,8 @@ def drive(vehicle, times=4, noise=0.01, slope=0.0, seed=1):
             speed += ACCELERATION * DT_S
             rows.append((speed, step(ACCELERATION)["drive_torque_nm"], grade))
         while speed > 0.1:
-            now = step(0.0)
-            speed -= (now["resistance_torque_nm"] + now["grade_nm"]) / inertia * DT_S
+            time_now = step(0.0)
+            speed -= (time_now["resistance_torque_nm"] + time_now["grade_nm"]) / inertia * DT_S
             rows.append((speed, 0.0, grade))
         speed = 0.0
         rows += [(0.0, step(0.0)["drive_torque_nm"], grade)] * 200
@@ -57,8 +57,8 @@ def heavier_bearings(vehicle, factor=1.4):
 
 
 def written(path, table, columns=HEADER):
-    of = [COLUMNS.index(name) for name in columns.split(",")]
-    np.savetxt(path, table[:, of], delimiter=",", header=columns, comments="", fmt="%.7f")
+    item = [COLUMNS.index(name) for name in columns.split(",")]
+    np.savetxt(path, table[:, item], delimiter=",", header=columns, comments="", fmt="%.7f")
     return path
 
 
@@ -150,14 +150,14 @@ def longitude_at(way):
 @pytest.mark.parametrize("seed", range(3))
 def test_ranges_hold_the_truth_after_a_release_and_with_noise(of_car, seed):
     table = car_drive(seed)
-    found = of_car(table).coastdown
-    (session,), rolls = found.runs.sessions, table[:, 2] == 0.0
-    for stretch, (release, again) in zip(found.runs.stretches, np.flatnonzero(np.diff(rolls)).reshape(4, 2), strict=True):
+    result = of_car(table).coastdown
+    (session,), rolls = result.runs.sessions, table[:, 2] == 0.0
+    for stretch, (release, repetition) in zip(result.runs.stretches, np.flatnonzero(np.diff(rolls)).reshape(4, 2), strict=True):
         assert 0.0 <= session.time[stretch.begin] - table[release, 0] < 3.0
-        assert 0.0 <= table[again, 0] - session.time[stretch.end] < 7.0
-    for one in found.parameters:
-        assert one.determined
-        assert one.interval.low < TRUE_CAR[one.name] < one.interval.high
+        assert 0.0 <= table[repetition, 0] - session.time[stretch.end] < 7.0
+    for parameter in result.parameters:
+        assert parameter.determined
+        assert parameter.interval.low < TRUE_CAR[parameter.name] < parameter.interval.high
 
 
 @pytest.mark.parametrize(("every", "gap"), [(1, 0.0), (10, 0.0), (1, 1.0)])
@@ -167,13 +167,13 @@ def test_there_and_back_on_a_slope_is_as_on_level_ground(of_car, slope, noise, e
     """With a speed every so many steps, and without those so near [m/s] to 16 m/s, which makes two pieces of a coast-down."""
     table = car_drive(slope=slope, times=8, noise=noise)[::every]
     table = table[(table[:, 2] != 0.0) | (np.abs(table[:, 1] - 16.0) >= gap)]
-    found = of_car(table)
-    assert found.coastdown.runs.count == 8
-    assert found.better
-    values = {p.name: p.value for p in found.coastdown.parameters}
+    result = of_car(table)
+    assert result.coastdown.runs.count == 8
+    assert result.better
+    values = {p.name: p.value for p in result.coastdown.parameters}
     for speed in (8.0, 15.0, 25.0):
         assert car_force(values, speed) == pytest.approx(car_force(TRUE_CAR, speed), rel=0.01)
-    for p in found.coastdown.parameters:
+    for p in result.coastdown.parameters:
         half = 0.5 * (p.interval.high - p.interval.low)
         assert noise == 0.0 or abs(p.value - TRUE_CAR[p.name]) < 1.5 * half  # three standard deviations
 
@@ -181,8 +181,8 @@ def test_there_and_back_on_a_slope_is_as_on_level_ground(of_car, slope, noise, e
 @pytest.mark.parametrize("times", [4, 5])
 def test_few_coast_downs_have_a_hidden_slope_in_their_ranges(of_car, times):
     slope = 0.005
-    of = of_car(car_drive(slope=slope, times=times)).coastdown.parameters[0]
-    assert of.interval.high - of.interval.low > 2.0 * slope
+    item = of_car(car_drive(slope=slope, times=times)).coastdown.parameters[0]
+    assert item.interval.high - item.interval.low > 2.0 * slope
 
 
 @pytest.mark.parametrize(
@@ -195,8 +195,8 @@ def test_a_torque_sensor_does_not_matter_without_a_torque(tmp_path, of_car, name
     text = "".join(line for line in file.read_text().splitlines(True) if f" torque_{name}:" not in line)
     unit = {"offset": "Nm", "scale": "1", "delay": "s"}[name]
     file.write_text(f"{text}  torque_{name}: {{value: {value}, unit: '{unit}', flag: A, range: {list(ends)}, reason: sensor}}\n")
-    found = of_car(car_drive(), file).coastdown
-    for p, q in zip(found.parameters, without.parameters, strict=True):
+    result = of_car(car_drive(), file).coastdown
+    for p, q in zip(result.parameters, without.parameters, strict=True):
         assert (p.name, p.value, p.interval.low, p.interval.high) == pytest.approx(
             (q.name, q.value, q.interval.low, q.interval.high)
         )
@@ -208,8 +208,8 @@ def test_an_unknown_mass_widens_only_the_range_of_forces(tmp_path, of_car):
     known = of_car(car_drive(), file).coastdown
     ends = [CAR_KG * (1.0 - share), CAR_KG * (1.0 + share)]
     file.write_text(file.read_text().replace(f"range: [{CAR_KG}, {CAR_KG}]", f"range: {ends}"))
-    found = of_car(car_drive(), file).coastdown
-    for p, q in zip(found.parameters, known.parameters, strict=True):
+    result = of_car(car_drive(), file).coastdown
+    for p, q in zip(result.parameters, known.parameters, strict=True):
         of_mass = 0.98 * share * p.value if p.name == "drag_area" else 0.0
         assert p.value - p.interval.low == pytest.approx(np.hypot(q.value - q.interval.low, of_mass), rel=0.02)
 
@@ -226,15 +226,15 @@ def test_track_ranges_hold_the_truth_for_any_mass_of_the_file(tmp_path, xgd24d, 
 def test_the_speed_by_the_file_is_that_of_its_forces(tmp_path, of_car, rolling, area):
     file = cart(tmp_path / "car.yaml", CAR_KG)
     file.write_text(file.read_text().replace("value: 0.02,", f"value: {rolling},").replace("value: 4.0,", f"value: {area},"))
-    found = of_car(car_drive(noise=0.0), file)
-    values = {p.name: p.value for p in found.coastdown.parameters}
-    for one in found.as_dict()["rollouts"]:
-        for of, by in (("file", {"rolling_coefficient": rolling, "rolling_rise": 0.0, "drag_area": area}), ("found", values)):
-            speed, dt = one["from_mps"], 0.01
-            for _ in range(round(one["seconds"] / dt)):
+    result = of_car(car_drive(noise=0.0), file)
+    values = {p.name: p.value for p in result.coastdown.parameters}
+    for item in result.as_dict()["rollouts"]:
+        for value, by in (("file", {"rolling_coefficient": rolling, "rolling_rise": 0.0, "drag_area": area}), ("found", values)):
+            speed, dt = item["from_mps"], 0.01
+            for _ in range(round(item["seconds"] / dt)):
                 speed = max(0.0, speed - car_force(by, speed) / (1.1 * CAR_KG) * dt)
-            near = pytest.approx(speed - one["to_mps"], abs=0.1)  # friction fades near standstill
-            assert one["too_fast_at_the_end_mps"][of] == near
+            near = pytest.approx(speed - item["to_mps"], abs=0.1)  # friction fades near standstill
+            assert item["too_fast_at_the_end_mps"][value] == near
 
 
 @pytest.mark.parametrize(
@@ -251,20 +251,20 @@ def test_coast_downs_keep_the_order_driven(given, expected):
     """Each lasts ten from its start @; those at the same time have clocks of their own."""
     starts = {name: int(name.partition("@")[2] or 0) for name in given.split()}
     for is_set in (1, 0):  # or never set
-        logged = {name: np.array([at, at + 10]) for name, at in starts.items()}
-        recordings = [Recording(name, {"speed": Series(is_set * at, at, 0.0 * at)}) for name, at in logged.items()]
-        assert " ".join(one.name for one in in_driving_order(recordings)) == expected
+        logged = {name: np.array([place, place + 10]) for name, place in starts.items()}
+        recordings = [Recording(name, {"speed": Series(is_set * place, place, 0.0 * place)}) for name, place in logged.items()]
+        assert " ".join(item.name for item in in_driving_order(recordings)) == expected
 
 
 @pytest.mark.parametrize("least", [0.00015, 0.0003, 0.001])
 def test_no_value_beyond_its_range_in_the_file_is_written(tmp_path, of_car, least):
-    found = of_car(car_drive(), cart(tmp_path / "car.yaml", CAR_KG, rise=(least, 0.002)))
-    beyond = [p.name for p in found.coastdown.parameters if p.is_outside]
-    assert found.better == (not beyond)
+    result = of_car(car_drive(), cart(tmp_path / "car.yaml", CAR_KG, rise=(least, 0.002)))
+    beyond = [p.name for p in result.coastdown.parameters if p.is_outside]
+    assert result.better == (not beyond)
     if beyond:
-        assert all(name in found.why_not for name in beyond)
+        assert all(name in result.why_not for name in beyond)
     else:
-        for p in found.coastdown.parameters:
+        for p in result.coastdown.parameters:
             assert p.by_file[0] <= p.interval.low <= p.value <= p.interval.high <= p.by_file[1]
 
 
@@ -273,11 +273,11 @@ def test_values_that_no_file_may_hold_are_not_written(tmp_path, of_car, monkeypa
     table, file = car_drive(noise=0.0), cart(tmp_path / "car.yaml", CAR_KG)
     assert of_car(table, file).better
     file.write_text(file.read_text().replace("25.0", "60.0"))
-    found = of_car(table, file)
-    assert not found.better
-    assert "no command would accept" in repr(found)
+    result = of_car(table, file)
+    assert not result.better
+    assert "no command would accept" in repr(result)
     with pytest.raises(tr.InputError, match="rolling_coefficient / max_speed"):
-        found.save_vehicle(tmp_path / "new.yaml")
+        result.save_vehicle(tmp_path / "new.yaml")
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-3])
@@ -308,21 +308,21 @@ def test_other_clocks_are_moved_and_set_ones_refused(tmp_path):
         return rollouts([made], loaded, 1.0)
 
     for off_ns in (-3_600_000_000_000, 3_600_000_000_000):
-        np.testing.assert_array_equal(*(rolled(speed.stamp_ns + off).sessions[0].grade for off in (0, off_ns)))
+        np.testing.assert_array_equal(*(rolled(speed.stamp_ns + deviation).sessions[0].grade for deviation in (0, off_ns)))
     set_back = np.where(speed.stamp_ns > speed.stamp_ns[900], speed.stamp_ns - 30_000_000_000, speed.stamp_ns)
     with pytest.raises(tr.InputError, match="times that go back by 30 s"):
         rolled(set_back)
     for clock in (set_back, speed.stamp_ns + 37_000_000_000):  # a dead sensor's matters to nobody
         dead = replace(speed, stamp_ns=clock, value=0.0 * speed.value)
-        found = rollouts([replace(recording, series={**recording.series, "torque": dead})], loaded, 1.0)
-        assert len(found.stretches) == len(rolled(speed.stamp_ns).stretches)
-        assert "clock is not the speed's" in " ".join(found.notes)
+        result = rollouts([replace(recording, series={**recording.series, "torque": dead})], loaded, 1.0)
+        assert len(result.stretches) == len(rolled(speed.stamp_ns).stretches)
+        assert "clock is not the speed's" in " ".join(result.notes)
 
 
 def slope_error(rolled, table):
     """Root mean square error of the slopes in coast-downs."""
-    of = [(s.grade - np.interp(s.time + 0.5 * s.step, table[:, 0], table[:, 3]))[s.used] for s in rolled.sessions]
-    return float(np.sqrt(np.mean(np.concatenate(of) ** 2)))
+    item = [(s.grade - np.interp(s.time + 0.5 * s.step, table[:, 0], table[:, 3]))[s.used] for s in rolled.sessions]
+    return float(np.sqrt(np.mean(np.concatenate(item) ** 2)))
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.0, -1.0])
@@ -332,25 +332,25 @@ def test_decelerations_decide_on_the_slopes_of_an_altitude(tmp_path, factor):
     ends = np.flatnonzero((table[1:, 2] > 0.0) & (table[:-1, 2] == 0.0))[:3] + 1
     shown = table * [1.0, 1.0, 1.0, 1.0, factor, 1.0, 1.0] + [0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0]
     files = [written(tmp_path / f"{i}.csv", part, "time_s,speed_mps,altitude_m") for i, part in enumerate(np.split(shown, ends))]
-    found = rollouts([tr.read(file) for file in files], load_base(cart(tmp_path / "car.yaml", CAR_KG)), 1.0)
-    assert len(found.stretches) == 4
-    assert [("grade" in s.given) for s in found.sessions] == [factor == 1.0] * 4
+    result = rollouts([tr.read(file) for file in files], load_base(cart(tmp_path / "car.yaml", CAR_KG)), 1.0)
+    assert len(result.stretches) == 4
+    assert [("grade" in s.given) for s in result.sessions] == [factor == 1.0] * 4
     if factor == -1.0:
-        assert all("no usable slope" in note for note in found.notes if "altitude" in note)
+        assert all("no usable slope" in note for note in result.notes if "altitude" in note)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.7])
 def test_coast_downs_have_the_slopes_of_a_route_and_end_with_it(tmp_path, share):
     table = car_drive(hills=HILLY)
     way = np.arange(0.0, share * np.sum(table[:, 1]) * 0.2, 20.0)
-    slope, one = HILLY * np.sin(way / HILL_M), np.ones(len(way))
+    slope, item = HILLY * np.sin(way / HILL_M), np.ones(len(way))
     value, std = np.stack([slope, -slope], axis=1), np.full((len(way), 2), 0.001)
-    route = RouteMap(SLOPE, np.radians(one), longitude_at(way), 0.0 * one, value, std, 4 * one.astype(int))
+    route = RouteMap(SLOPE, np.radians(item), longitude_at(way), 0.0 * item, value, std, 4 * item.astype(int))
     file = written(tmp_path / "roll.csv", table, "time_s,speed_mps,latitude_deg,longitude_deg")
     level = load_base(cart(tmp_path / "car.yaml", CAR_KG))
-    without, found = (rollouts([tr.read(file)], replace(level, route=maps), 1.0) for maps in ((), (route,)))
-    assert slope_error(found, table) < 0.001 < slope_error(without, table)
-    assert (found.sessions[0].used.sum() < 0.9 * without.sessions[0].used.sum()) == (share < 1.0)
+    without, result = (rollouts([tr.read(file)], replace(level, route=maps), 1.0) for maps in ((), (route,)))
+    assert slope_error(result, table) < 0.001 < slope_error(without, table)
+    assert (result.sessions[0].used.sum() < 0.9 * without.sessions[0].used.sum()) == (share < 1.0)
     nowhere = rollouts([tr.read(written(file, table, "time_s,speed_mps"))], replace(level, route=(route,)), 1.0)
     assert any("slope of the route" in note and "as position is not known" in note for note in nowhere.notes)
 
@@ -367,39 +367,39 @@ def resistance(vehicle, speed_kmh, found=None):
 
 @pytest.mark.parametrize("columns", ["time_s,speed_mps", "time_s,speed_mps,torque_nm"])
 def test_what_resists_is_found_within_its_ranges(tmp_path, xgd24d, rolled, columns):
-    found = tr.coastdown(written(tmp_path / "roll.csv", rolled, columns), "xgd24d")
+    result = tr.coastdown(written(tmp_path / "roll.csv", rolled, columns), "xgd24d")
     true = heavier_bearings(xgd24d)
-    by_name = {p.name: p for p in found.coastdown.parameters}
-    of = by_name["bearing_friction"]
-    assert of.determined
-    assert of.interval.low < true.chassis.bearing_friction < of.interval.high
+    by_name = {p.name: p for p in result.coastdown.parameters}
+    item = by_name["bearing_friction"]
+    assert item.determined
+    assert item.interval.low < true.chassis.bearing_friction < item.interval.high
     for name in ("loss_modulus_scale", "drag_coefficient"):
         assert by_name[name].interval.low < by_name[name].file_value < by_name[name].interval.high
-    assert "loss_modulus_scale" in of.with_others  # a force that hardly varies: only both together are told
+    assert "loss_modulus_scale" in item.with_others  # a force that hardly varies: only both together are told
     for speed_kmh in (10.0, 25.0, 40.0):
-        assert resistance(xgd24d, speed_kmh, found) == pytest.approx(resistance(true, speed_kmh), rel=0.01)
-    assert found.better
-    assert found.coastdown.improvement.after < 0.1 * found.coastdown.improvement.before
+        assert resistance(xgd24d, speed_kmh, result) == pytest.approx(resistance(true, speed_kmh), rel=0.01)
+    assert result.better
+    assert result.coastdown.improvement.after < 0.1 * result.coastdown.improvement.before
 
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_fewer_than_three_coast_downs_confirm_nothing(tmp_path, rolled, times):
     begins = np.flatnonzero((rolled[1:, 2] > 0.0) & (rolled[:-1, 2] <= 0.0)) + 1  # of the later drives
-    found = tr.coastdown(written(tmp_path / "roll.csv", rolled[: begins[times - 1]], "time_s,speed_mps"), "xgd24d")
-    assert len(found.coastdown.runs.stretches) == times
-    assert any(p.determined for p in found.coastdown.parameters)
-    assert repr(found).count("not told") == sum(not p.determined for p in found.coastdown.parameters) > 0
-    assert not found.better
-    assert "record three or more" in found.why_not
+    result = tr.coastdown(written(tmp_path / "roll.csv", rolled[: begins[times - 1]], "time_s,speed_mps"), "xgd24d")
+    assert len(result.coastdown.runs.stretches) == times
+    assert any(p.determined for p in result.coastdown.parameters)
+    assert repr(result).count("not told") == sum(not p.determined for p in result.coastdown.parameters) > 0
+    assert not result.better
+    assert "record three or more" in result.why_not
 
 
 def test_what_the_file_says_already_is_not_written_anew(tmp_path, xgd24d):
-    found = tr.coastdown(written(tmp_path / "roll.csv", drive(xgd24d)), "xgd24d")
+    result = tr.coastdown(written(tmp_path / "roll.csv", drive(xgd24d)), "xgd24d")
     for speed_kmh in (10.0, 40.0):
-        assert resistance(xgd24d, speed_kmh, found) == pytest.approx(resistance(xgd24d, speed_kmh), rel=0.01)
-    if not found.better:
+        assert resistance(xgd24d, speed_kmh, result) == pytest.approx(resistance(xgd24d, speed_kmh), rel=0.01)
+    if not result.better:
         with pytest.raises(tr.InputError, match="save_vehicle"):
-            found.save_vehicle(tmp_path / "new.yaml")
+            result.save_vehicle(tmp_path / "new.yaml")
     assert not (tmp_path / "new.yaml").exists()
 
 
@@ -409,9 +409,9 @@ def test_all_scales_with_the_mass(tmp_path, rolled):
 
     def force(mass, speed):
         file = cart(tmp_path / "cart.yaml", mass)
-        found = tr.coastdown(roll, file)
-        assert found.better
-        return car_force({p.name: p.value for p in found.coastdown.parameters}, speed, mass)
+        result = tr.coastdown(roll, file)
+        assert result.better
+        return car_force({p.name: p.value for p in result.coastdown.parameters}, speed, mass)
 
     for speed in (3.0, 10.0):
         assert force(20000.0, speed) == pytest.approx(2.0 * force(10000.0, speed), rel=0.02)
@@ -429,9 +429,9 @@ def test_a_slope_that_is_known_does_not_matter(tmp_path, xgd24d):
     true = heavier_bearings(xgd24d)
     sloped = drive(true, slope=0.004, times=6)
     for columns in (HEADER, "time_s,speed_mps"):  # known or hidden
-        found = tr.coastdown(written(tmp_path / "roll.csv", sloped, columns), "xgd24d")
-        assert found.better
-        assert resistance(xgd24d, 25.0, found) == pytest.approx(resistance(true, 25.0), rel=0.01)
+        result = tr.coastdown(written(tmp_path / "roll.csv", sloped, columns), "xgd24d")
+        assert result.better
+        assert resistance(xgd24d, 25.0, result) == pytest.approx(resistance(true, 25.0), rel=0.01)
 
 
 def test_each_rolling_out_may_be_a_recording_of_its_own(tmp_path, xgd24d, rolled):
@@ -443,16 +443,16 @@ def test_each_rolling_out_may_be_a_recording_of_its_own(tmp_path, xgd24d, rolled
         piece[:, 0] -= piece[0, 0]
         files.append(written(tmp_path / f"roll_{number}.csv", piece, "time_s,speed_mps"))
     assert len(files) == 4
-    found = tr.coastdown(files, "xgd24d")
-    assert [s.session for s in found.coastdown.runs.stretches] == [0, 1, 2, 3]
+    result = tr.coastdown(files, "xgd24d")
+    assert [s.session for s in result.coastdown.runs.stretches] == [0, 1, 2, 3]
     true = resistance(heavier_bearings(xgd24d), 25.0)
-    assert resistance(xgd24d, 25.0, found) == pytest.approx(true, rel=0.05)  # how warm it was before is not known
+    assert resistance(xgd24d, 25.0, result) == pytest.approx(true, rel=0.05)  # how warm it was before is not known
 
 
 def test_a_coast_down_given_twice_is_refused(tmp_path, rolled):
-    one = written(tmp_path / "roll.csv", rolled)
-    again = written(tmp_path / "again.csv", rolled, "time_s,speed_mps")
-    for files in ([one, one], [one, again]):
+    item = written(tmp_path / "roll.csv", rolled)
+    repetition = written(tmp_path / "again.csv", rolled, "time_s,speed_mps")
+    for files in ([item, item], [item, repetition]):
         with pytest.raises(tr.InputError, match="each drive once") as error:
             tr.coastdown(files, "xgd24d")
         assert sorted(error.value.where.split(", ")) == sorted(map(str, files))
@@ -478,9 +478,9 @@ def test_what_is_driven_or_braked_is_not_taken(tmp_path, xgd24d, rolled):
 
 @pytest.mark.parametrize("every", [4, 40])
 def test_a_speed_that_comes_slowly_will_do(tmp_path, xgd24d, rolled, every):
-    found = tr.coastdown(written(tmp_path / "slow.csv", rolled[::every], "time_s,speed_mps"), "xgd24d")
-    assert resistance(xgd24d, 25.0, found) == pytest.approx(resistance(heavier_bearings(xgd24d), 25.0), rel=0.01)
-    assert found.coastdown.better
+    result = tr.coastdown(written(tmp_path / "slow.csv", rolled[::every], "time_s,speed_mps"), "xgd24d")
+    assert resistance(xgd24d, 25.0, result) == pytest.approx(resistance(heavier_bearings(xgd24d), 25.0), rel=0.01)
+    assert result.coastdown.better
 
 
 def test_too_little_of_it_is_refused_with_what_there_is(tmp_path, rolled):
@@ -500,8 +500,8 @@ def test_the_command_writes_what_is_better_and_says_what_is_not(tmp_path, rolled
     assert "4 coast-downs" in shown
     assert "Written: new.yaml, rubber/nr_sbr_10hz.csv, roll.png" in shown
     assert (tmp_path / "roll.png").stat().st_size > 10000
-    again = json.loads(good("coastdown", "roll.csv", "--vehicle", "new.yaml", "--save-vehicle", "newer.yaml", "--json"))
-    assert again["held_out_nm"]["file"] < 10.0
-    assert again["better"] == (tmp_path / "newer.yaml").exists()
+    repetition = json.loads(good("coastdown", "roll.csv", "--vehicle", "new.yaml", "--save-vehicle", "newer.yaml", "--json"))
+    assert repetition["held_out_nm"]["file"] < 10.0
+    assert repetition["better"] == (tmp_path / "newer.yaml").exists()
     reason = tr.load_vehicle("new.yaml").parameters["chassis.bearing_friction"].reason
     assert reason.startswith("re-fitted by trackres coastdown; before it 0.0075 (")

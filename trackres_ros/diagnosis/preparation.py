@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.checks import Refusal
 from trackres_ros.diagnosis.prepare.gate import Gated, gate, on_route, with_fewer_steps
-from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, SensorFinding, Split, split
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, SensorFinding, Split, split_laps
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock, check_torque, faulty_torques, inconsistent_scale_notes
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
@@ -89,7 +89,7 @@ def prepare(recordings: Sequence[Recording], vehicle: LoadedBase, options: Diagn
     gate_result, base, effects = remove_offset(gate_result, base, effects)
     vehicle = replace(vehicle, base=base)
     return PreparedSessions(
-        vehicle, gate_result, split(gate_result.sessions, options.holdout), nominal, recorded_sessions, effects
+        vehicle, gate_result, split_laps(gate_result.sessions, options.holdout), nominal, recorded_sessions, effects
     )
 
 

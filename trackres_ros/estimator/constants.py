@@ -32,6 +32,7 @@ from trackres_ros.model.resistance import TORQUE_TERMS
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, parting_resistance, thermal_network
 from trackres_ros.model.track import load_range, vehicle_constants
+from trackres_ros.recording.roles import PLAUSIBLE
 from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
 from trackres_ros.route.lookup import CELL_COLUMNS, PLACE_COLUMNS
 from trackres_ros.units import GRAVITY
@@ -162,23 +163,6 @@ def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: A
 
 # Constants
 
-# Limits outside of which a measurement is refused, unless the vehicle file gives others: [low, high] in SI, degC.
-PLAUSIBLE = {
-    "torque": (-1e6, 1e6),
-    "ambient": (-60.0, 60.0),
-    "belt": (-60.0, 180.0),
-    "accel": (-15.0, 15.0),
-    "grade": (-0.6, 0.6),
-    "yaw_rate": (-5.0, 5.0),
-    "heading": (-1e3, 1e3),
-    "distance": (-1e9, 1e9),
-    "passengers": (0.0, 1e3),
-    "latitude": (-0.5 * math.pi, 0.5 * math.pi),
-    "longitude": (-2.0 * math.pi, 2.0 * math.pi),
-    "enable": (0.0, 1.0),
-    "altitude": (-1e3, 1e4),
-    "specific_force": (-30.0, 30.0),
-}
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
 LEAST_AIR_STD_K = 1e-3  # of an assumed air, so that a belt's departure due to it is known
@@ -272,7 +256,7 @@ class Constants(NamedTuple):
     route_places: Annotated[Array, (None, PLACE_COLUMNS)]
 
 
-TableMaker = Callable[[Vehicle, str, Path | None], LossTable]
+Maker = Callable[[Vehicle, str, Path | None], LossTable]
 """Makes the loss table of a kind of track, by its name, with a folder of the cache."""
 
 
@@ -294,23 +278,18 @@ def check_own_effects(vehicle: AnyVehicle) -> None:
 
 
 def make_constants(
-    vehicle: AnyVehicle,
-    settings: Settings,
-    cache: Path | None = None,
-    with_uncertainty: bool = True,
-    make_table: TableMaker = loss_table,
+    vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, with_uncertainty: bool = True, maker: Maker = loss_table
 ) -> Constants:
     """Gather the constants; builds the loss tables or takes them from the cache.
 
     Not `with_uncertainty`: belts without standard deviations and heat, and without the half second that these take at first.
-    `make_table`: makes the loss table of a kind of track.
+    `maker`: makes the loss table of a kind of track.
     """
     check_own_effects(vehicle)
-    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, make_table)
+    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache, with_uncertainty, maker)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     table = effect_table(vehicle.own, vehicle.surroundings)
     frame = frame_of(vehicle.route)
-    feed_shares: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS}
     number = Numbers(
         with_uncertainty=with_uncertainty,
         surroundings=bool(vehicle.surroundings or vehicle.route),
@@ -339,15 +318,12 @@ def make_constants(
         speed_variance=settings.speed_std_mps**2,
         acceleration_variance=settings.acceleration_std**2,
         acceleration_time=settings.acceleration_time_s,
-        feedforward_rate=settings.feedforward_rate,
-        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, layout.Assembly.radius])),
         speed_max_age=settings.speed_max_age_s,
-        feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
         **_gears(vehicle, settings),
         **_places(vehicle),
         **_times_ns(settings),
-        **feed_shares,
+        **_feedforward(settings, float(np.dot(loads, runs_on.assembly[:, layout.Assembly.radius]))),
         **runs_on.numbers,
     )
     return Constants(
@@ -360,6 +336,16 @@ def make_constants(
         table.values,
         *followed_in(vehicle.route, frame),
     )
+
+
+def _feedforward(settings: Settings, weight_torque: float) -> dict[str, Any]:
+    """Rate, limit, fade and terms of the feed-forward; `weight_torque`: nominal weight times sprocket radius [Nm]."""
+    return {
+        "feedforward_rate": settings.feedforward_rate,
+        "feedforward_limit": settings.feedforward_share * weight_torque,
+        "feedforward_fade": settings.feedforward_fade_s,
+        **{f"feed_{part}": float(part in settings.feedforward_parts) for part in TORQUE_TERMS},
+    }
 
 
 def _gears(vehicle: AnyVehicle, settings: Settings) -> dict[str, Any]:
@@ -388,10 +374,10 @@ def _times_ns(settings: Settings) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=2)  # a change of settings must not hold a node's outputs where no file can be cached
-def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool, make_table: TableMaker) -> Running:
+def _tracks(vehicle: Vehicle, cache: Path | None, with_uncertainty: bool, maker: Maker) -> Running:
     """Assemblies with belts."""
     names = list(vehicle.tracks)
-    tables = [make_table(vehicle, name, cache) for name in names]
+    tables = [maker(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
         check_heat(vehicle, name, table)
     ranges = [coverage(vehicle, name) for name in names]

@@ -72,11 +72,11 @@ class Belief:
     """Belief about a disturbance at one time."""
 
     form: str  # `spells` or `drift`
-    probability: float  # probability of a spell; nan for a drift
+    there: float  # probability of a spell; nan for a drift
     torque_nm: float  # expected torque against travel
     std_nm: float  # its standard deviation
     since_ns: int | None  # stamp at which the present spell began or the last one ended; None before either, and for a drift
-    is_present: bool  # whether a spell is reported
+    present: bool  # whether a spell is reported
     is_overdue: bool  # whether it lasts longer than spells do: then it is a different, lasting change
 
     @property
@@ -84,8 +84,8 @@ class Belief:
         """The same in a sentence."""
         if self.form == Drift.form:
             return f"the drifting torque is estimated at {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
-        state = "present for longer than usual" if self.is_overdue else "present" if self.is_present else "absent"
-        return f"the intermittent torque is {state} (probability {self.probability:.2f}): {self.torque_nm:.0f} Nm against travel"
+        state = "present for longer than usual" if self.is_overdue else "present" if self.present else "absent"
+        return f"the intermittent torque is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
 
 
 class _SpellsFilter:
@@ -186,7 +186,7 @@ class DisturbanceWatch:
                 self._sum += residual_nm * math.copysign(1.0, speed_mps) * seconds
                 self._seconds += seconds
             self._last_ns = stamp_ns
-        self._turn(self.belief(stamp_ns).probability, began_ns)
+        self._turn(self.belief(stamp_ns).there, began_ns)
         return self.belief(stamp_ns)
 
     def belief(self, stamp_ns: int) -> Belief:

@@ -71,7 +71,7 @@ class Estimator:
     vehicle
         From `trackres_ros.load_vehicle`, the path of its file, or the name of a shipped one.
     settings
-        See docs/settings.md for the defaults.
+        Parameters of the estimator; config/trackres.yaml has the defaults.
     cache
         Folder of computed tables; by default the user's.
     entries

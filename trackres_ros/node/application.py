@@ -31,7 +31,7 @@ from trackres_ros.node.output import FeedforwardFilter, OutputPublisher
 from trackres_ros.node.parameters import Parameters, changed_parameters, read_setup
 from trackres_ros.node.process import RESET, RESET_LEARNING, SAVE, ServiceManager, SignalRequests, steady_ns
 from trackres_ros.node.state_keeper import StateKeeper, state_path
-from trackres_ros.node.status import STARTING_NS, Overview, Watch, bare_status, contested, statuses, two_speeds
+from trackres_ros.node.status import STARTING_NS, Overview, Watch, bare_status, contest_notice, statuses, two_speeds
 from trackres_ros.node.transport import (
     InputTopic,
     KeepMessage,
@@ -108,9 +108,9 @@ class Application:
         self._peers: list[Sequence[Peer]] = [()] * len(self.inputs)
         self._latched: set[int] = set()  # inputs that also receive what their publishers keep
         self._rivals: Sequence[str] = ()
-        now = steady_ns()
-        self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
-        self._next_look_ns, self._started_ns = now, now
+        now_ns = steady_ns()
+        self._next_second_ns, self._next_output_ns, self._next_save_ns = now_ns, now_ns, now_ns + self._save_period_ns()
+        self._next_look_ns, self._started_ns = now_ns, now_ns
 
     @property
     def publishes(self) -> bool:
@@ -156,41 +156,41 @@ class Application:
 
     # The way of a sample: guards and step, filter, publisher
 
-    def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
+    def _step(self, channel: int, stamp: int, value: float, steady_ns: int, now_ns: int, arrival: int) -> None:
         """Have the guards judge a sample; an accepted speed makes a step."""
         state_file = None
         if channel == at.SPEED and self._publisher.stamp_ns is None:
             self.guard("cooling the restored belts", self._rest_unused_belts)
             state_file = self.guard("recording", self._restored_state) if self.on_restored else None
         counters = self.session.memory.counters
-        accepted, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
+        accepted_count, doubtful_count = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.feed(channel, stamp, arrival, value)
-        if counters[channel, ACCEPTED] != accepted:
-            self._watch.accepted_ns[channel] = steady - self._waited_ns(channel, arrival)
-        elif counters[channel, IMPLAUSIBLE] != doubted:
+        if counters[channel, ACCEPTED] != accepted_count:
+            self._watch.accepted_ns[channel] = steady_ns - self._waited_ns(channel, arrival)
+        elif counters[channel, IMPLAUSIBLE] != doubtful_count:
             self._show(SPEED_IMPLAUSIBLE if channel == at.SPEED else LOAD_DOUBTED)
         if estimate is not None:
             if state_file and self.on_restored:
                 self.guard("recording", self.on_restored, state_file, arrival)
-            self._use_estimate(estimate, steady, now, arrival)
+            self._use_estimate(estimate, steady_ns, now_ns, arrival)
 
-    def _use_estimate(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
+    def _use_estimate(self, estimate: Estimate, steady_ns: int, now_ns: int, arrival: int) -> None:
         """Hand an estimate to the filter and the publisher, then to all that only look at it."""
         values = estimate.row.tolist()
         if bad_columns := [self.estimator.columns[column] for column in MUST_BE_FINITE if not math.isfinite(values[column])]:
             raise ArithmeticError(f"not finite: {', '.join(bad_columns)}")  # without values: a new text each time floods the log
-        stamp, waited = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
-        set_ns = 0 if self.messages.reader.stamped else self.clock.set_by_ns(now, arrival)
-        self.filter.take(steady, waited)
+        stamp, waited_ns = int(self.session.memory.times[at.SPEED, at.Times.last_stamp]), self._waited_ns(at.SPEED, arrival)
+        set_ns = 0 if self.messages.reader.clock_shifts_ns else self.clock.set_by_ns(now_ns, arrival)
+        self.filter.take(steady_ns, waited_ns)
         self._publisher.take(values, stamp + set_ns)
-        offset = now - waited - stamp - set_ns
+        offset = now_ns - waited_ns - stamp - set_ns
         new_reasons = self.guard("watching the reasons", self._watch.count_step, int(values[at.Results.reasons]), offset)
         if new_reasons:
             self._last_reasons = None
         if self.publishes and self._on_speed:
-            self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
+            self._next_output_ns = steady_ns + int(LONGEST_PERIOD_S * SECOND_NS)
             self.guard.essential("publishing", self._publish, self.clock.steady_ns())
-        self._state_at = time.time() - waited * NANOSECOND
+        self._state_at = time.time() - waited_ns * NANOSECOND
         news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values, arrival, set_ns)
         if news:
             self._last_reasons = None
@@ -202,12 +202,12 @@ class Application:
             record = self.on_estimate
             self.guard("recording", lambda: record([*values, *self.learning.columns(values, self.session)], stamp, arrival))
 
-    def _publish(self, steady: int) -> None:
+    def _publish(self, steady_ns: int) -> None:
         """Publish the last estimate, with the feed-forward and the reasons of now; before the first one only a reason."""
-        course = self.filter.course(steady)
+        course = self.filter.course(steady_ns)
         self._show(course.stop_reason)
         if self._publisher.stamp_ns is not None:
-            self._publisher.publish(self.filter.move(course), lambda: self._reasons_or_fault(steady))
+            self._publisher.publish(self.filter.move(course), lambda: self._reasons_or_fault(steady_ns))
 
     def _waited_ns(self, channel: int, arrival: int) -> int:
         """How long the last accepted message waited in a queue before it came, as while this process was stopped.
@@ -253,17 +253,17 @@ class Application:
         if self.active:
             self._publish_status(self.clock.steady_ns())
 
-    def _reasons_or_fault(self, steady: int) -> Reasons:
-        hold = self.guard("the reasons", self._reasons, steady)
+    def _reasons_or_fault(self, steady_ns: int) -> Reasons:
+        hold = self.guard("the reasons", self._reasons, steady_ns)
         return (("PART_FAILED", Level.WARN),) if hold is None else hold
 
-    def _reasons(self, steady: int) -> Reasons:
+    def _reasons(self, steady_ns: int) -> Reasons:
         """All present notices, each name once."""
-        old = self.filter.age_s(steady) > self.filter.max_age_s
+        is_old = self.filter.age_s(steady_ns) > self.filter.max_age_s
         last = self._last_reasons
-        if last is None or old is not last[1] or not 0 <= steady - last[0] < REASONS_KEPT_NS:
-            hold = tuple({notice.name: notice.level for notice in self.notices(steady)}.items())
-            self._last_reasons = last = steady, old, hold
+        if last is None or is_old is not last[1] or not 0 <= steady_ns - last[0] < REASONS_KEPT_NS:
+            hold = tuple({notice.name: notice.level for notice in self.notices(steady_ns)}.items())
+            self._last_reasons = last = steady_ns, is_old, hold
         return last[2]
 
     # Outputs
@@ -281,7 +281,7 @@ class Application:
         published, nothing can be done.
         """
         if error is not None:
-            self.guard.report("the main loop", error, essential=True)
+            self.guard.report("the main loop", error, is_essential=True)
         if not self.active:
             return
         self._last_reasons = None
@@ -302,24 +302,24 @@ class Application:
 
         It never raises: a part that fails is named on the status, and the others run.
         """
-        steady = self.clock.steady_ns()
-        age_s, max_age_s = self.filter.age_s(steady), self.filter.max_age_s
+        steady_ns = self.clock.steady_ns()
+        age_s, max_age_s = self.filter.age_s(steady_ns), self.filter.max_age_s
         turned_old = self.guard("watching the age of the speed", self._watch.look_at_age, age_s, max_age_s)
-        self.guard.essential("taking late messages", self.messages.handle_late, steady)
-        if steady >= self._next_look_ns:
-            self._next_look_ns = steady + LOOK_NS
-            self.guard("looking for other publishers", self._watch_publishers, steady)
-        self.guard("withholding the feed-forward", self._withhold, steady)
-        self.guard.essential("publishing", self._publish_due, steady)
-        if steady >= self._next_second_ns:
-            self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
-            self._every_second(steady)
+        self.guard.essential("taking late messages", self.messages.handle_late, steady_ns)
+        if steady_ns >= self._next_look_ns:
+            self._next_look_ns = steady_ns + LOOK_NS
+            self.guard("looking for other publishers", self._watch_publishers, steady_ns)
+        self.guard("withholding the feed-forward", self._withhold, steady_ns)
+        self.guard.essential("publishing", self._publish_due, steady_ns)
+        if steady_ns >= self._next_second_ns:
+            self._next_second_ns += SECOND_NS * (1 + (steady_ns - self._next_second_ns) // SECOND_NS)
+            self._every_second(steady_ns)
         elif turned_old and self.active:
-            self._publish_status(steady)
-        self.guard("saving the state", self._save_due, steady)
-        self.guard("the service manager", self._service.alive, self._publisher.message_count, self.active, steady)
+            self._publish_status(steady_ns)
+        self.guard("saving the state", self._save_due, steady_ns)
+        self.guard("the service manager", self._service.alive, self._publisher.message_count, self.active, steady_ns)
 
-    def _watch_publishers(self, steady: int) -> None:
+    def _watch_publishers(self, steady_ns: int) -> None:
         """Open the outputs where nobody else publishes the feed-forward; receive what publishers keep, soon after the start."""
         rivals = self._transport.rivals()
         if self.active and not self._publisher.is_open and rivals is not None and not rivals:
@@ -327,7 +327,7 @@ class Application:
             self._publisher.is_open = True
         if rivals is not None and set(rivals) != set(self._rivals):
             self._rivals, self._last_reasons = tuple(dict.fromkeys(rivals)), None
-        if steady - self._started_ns < STARTING_NS:
+        if steady_ns - self._started_ns < STARTING_NS:
             for index, topic in enumerate(self.inputs):
                 if topic.stands and index not in self._latched:
                     self._latch(index, self._transport.peers(index))
@@ -338,130 +338,134 @@ class Application:
             self._transport.latch(index)
             self._latched.add(index)
 
-    def _withhold(self, steady: int) -> None:
+    def _withhold(self, steady_ns: int) -> None:
         """Let the feed-forward go to zero while another gives the torque or the speed too, or there is no time."""
-        disagree = self.sources.disagreeing(self.clock.present_ns(steady))
-        if self.filter.withhold(bool(self._rivals or disagree or self.clock.lack(steady)), steady):
+        disagree = self.sources.disagreeing(self.clock.present_ns(steady_ns))
+        if self.filter.withhold(bool(self._rivals or disagree or self.clock.lack(steady_ns)), steady_ns):
             self._show_change()
 
-    def _publish_due(self, steady: int) -> None:
+    def _publish_due(self, steady_ns: int) -> None:
         early_ns = 0 if self._on_speed else int(0.5 * self.period_s * SECOND_NS)
-        if self.publishes and steady >= self._next_output_ns - early_ns:
+        if self.publishes and steady_ns >= self._next_output_ns - early_ns:
             between_ns = int(self._between_outputs_s * SECOND_NS)
-            self._next_output_ns = max(self._next_output_ns + between_ns, steady)
-            self._publish(steady)
-        elif self.publishes and self._between_outputs_s > LONGEST_PERIOD_S and self.filter.has_to_fall(steady):
-            self._publish(steady)
+            self._next_output_ns = max(self._next_output_ns + between_ns, steady_ns)
+            self._publish(steady_ns)
+        elif self.publishes and self._between_outputs_s > LONGEST_PERIOD_S and self.filter.has_to_fall(steady_ns):
+            self._publish(steady_ns)
 
-    def _save_due(self, steady: int) -> None:
-        if steady >= self._next_save_ns:
-            self._next_save_ns = steady + self._save_period_ns()
+    def _save_due(self, steady_ns: int) -> None:
+        if steady_ns >= self._next_save_ns:
+            self._next_save_ns = steady_ns + self._save_period_ns()
             self.keeper.save_soon(self.session, self._state_at, self.learning)
 
-    def _every_second(self, steady: int) -> None:
-        self.guard("watching the inputs", self._look, steady)
-        self.guard("the log", self._log_notices, steady)
+    def _every_second(self, steady_ns: int) -> None:
+        self.guard("watching the inputs", self._look, steady_ns)
+        self.guard("the log", self._log_notices, steady_ns)
         if self.active:
-            self._publish_status(steady, diagnostics=True)
+            self._publish_status(steady_ns, diagnostics=True)
 
-    def _look(self, steady: int) -> None:
+    def _look(self, steady_ns: int) -> None:
         self._peers = [()] * len(self.inputs)
-        self.messages.misread = ()
+        self.messages.misread_inputs = ()
         try:
             self._peers = [self._transport.peers(i) for i in range(len(self.inputs))]
             self._watch_peers()
         finally:  # rates and refusals are of interest without peers too
-            arrival = self.clock.present_ns(steady)
-            self._watch.every_second(self.session, self.messages.reader, self._peers, steady, arrival)
+            arrival = self.clock.present_ns(steady_ns)
+            self._watch.every_second(self.session, self.messages.reader, self._peers, steady_ns, arrival)
             self._last_reasons = None
 
     def _watch_peers(self) -> None:
         """Treat each input as its present publishers require."""
-        self.messages.misread = [i for i, publishers in enumerate(self._peers) if any(peer.misread for peer in publishers)]
-        mixed = []
+        self.messages.misread_inputs = [
+            i for i, publishers in enumerate(self._peers) if any(peer.is_misread for peer in publishers)
+        ]
+        mixed_inputs = []
         for index, (topic, publishers) in enumerate(zip(self.inputs, self._peers, strict=True)):
             sending = [peer for peer in publishers if peer.compatible and peer.type == topic.type]
             if len(sending) > 1:
-                mixed.append(index)
+                mixed_inputs.append(index)
             if not topic.stands:
                 continue
             if index not in self._latched:
                 self._latch(index, publishers)
             self.messages.repeat(index, {peer.source for peer in sending if peer.latched})
-        self.messages.mixed = mixed
+        self.messages.mixed_inputs = mixed_inputs
 
-    def _log_notices(self, steady: int) -> None:
-        notices = self.notices(steady)
+    def _log_notices(self, steady_ns: int) -> None:
+        notices = self.notices(steady_ns)
         texts = "; ".join(notice.text for notice in notices) or "no warnings"
         self.guard("the service manager", self._service.status, f"{level_of(notices).name.lower()}: {texts}")
-        entry = self._watch.to_log(notices, steady)
+        entry = self._watch.to_log(notices, steady_ns)
         if entry:
             self._log(*entry)
 
-    def _publish_status(self, steady: int, diagnostics: bool = False) -> None:
-        self.guard("publishing statuses", self._publish_statuses, steady, diagnostics)
+    def _publish_status(self, steady_ns: int, diagnostics: bool = False) -> None:
+        self.guard("publishing statuses", self._publish_statuses, steady_ns, diagnostics)
 
-    def _publish_statuses(self, steady: int, diagnostics: bool) -> None:
+    def _publish_statuses(self, steady_ns: int, diagnostics: bool) -> None:
         name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
-        node_statuses = self.guard("the statuses", lambda: statuses(self.overview(steady), name, self.vehicle.name))
-        learned = self.guard("the statuses of learning", self.learning.statuses, name, self.vehicle.name)
-        bare = [] if node_statuses else [bare_status(self.notices(steady), name, self.vehicle.name)]
-        self._publisher.publish_statuses(node_statuses or bare, self.clock.now_ns(steady), diagnostics, learned or ())
+        node_statuses = self.guard("the statuses", lambda: statuses(self.overview(steady_ns), name, self.vehicle.name))
+        learning_statuses = self.guard("the statuses of learning", self.learning.statuses, name, self.vehicle.name)
+        bare_statuses = [] if node_statuses else [bare_status(self.notices(steady_ns), name, self.vehicle.name)]
+        self._publisher.publish_statuses(
+            node_statuses or bare_statuses, self.clock.now_ns(steady_ns), diagnostics, learning_statuses or ()
+        )
 
-    def notices(self, steady: int | None = None) -> list[Notice]:
+    def notices(self, steady_ns: int | None = None) -> list[Notice]:
         """All present notices, most severe first."""
-        steady = self.clock.steady_ns() if steady is None else steady
+        steady_ns = self.clock.steady_ns() if steady_ns is None else steady_ns
         notices = [
-            *(self.guard("watching the inputs", self._input_notices, steady) or []),
+            *(self.guard("watching the inputs", self._input_notices, steady_ns) or []),
             *(self.guard("the comparison with the measured torque", self.comparison.notices, self._diagnose) or []),
             *(self.guard("learning", self.learning.notices) or []),
             *(self.guard("publishing statuses", self._publisher.notices) or []),
             *(self.guard("saving the state", self.keeper.notices) or []),
             *(self.guard("recording", self.recording_notices) or []),
-            *self.guard.notices(steady),
+            *self.guard.notices(steady_ns),
         ]
         if self.filter.ends and all(notice.name != "INTERNAL_ERROR" for notice in notices):  # which says why it ends
             notices.append(Notice("INACTIVE", "the node is deactivated or ends, and the feed-forward goes to zero"))
         return sorted(notices, key=lambda notice: -notice.level)
 
-    def _input_notices(self, steady: int) -> list[Notice]:
+    def _input_notices(self, steady_ns: int) -> list[Notice]:
         notices = self._watch.notices(
-            age_s=self.filter.age_s(steady),
+            age_s=self.filter.age_s(steady_ns),
             max_age_s=self.filter.max_age_s,
             period_s=int(self.session.memory.times[at.SPEED, at.Times.period]) * NANOSECOND,
-            no_clock=self.clock.lack(steady),
+            no_clock=self.clock.lack(steady_ns),
         )
         if self._rivals:
-            notices.append(contested(self._rivals, self._publisher.is_open))
-        speeds = self.sources.disagreeing(self.clock.present_ns(steady))
+            notices.append(contest_notice(self._rivals, self._publisher.is_open))
+        speeds = self.sources.disagreeing(self.clock.present_ns(steady_ns))
         if speeds:
             index = next(index for index, topic in enumerate(self.inputs) if "speed" in topic.valued)
             notices.append(two_speeds(self._topic_names[index], speeds, self._peers[index]))
         return notices
 
-    def overview(self, steady: int | None = None) -> Overview:
+    def overview(self, steady_ns: int | None = None) -> Overview:
         """Snapshot for statuses and the terminal."""
-        steady = self.clock.steady_ns() if steady is None else steady
-        notices, keeper, row = self.notices(steady), self.keeper, self._publisher.row
+        steady_ns = self.clock.steady_ns() if steady_ns is None else steady_ns
+        notices, keeper, row = self.notices(steady_ns), self.keeper, self._publisher.row
         return Overview(
             level=level_of(notices),
             notices=tuple(notices),
             stamp_ns=self._publisher.stamp_ns,
-            age_s=self.filter.age_s(steady),
+            age_s=self.filter.age_s(steady_ns),
             steps_hz=self._watch.steps_hz,
             published=self._publisher.published,
-            left=self.filter.share(steady),
+            left=self.filter.share(steady_ns),
             feedforward_nm=self.filter.torque_nm,
             values=dict(zip(self.estimator.columns, row, strict=True)) if row else {},
             assemblies=self.estimator.assemblies,
-            inputs=self._watch.inputs(steady),
+            inputs=self._watch.inputs(steady_ns),
             mismatch=self.comparison.verdict,
             disturbance=self.comparison.belief,
             learning=self.learning.text,
             state_file=str(keeper.path or ""),
-            saved_s_ago=math.nan if keeper.saved_ns is None else (steady - keeper.saved_ns) * NANOSECOND,
+            saved_s_ago=math.nan if keeper.saved_ns is None else (steady_ns - keeper.saved_ns) * NANOSECOND,
             state_error=keeper.error,
-            state_unused=keeper.unused,
+            state_unused=keeper.unused_reason,
         )
 
     # Requests of a transport or a signal

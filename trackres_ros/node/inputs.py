@@ -53,15 +53,15 @@ Take = Callable[[], Iterable[Any]]
 class NodeClock:
     """The node's time, the machine's or a simulated one, and the steady time that counts ages and periods; all in ns."""
 
-    def __init__(self, transport: Transport, simulated: bool, steady_ns: Callable[[], int], guard: Guard) -> None:
-        self.simulated, self.steady_ns = simulated, steady_ns
+    def __init__(self, transport: Transport, is_simulated: bool, steady_ns: Callable[[], int], guard: Guard) -> None:
+        self.simulated, self.steady_ns = is_simulated, steady_ns
         self.offset_ns = time.time_ns() - steady_ns()  # of the machine's clock at the start against steady time
         self._transport, self._guard = transport, guard
         self._refused_ns = 0  # last negative time
 
-    def lack(self, steady: int) -> str:
+    def lack(self, steady_ns: int) -> str:
         """Why there is no simulated time; empty if there is one, or the machine's is used."""
-        if not self.simulated or self.now_ns(steady):
+        if not self.simulated or self.now_ns(steady_ns):
             return ""
         if self._refused_ns:
             problem = f"/clock shows {self._refused_ns * NANOSECOND:.1f} s: a time before 0 is none"
@@ -70,32 +70,32 @@ class NodeClock:
 
     def arrival(self) -> Arrival:
         """The arrival of a message that comes now."""
-        steady = self.steady_ns()
-        return steady, self.now_ns(steady)
+        steady_ns = self.steady_ns()
+        return steady_ns, self.now_ns(steady_ns)
 
-    def now_ns(self, steady: int) -> int:
+    def now_ns(self, steady_ns: int) -> int:
         """The node's time: the machine's where a clock cannot be read; 0, none, for a simulated one or where it is negative."""
         time_ns = self._guard("the clock", self._transport.now_ns)
         if not self.simulated:
-            return time_ns if time_ns is not None else steady + self.offset_ns
+            return time_ns if time_ns is not None else steady_ns + self.offset_ns
         self._refused_ns = min(0, time_ns or 0)
         return max(0, time_ns or 0)
 
-    def recorded_ns(self, steady: int, now_ns: int) -> int:
+    def recorded_ns(self, steady_ns: int, now_ns: int) -> int:
         """An arrival as it is recorded: steady like the ages of samples, or simulated."""
-        return now_ns if self.simulated else steady + self.offset_ns
+        return now_ns if self.simulated else steady_ns + self.offset_ns
 
     def set_by_ns(self, now_ns: int, recorded_ns: int) -> int:
         """How far the machine's clock has been set since the start, as an arrival shows by both times."""
         return now_ns - recorded_ns if abs(now_ns - recorded_ns) > SET_NS else 0
 
-    def pace_ns(self, steady: int) -> int:
+    def pace_ns(self, steady_ns: int) -> int:
         """Time of the feed-forward's motion: the controller's, or the simulated one."""
-        return nearest_usable(self.now_ns(steady)) if self.simulated else steady
+        return nearest_usable(self.now_ns(steady_ns)) if self.simulated else steady_ns
 
-    def present_ns(self, steady: int) -> int:
+    def present_ns(self, steady_ns: int) -> int:
         """The arrival of a message now, as it is recorded."""
-        return self.recorded_ns(steady, self.pace_ns(steady))
+        return self.recorded_ns(steady_ns, self.pace_ns(steady_ns))
 
 
 class Inbox:
@@ -159,7 +159,7 @@ class Sent(NamedTuple):
     ns: int = 0  # by the clock of its machine [ns]; 0 if unknown
     source: int = 0  # number of the publisher; 0 where the middleware does not tell it
     latched: bool = False  # whether it came by an endpoint that also gets what publishers keep
-    mixed: bool = False  # whether it is of one of several publishers that the middleware does not tell apart
+    is_mixed: bool = False  # whether it is of one of several publishers that the middleware does not tell apart
 
 
 NOT_TOLD = Sent()
@@ -200,8 +200,8 @@ class MessageHandler:
     ) -> None:
         self.reader = reader
         self.keep_raw: KeepMessage | None = None  # where all messages are recorded
-        self.misread: Collection[int] = ()  # inputs with a publisher that has another definition of the type
-        self.mixed: Collection[int] = ()  # inputs with several publishers
+        self.misread_inputs: Collection[int] = ()  # inputs with a publisher that has another definition of the type
+        self.mixed_inputs: Collection[int] = ()  # inputs with several publishers
         self.sources = sources
         self._clock, self._guard, self._use = clock, guard, use
         self._widths = [len(topic.readings) for topic in inputs]
@@ -241,7 +241,7 @@ class MessageHandler:
         """
         if self._has_come(index, origin):
             return
-        if index in self.misread:
+        if index in self.misread_inputs:
             self.keep(index, raw, arrival)
             return
         values = [math.nan] * self._widths[index] if values is None else values
@@ -254,7 +254,7 @@ class MessageHandler:
 
     def count_drop(self, index: int) -> None:
         """Take note of a message of an input topic that had to make way for later ones."""
-        self.reader.dropped[index] += 1
+        self.reader.drop_counts[index] += 1
 
     def _has_come(self, index: int, origin: Sent) -> bool:
         """Whether a message is a copy, as each of a publisher that keeps its messages comes by both endpoints of an input; or
@@ -281,18 +281,18 @@ class MessageHandler:
         last = self._last[index]
         if last is None or last.sent.ns not in self._latched[index] or last.sent.source not in sources:
             return
-        steady, now = self._clock.arrival()
-        if steady - last.steady_ns < REPEATED_NS or (self._clock.simulated and now == 0):
+        steady_ns, now_ns = self._clock.arrival()
+        if steady_ns - last.steady_ns < REPEATED_NS or (self._clock.simulated and now_ns == 0):
             return
         stamp, raw = last.stamp_ns, last.raw
         if stamp is not None:  # in a recording it would be a repeated stamp
-            passed_ns = self._clock.recorded_ns(steady, now) - self._clock.recorded_ns(last.steady_ns, last.now_ns)
+            passed_ns = self._clock.recorded_ns(steady_ns, now_ns) - self._clock.recorded_ns(last.steady_ns, last.now_ns)
             stamp, raw = stamp + passed_ns, None
-        self._handle(last._replace(steady_ns=steady, now_ns=now, stamp_ns=stamp, raw=raw))
+        self._handle(last._replace(steady_ns=steady_ns, now_ns=now_ns, stamp_ns=stamp, raw=raw))
 
-    def handle_late(self, steady: int) -> None:
+    def handle_late(self, steady_ns: int) -> None:
         """Handle the messages that have waited for too long."""
-        self._handle_held(lambda message: steady - message.steady_ns > LONGEST_WAIT_NS)
+        self._handle_held(lambda message: steady_ns - message.steady_ns > LONGEST_WAIT_NS)
 
     def handle_waiting(self) -> None:
         """Handle all messages that are held back."""
@@ -316,22 +316,22 @@ class MessageHandler:
             if message.now_ns == 0:
                 self._wait_for_clock(message)
                 return
-            for waiting in self._take_waiting():
-                self._guard.essential("taking a message", self._receive, waiting)
+            for queue_message in self._take_waiting():
+                self._guard.essential("taking a message", self._receive, queue_message)
         if message.sent.ns and not self._is_speed[message.place]:
             self._held_back.append(message)
             return
         if self._held_back:
-            self._handle_held(lambda held: held.sent.ns <= message.sent.ns or not message.sent.ns)
+            self._handle_held(lambda late_message: late_message.sent.ns <= message.sent.ns or not message.sent.ns)
         self._handle(message)
 
     def _wait_for_clock(self, message: Arrived) -> None:
-        waiting = self._before_clock[message.place]
-        waiting.append(message)
-        if len(waiting) > MOST_BEFORE_CLOCK:
+        queue = self._before_clock[message.place]
+        queue.append(message)
+        if len(queue) > MOST_BEFORE_CLOCK:
             self.count_drop(message.place)
-            oldest = waiting.popleft()
-            self.keep(oldest.place, oldest.raw, (oldest.steady_ns, 0))
+            first_message = queue.popleft()
+            self.keep(first_message.place, first_message.raw, (first_message.steady_ns, 0))
 
     def _take_waiting(self) -> list[Arrived]:
         """The messages that wait for a clock, in the order of arrival; none wait afterwards."""
@@ -340,11 +340,11 @@ class MessageHandler:
             queue.clear()
         return messages
 
-    def _handle_held(self, due: Callable[[Arrived], bool]) -> None:
+    def _handle_held(self, is_due: Callable[[Arrived], bool]) -> None:
         """Handle the messages held back that are due, in the order of origin."""
-        handled = [message for message in self._held_back if due(message)]
-        self._held_back = [message for message in self._held_back if not due(message)]
-        for message in sorted(handled, key=attrgetter("sent.ns")):
+        messages_due = [message for message in self._held_back if is_due(message)]
+        self._held_back = [message for message in self._held_back if not is_due(message)]
+        for message in sorted(messages_due, key=attrgetter("sent.ns")):
             self._handle(message)
 
     def _handle(self, message: Arrived) -> None:
@@ -353,22 +353,22 @@ class MessageHandler:
         Messages held back are 1 ns apart by both clocks. Their own readings differ by more than that, so their stamps would run
         backward.
         """
-        origin, steady, now, place, stamp_ns, values, raw = message
-        recorded_ns = self._clock.recorded_ns(steady, now)
+        origin, steady_ns, now_ns, place, stamp_ns, values, raw = message
+        recorded_ns = self._clock.recorded_ns(steady_ns, now_ns)
         if 0 <= self._handled_ns - recorded_ns < LONGEST_HELD_NS - 1:
-            recorded_ns, now = self._handled_ns + 1, self._handled_now_ns + 1
-        self._handled_ns, self._handled_now_ns = recorded_ns, now
+            recorded_ns, now_ns = self._handled_ns + 1, self._handled_now_ns + 1
+        self._handled_ns, self._handled_now_ns = recorded_ns, now_ns
         self._last[place] = message
         self._record(place, raw, recorded_ns)
-        set_ns = self._clock.set_by_ns(now, recorded_ns)
+        set_ns = self._clock.set_by_ns(now_ns, recorded_ns)
         samples = self._guard.essential("taking a message", self.reader.samples, place, stamp_ns, values, recorded_ns, set_ns)
         for channel, stamp, value in samples or ():
-            if channel == at.SPEED and not self.sources.takes(origin.source, value, recorded_ns, origin.mixed):
-                self.reader.unused[channel] += 1
+            if channel == at.SPEED and not self.sources.takes(origin.source, value, recorded_ns, origin.is_mixed):
+                self.reader.unused_counts[channel] += 1
                 continue
-            if place in self.mixed and channel not in TOGETHER:
+            if place in self.mixed_inputs and channel not in TOGETHER:
                 stamp = recorded_ns
-            self._guard.essential("the step", self._use, channel, stamp, value, steady, now, recorded_ns)
+            self._guard.essential("the step", self._use, channel, stamp, value, steady_ns, now_ns, recorded_ns)
 
     def _record(self, index: int, raw: bytes | None, recorded_ns: int) -> None:
         if self.keep_raw and raw is not None:
@@ -382,13 +382,13 @@ class InputReader:
     """
 
     def __init__(self, inputs: Sequence[InputTopic], channels: Sequence[str], bindings: Mapping[str, TopicBinding]) -> None:
-        self.received = [0] * len(inputs)
-        self.dropped = [0] * len(inputs)
-        self.absent = [0] * len(channels)
-        self.lacks = [""] * len(channels)  # the last field that a message did not have, and why
+        self.message_counts = [0] * len(inputs)
+        self.drop_counts = [0] * len(inputs)
+        self.absence_counts = [0] * len(channels)
+        self.lack_texts = [""] * len(channels)  # the last field that a message did not have, and why
         self.bad_stamp = [0] * len(channels)
-        self.unused = [0] * len(channels)  # samples of another publisher than the one in use
-        self.stamped: dict[int, int] = {}  # how far the clock was set [ns] at the last stamp of a channel in `TOGETHER`
+        self.unused_counts = [0] * len(channels)  # samples of another publisher than the one in use
+        self.clock_shifts_ns: dict[int, int] = {}  # how far the clock was set [ns] at the last stamp of a channel in `TOGETHER`
         roles = dict.fromkeys(reading.role for topic in inputs for reading in topic.readings)
         self.sums = {role: Sum(role, bindings[role]) for role in roles if bindings[role].parts}
         self.companions = Companions(readings_of(tuple(roles), bindings), bindings)
@@ -415,7 +415,7 @@ class InputReader:
         A stamp out of a message's range gives no sample: it could not be published again. There is a scaled value for each
         binding of the topic: nan where it is no number; the reason, and no sample, where the message has no such element.
         """
-        self.received[index] += 1
+        self.message_counts[index] += 1
         samples = []
         absent_channels, bad_stamps = set[int](), set[int]()  # channels: a sum has several parts in a message
         for (channel, _, reading, total), value in zip(self._readers[index], values, strict=True):
@@ -423,12 +423,14 @@ class InputReader:
             if isinstance(value, str):
                 absent_channels.add(channel)
                 if channel != NO_CHANNEL:
-                    self.lacks[channel] = f"{binding.field}: {value}"
+                    self.lack_texts[channel] = f"{binding.field}: {value}"
                 continue
             if by_header and stamp_ns and channel in TOGETHER:
-                self.stamped[channel] = set_ns
-            came_ns = arrival_ns + (set_ns if self.stamped and channel in TOGETHER else 0)
-            as_before = channel in self.stamped and abs(set_ns - self.stamped[channel]) <= SET_NS  # as its last stamp
+                self.clock_shifts_ns[channel] = set_ns
+            came_ns = arrival_ns + (set_ns if self.clock_shifts_ns and channel in TOGETHER else 0)
+            as_before = (
+                channel in self.clock_shifts_ns and abs(set_ns - self.clock_shifts_ns[channel]) <= SET_NS
+            )  # as its last stamp
             has_stamp = by_header and (stamp_ns or came_ns == arrival_ns or as_before)
             stamp = binding.less_delay(stamp_ns if has_stamp and stamp_ns is not None else came_ns)
             if not is_usable(stamp):
@@ -437,27 +439,31 @@ class InputReader:
             value = float(binding.directions(np.asarray(value))) if binding.has_modes else value
             if not self.companions.is_valid_sample(reading, arrival_ns, value):
                 continue
-            complete = (
+            number_list = (
                 [(stamp, value)] if total is None or reading.part is None else total.add(reading.part, stamp, came_ns, value)
             )
-            signed = [(at_ns, self.companions.sign_speed(reading.role, arrival_ns, number)) for at_ns, number in complete]
-            samples += [(channel, at_ns, number) for at_ns, number in signed if number is not None and channel != NO_CHANNEL]
+            signed_numbers = [
+                (at_ns, self.companions.sign_speed(reading.role, arrival_ns, number)) for at_ns, number in number_list
+            ]
+            samples += [
+                (channel, at_ns, number) for at_ns, number in signed_numbers if number is not None and channel != NO_CHANNEL
+            ]
         for channel in absent_channels - {NO_CHANNEL}:
-            self.absent[channel] += 1
+            self.absence_counts[channel] += 1
         for channel in bad_stamps - {NO_CHANNEL}:
             self.bad_stamp[channel] += 1
         return samples
 
     def counts(self) -> dict[str, list[int]]:
         """Samples of each channel that the guards have not seen, by the reason; `dropped` are messages of each input."""
-        nothing = Dropped()
-        companions = [self.companions.dropped.get(role, nothing) for role in self._channels]
+        no_drops = Dropped()
+        companions = [self.companions.dropped.get(role, no_drops) for role in self._channels]
         return {
             "bad_stamp": self.bad_stamp,
             "without_other_part": [self.sums[role].lone_samples if role in self.sums else 0 for role in self._channels],
-            "absent": self.absent,
-            "unused": self.unused,
-            "dropped": self.dropped,
+            "absent": self.absence_counts,
+            "unused": self.unused_counts,
+            "dropped": self.drop_counts,
             "invalid": [counts.invalid_values for counts in companions],
             "without_direction": [counts.no_direction for counts in companions],
         }
@@ -525,16 +531,16 @@ class SpeedSources:
 
     def disagreeing(self, now_ns: int) -> tuple[tuple[int, float], tuple[int, float]] | None:
         """Two publishers with the speed of each [m/s], when they last differed; None while none disagree."""
-        return self._speed_pair if self._parted(now_ns) else None
+        return self._speed_pair if self._are_apart(now_ns) else None
 
-    def takes(self, source: int, speed: float, arrival_ns: int, mixed: bool = False) -> bool:
-        """Whether to use a speed [m/s] of a publisher, or with `mixed` of one of several, that arrives now [ns]."""
+    def takes(self, source: int, speed: float, arrival_ns: int, is_mixed: bool = False) -> bool:
+        """Whether to use a speed [m/s] of a publisher, or with `is_mixed` of one of several, that arrives now [ns]."""
         if not math.isfinite(speed):
             return True  # it is refused and counted
         if any(arrival_ns < last.arrival_ns for last in self._speeds.values()):  # time went back
             self._speeds.clear()
             self._used_source = self._differing_since_ns = None
-        if self._differs(source, speed, arrival_ns, mixed) and mixed:
+        if self._differs(source, speed, arrival_ns, is_mixed) and is_mixed:
             return False
         last_used = self._speeds.get(self._used_source) if self._used_source is not None else None
         if last_used is None or (arrival_ns - last_used.arrival_ns) * NANOSECOND > self._max_age_s():
@@ -542,13 +548,13 @@ class SpeedSources:
         self._speeds[source] = LastSpeed(speed, arrival_ns)
         for old_source in [source for source, last in self._speeds.items() if arrival_ns - last.arrival_ns > REMEMBERED_NS]:
             del self._speeds[old_source]
-        return source == self._used_source and not self._parted(arrival_ns)
+        return source == self._used_source and not self._are_apart(arrival_ns)
 
-    def _differs(self, source: int, speed: float, arrival_ns: int, mixed: bool) -> bool:
+    def _differs(self, source: int, speed: float, arrival_ns: int, is_mixed: bool) -> bool:
         agrees = False
         for other_source, last in self._speeds.items():
             age_s = (arrival_ns - last.arrival_ns) * NANOSECOND
-            if age_s > self._max_age_s() or (other_source == source and not mixed):
+            if age_s > self._max_age_s() or (other_source == source and not is_mixed):
                 continue
             excess = abs(speed - last.speed) - SHARE * max(abs(speed), abs(last.speed)) - RESOLUTION_MPS
             agrees |= excess <= 0.0
@@ -557,11 +563,11 @@ class SpeedSources:
                     self._differing_since_ns = arrival_ns
                 self._differed_ns, self._speed_pair = arrival_ns, ((other_source, last.speed), (source, speed))
                 return True
-        if agrees and not mixed and not self._parted(arrival_ns):
+        if agrees and not is_mixed and not self._are_apart(arrival_ns):
             self._differing_since_ns = None
         return False
 
-    def _parted(self, now_ns: int) -> bool:
+    def _are_apart(self, now_ns: int) -> bool:
         if self._differing_since_ns is None or now_ns - self._differed_ns > REMEMBERED_NS:
             return False
         return (self._differed_ns - self._differing_since_ns) * NANOSECOND > self._max_age_s()

@@ -99,7 +99,7 @@ class _Noise:
 
     def __init__(self) -> None:
         self.is_settled = False
-        self._first: list[float] = []
+        self._first_values: list[float] = []
         self._recent: deque[float] = deque(maxlen=TYPICAL_OF)
         self._bins = 0
         self._mean, self._variance, self._covariance, self._deviation = 0.0, 0.0, 0.0, 0.0
@@ -126,12 +126,12 @@ class _Noise:
         self._recent.append(residual)
         self._bins += 1
         if not self.is_settled:
-            self._first.append(residual)
+            self._first_values.append(residual)
             if self._bins == SETTLING_BINS:
                 self._settle()
             return
         bound = OUTLIER * max(math.sqrt(self._variance), floor)
-        deviation = _clipped(residual - self._mean, bound)
+        deviation = _clip(residual - self._mean, bound)
         self._mean += max(1.0 / self._bins, 1.0 / MEAN_BINS) * (self.typical - self._mean)
         share = max(1.0 / self._bins, min(share, 1.0 / SETTLING_BINS))
         self._variance += share * (deviation * deviation - self._variance)
@@ -141,14 +141,14 @@ class _Noise:
 
     def _settle(self) -> None:
         """Begin with median and median deviation, lest a spike at the start blinds for hours."""
-        middle = statistics.median(self._first)
-        spread = MAD_TO_STD * statistics.median(abs(value - middle) for value in self._first)
-        deviations = [_clipped(value - middle, OUTLIER * spread) for value in self._first]
+        middle = statistics.median(self._first_values)
+        spread = MAD_TO_STD * statistics.median(abs(value - middle) for value in self._first_values)
+        deviations = [_clip(value - middle, OUTLIER * spread) for value in self._first_values]
         self._mean = middle
         self._variance = sum(d * d for d in deviations) / len(deviations)
         self._covariance = sum(a * b for a, b in pairwise(deviations)) / len(deviations)
         self._deviation = deviations[-1]
-        self.is_settled, self._first = True, []
+        self.is_settled, self._first_values = True, []
 
 
 class _Page:
@@ -212,7 +212,7 @@ class MismatchDetector:
         self._last_bin: _Bin | None = None
         self._seconds = 0.0
         self._noise = _Noise()
-        self._judging = False
+        self._is_judging = False
         self._sides = {1.0: _Page(), -1.0: _Page()}
         self._back = _Page()
         self._side: float | None = None
@@ -267,52 +267,52 @@ class MismatchDetector:
 
     def _close_bin(self) -> None:
         s = self.settings
-        latest = _Bin(self._bin_start, *(total / self._samples for total in (self._residual, self._drive, self._std)))
+        new_bin = _Bin(self._bin_start, *(total / self._samples for total in (self._residual, self._drive, self._std)))
         last_bin, seconds = self._last_bin, s.mismatch_bin_s
-        if last_bin is not None and 0 < latest.start_ns - last_bin.start_ns <= self._related_ns:
-            seconds = (latest.start_ns - last_bin.start_ns) * NANOSECOND
+        if last_bin is not None and 0 < new_bin.start_ns - last_bin.start_ns <= self._related_ns:
+            seconds = (new_bin.start_ns - last_bin.start_ns) * NANOSECOND
         else:  # after a long pause, or the clock was set back
             last_bin = None
-        judging = self._noise.is_settled
-        floor = max(LEAST_NOISE * latest.drive, 1e-9)
-        self._noise.learn(latest.residual, last_bin is not None, seconds / s.mismatch_memory_s, floor)
-        if judging:
-            self._judge(latest, last_bin, seconds, floor)
-        self._last_bin = latest
+        is_judging = self._noise.is_settled
+        floor = max(LEAST_NOISE * new_bin.drive, 1e-9)
+        self._noise.learn(new_bin.residual, last_bin is not None, seconds / s.mismatch_memory_s, floor)
+        if is_judging:
+            self._judge(new_bin, last_bin, seconds, floor)
+        self._last_bin = new_bin
         self._seconds += seconds
 
-    def _judge(self, latest: _Bin, last_bin: _Bin | None, seconds: float, floor: float) -> None:
+    def _judge(self, new_bin: _Bin, last_bin: _Bin | None, seconds: float, floor: float) -> None:
         s = self.settings
         phi, sigma = self._noise.phi, self._noise.shock(floor)
         if last_bin is None:
             gain = math.sqrt(1.0 - phi * phi) / sigma
-            white = latest.residual * gain
+            white = new_bin.residual * gain
         else:
             gain = (1.0 - phi) / sigma
-            white = (latest.residual - phi * last_bin.residual) / sigma
-        allowance = max(s.mismatch_share * latest.drive, s.mismatch_std * latest.std) * gain
+            white = (new_bin.residual - phi * last_bin.residual) / sigma
+        allowance = max(s.mismatch_share * new_bin.drive, s.mismatch_std * new_bin.std) * gain
         # Outliers are judged by their unexpected part, after the offset within the allowance.
-        white = _clipped(white, OUTLIER + allowance)
-        began = self._seconds if self._judging else 0.0
-        self._judging = True
-        typical = self._noise.typical
+        white = _clip(white, OUTLIER + allowance)
+        begin_s = self._seconds if self._is_judging else 0.0
+        self._is_judging = True
+        typical_std = self._noise.typical
         for side, page in self._sides.items():
             if side != self._side:
-                page.add(side * white - allowance, began)
-            page.gather(typical, latest.drive, seconds)
+                page.add(side * white - allowance, begin_s)
+            page.gather(typical_std, new_bin.drive, seconds)
         if self._side is None:
             sides = (side for side, page in self._sides.items() if page.exceeds(s.mismatch_evidence, s.mismatch_hold_s))
             self._side = next(sides, None) if self._is_settled else None
             return
-        self._back.add(allowance - self._side * white, began)
-        self._back.gather(typical, latest.drive, seconds)
+        self._back.add(allowance - self._side * white, begin_s)
+        self._back.gather(typical_std, new_bin.drive, seconds)
         if self._back.exceeds(s.mismatch_evidence, s.mismatch_hold_s):
             self._sides[self._side].clear()
             self._back.clear()
             self._side = None
 
 
-def _clipped(value: float, bound: float) -> float:
+def _clip(value: float, bound: float) -> float:
     return min(max(value, -bound), bound)
 
 
@@ -353,17 +353,22 @@ class Comparison:
         """
         if int(row[at.Results.reasons]) & TIME_RESET:
             self.restart()
-        jumped = bool(int(row[at.Results.reasons]) & CLOCK_JUMPED) or set_ns != self._set_ns
+        has_jumped = bool(int(row[at.Results.reasons]) & CLOCK_JUMPED) or set_ns != self._set_ns
         self._set_ns = set_ns
         residual, speed, accel = row[at.Results.residual_nm], row[at.Results.speed_mps], row[at.Results.accel_mps2]
-        last_belief, explained = self.belief, 0.0
+        last_belief, explained_torque = self.belief, 0.0
         if self._watch is not None:
             counts = self._detector.settings.compares(speed, accel)
             now_ns = stamp_ns + set_ns
-            self.belief = self._watch.take(now_ns, residual if counts else math.nan, speed, now_ns - arrival_ns, jumped)
-            explained = 0.0 if self.belief.is_overdue else self.belief.torque_nm * math.copysign(1.0, speed)
+            self.belief = self._watch.take(now_ns, residual if counts else math.nan, speed, now_ns - arrival_ns, has_jumped)
+            explained_torque = 0.0 if self.belief.is_overdue else self.belief.torque_nm * math.copysign(1.0, speed)
         self._detector.take(
-            stamp_ns, residual - explained, row[at.Results.drive_torque_nm], row[at.Results.resistance_std_nm], speed, accel
+            stamp_ns,
+            residual - explained_torque,
+            row[at.Results.drive_torque_nm],
+            row[at.Results.resistance_std_nm],
+            speed,
+            accel,
         )
         return _spell_change(last_belief, self.belief)
 
@@ -372,15 +377,15 @@ class Comparison:
         verdict, belief = self.verdict, self.belief
         return [
             *([Notice("MISMATCH", f"{verdict.text}; investigate with: {command}")] if verdict.parted else []),
-            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.is_present else []),
+            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
         ]
 
 
 def _spell_change(last: Belief | None, belief: Belief | None) -> str:
     """Text that a spell begins or is over; empty if neither."""
-    if last is None or belief is None or last.is_present is belief.is_present:
+    if last is None or belief is None or last.present is belief.present:
         return ""
-    return f"{'the disturbance begins' if belief.is_present else 'the disturbance is over'}: {belief.text}"
+    return f"{'the disturbance begins' if belief.present else 'the disturbance is over'}: {belief.text}"
 
 
 class LiveLearning:
@@ -392,7 +397,7 @@ class LiveLearning:
         self.mode = mode
         self.learner = Learner(estimator, mode) if has_torque else None
         self._columns = None if self.learner is None else LearningColumns(self.learner)
-        self._stored: Any = None  # plain values for the state file while nothing learns
+        self._stored_values: Any = None  # plain values for the state file while nothing learns
 
     def go_on(self, session: Session, values: Any, now_s: float) -> str:
         """Continue with a session and the learned values of a state file at a time [s since 1970]; return a text for the log.
@@ -405,20 +410,20 @@ class LiveLearning:
         if values is None:
             return ""
         if self.learner is None:
-            self._stored = values
+            self._stored_values = values
             return "the learned parameters are kept, but no torque is measured"
         continue_session(session, self.learner, values, since_learned(values, now_s))
-        self._stored = values if self.mode == OFF else None
+        self._stored_values = values if self.mode == OFF else None
         return f"{self.learner.learned.seconds / 60.0:.0f} min of driving were used for learning"
 
     def wear(self, seconds: float) -> None:
         """Account for more time off [s] before the first speed; values that are only kept say when they were learned."""
-        if self.learner is not None and self._stored is None:
+        if self.learner is not None and self._stored_values is None:
             self.learner.add_wear(seconds)
 
     def stored(self) -> Any:
         """Plain values for the state file; None if nothing was learned."""
-        return self._stored if self.learner is None or self._stored is not None else learner_content(self.learner)
+        return self._stored_values if self.learner is None or self._stored_values is not None else learner_content(self.learner)
 
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
@@ -442,10 +447,10 @@ class LiveLearning:
             self.mode = mode
             return
         if mode == OFF:
-            self._stored = {LEARNED_AT: time.time(), **learner_content(self.learner)}
-        elif self._stored is not None:
-            continue_session(session, self.learner, self._stored, since_learned(self._stored, time.time()))
-            self._stored = None
+            self._stored_values = {LEARNED_AT: time.time(), **learner_content(self.learner)}
+        elif self._stored_values is not None:
+            continue_session(session, self.learner, self._stored_values, since_learned(self._stored_values, time.time()))
+            self._stored_values = None
         if OFF in (mode, self.mode):
             self.learner.restart()
         self.mode = self.learner.mode = mode
@@ -461,9 +466,9 @@ class LiveLearning:
     def reset(self, session: Session) -> str:
         """Reset the learned parameters; return a text for the log."""
         use_file(session.learned)
-        if self.learner is None and self._stored is None:
+        if self.learner is None and self._stored_values is None:
             return "no torque is measured, so there is nothing to reset"
-        self._stored = None
+        self._stored_values = None
         if self.learner is not None:
             self.learner.reset()
         return "the learned parameters are reset: the vehicle file is used"
@@ -479,20 +484,20 @@ class LiveLearning:
         """A status of each learned value, as published."""
         if self.learner is None or self.mode == OFF:
             return ()
-        overall = (
+        overall_status = (
             ("mode", self.mode),
             ("acts", str(self.learner.is_active).lower()),
             ("frozen", self.learner.freeze_reason),
             ("disturbance", self.learner.disturbance),
         )
-        learned = lines(self.learner, learning_values(self.learner))
-        rows = [("learning", self.text, overall), *learned]
+        learned_lines = lines(self.learner, learning_values(self.learner))
+        rows = [("learning", self.text, overall_status), *learned_lines]
         return [Status(Level.OK, f"{node}: {name}", message, vehicle, values) for name, message, values in rows]
 
     def notices(self) -> list[Notice]:
         """Present notices of the learning."""
         if self.learner is None or self.mode == OFF:
             return []
-        frozen, left_out = self.learner.freeze_reason, self.learner.left_out
-        text = f"learning is paused: {frozen}" if frozen else f"learning skips samples: {left_out}"
-        return [Notice("LEARNING_FROZEN", text)] if frozen or left_out else []
+        frozen_reason, left_out = self.learner.freeze_reason, self.learner.left_out
+        text = f"learning is paused: {frozen_reason}" if frozen_reason else f"learning skips samples: {left_out}"
+        return [Notice("LEARNING_FROZEN", text)] if frozen_reason or left_out else []

@@ -142,7 +142,7 @@ class Guard:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # whatever a library raises to end a program must not end this one
-            self.report(part, error, essential=False)
+            self.report(part, error, is_essential=False)
         return None
 
     def essential(self, part: str, do: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
@@ -152,27 +152,27 @@ class Guard:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # as above
-            self.report(part, error, essential=True)
+            self.report(part, error, is_essential=True)
         return None
 
     def taking(self, part: str, take: Callable[[], Iterable[T]]) -> Callable[[], Sequence[T]]:
         """A function that takes the waiting messages of an input; none if it fails."""
         return lambda: self.essential(part, lambda: list(take())) or ()
 
-    def report(self, part: str, error: BaseException, essential: bool) -> None:
+    def report(self, part: str, error: BaseException, is_essential: bool) -> None:
         """Take note of a failure."""
-        text, now = f"{type(error).__name__}: {error}", self._steady_ns()
+        text, now_ns = f"{type(error).__name__}: {error}", self._steady_ns()
         last = self._failures.get(part)
-        self._failures[part] = _Failure(text, now, essential)
-        if last is None or last.text != text or now - last.at_ns > SHOWN_NS:
+        self._failures[part] = _Failure(text, now_ns, is_essential)
+        if last is None or last.text != text or now_ns - last.at_ns > SHOWN_NS:
             self._report(f"{part} failed because of a bug: {''.join(traceback.format_exception(error))}")
 
-    def notices(self, steady: int) -> list[Notice]:
+    def notices(self, steady_ns: int) -> list[Notice]:
         """The parts that have failed recently."""
         return [
             Notice("INTERNAL_ERROR", f"{part} failed because of a bug: {failure.text}")
             if failure.essential
             else Notice("PART_FAILED", f"{part} failed because of a bug, and the estimate continues: {failure.text}")
             for part, failure in list(self._failures.items())
-            if steady - failure.at_ns < SHOWN_NS
+            if steady_ns - failure.at_ns < SHOWN_NS
         ]

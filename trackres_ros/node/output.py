@@ -27,7 +27,7 @@ Values = Callable[[Row], list[float]]
 class Course(NamedTuple):
     """Where the feed-forward is going at a time."""
 
-    steady: int  # the time by the steady clock [ns]
+    steady_ns: int  # the time by the steady clock [ns]
     pace: int  # and by the controller's [ns]
     present_nm: float  # the session's feed-forward now
     target_nm: float  # what that is on its way to
@@ -60,60 +60,60 @@ class FeedforwardFilter:
         self._zero_since_ns: int | None = None
         self._window: tuple[int, int] | None = None  # beginning, by the steady clock and by the pace
         self._rates = 1.0, 1.0  # of the pace against the steady clock, in the last two windows
-        self.ends = self._withheld = False
+        self.ends = self._is_withheld = False
 
-    def end(self, steady: int) -> None:
+    def end(self, steady_ns: int) -> None:
         """Go to zero from a time on, at its rate, and within the time in which it fades."""
-        self.ends, self._zero_since_ns = True, steady
+        self.ends, self._zero_since_ns = True, steady_ns
 
-    def withhold(self, withheld: bool, steady: int) -> bool:
+    def withhold(self, is_withheld: bool, steady_ns: int) -> bool:
         """As `end` while withheld, and come back at the next speed afterwards; return whether that is new."""
-        if withheld is self._withheld:
+        if is_withheld is self._is_withheld:
             return False
-        self._withheld = withheld
+        self._is_withheld = is_withheld
         if not self.ends:
-            self._zero_since_ns = steady if withheld else None
+            self._zero_since_ns = steady_ns if is_withheld else None
         return True
 
-    def take(self, steady: int, waited_ns: int) -> None:
+    def take(self, steady_ns: int, waited_ns: int) -> None:
         """Take note of a step, whose speed waited in a queue before it came."""
         self._slow_max_age_s = float(self.session.motion[at.Motion.longest_age])
-        self._step_ns = steady - waited_ns
-        if self.age_s(steady) <= self.max_age_s:
+        self._step_ns = steady_ns - waited_ns
+        if self.age_s(steady_ns) <= self.max_age_s:
             self._full_nm, self._share = self.torque_nm, 1.0
 
-    def age_s(self, steady: int) -> float:
+    def age_s(self, steady_ns: int) -> float:
         """Time since the last step was made [s]; infinite before the first."""
-        return math.inf if self._step_ns is None else (steady - self._step_ns) * NANOSECOND
+        return math.inf if self._step_ns is None else (steady_ns - self._step_ns) * NANOSECOND
 
     @property
     def max_age_s(self) -> float:
         """Longest age of a trusted speed [s]."""
         return max(self.session.estimator.settings.speed_max_age_s, self._slow_max_age_s)
 
-    def share(self, steady: int) -> float:
+    def share(self, steady_ns: int) -> float:
         """Share of the feed-forward at the age of the speed. Only a new speed raises it, and it falls no faster than a fading,
         whatever the settings change to.
         """
-        age_s, fade_s = self.age_s(steady), self.session.estimator.settings.feedforward_fade_s
-        since_s = 0.0 if self._zero_since_ns is None else (steady - self._zero_since_ns) * NANOSECOND
+        age_s, fade_s = self.age_s(steady_ns), self.session.estimator.settings.feedforward_fade_s
+        since_s = 0.0 if self._zero_since_ns is None else (steady_ns - self._zero_since_ns) * NANOSECOND
         share = 0.0 if math.isinf(age_s) else fade(age_s, self.max_age_s, fade_s) * fade(since_s, 0.0, fade_s)
         if self._last_move_ns is None:
             return share
-        return min(self._share, max(share, self._share - (steady - self._last_move_ns) * NANOSECOND / fade_s))
+        return min(self._share, max(share, self._share - (steady_ns - self._last_move_ns) * NANOSECOND / fade_s))
 
-    def course(self, steady: int) -> Course:
+    def course(self, steady_ns: int) -> Course:
         """Where it is going now; see `feedforward_at`."""
-        pace = self._clock.pace_ns(steady)
-        session, arrival = self.session, self._clock.recorded_ns(steady, pace)
+        pace = self._clock.pace_ns(steady_ns)
+        session, arrival = self.session, self._clock.recorded_ns(steady_ns, pace)
         present_nm, target_nm, stop_reason = feedforward_at(session.estimator.constants, session.memory, session.motion, arrival)
-        return Course(steady, pace, float(present_nm), float(target_nm), stop_reason)
+        return Course(steady_ns, pace, float(present_nm), float(target_nm), stop_reason)
 
-    def has_to_fall(self, steady: int) -> bool:
+    def has_to_fall(self, steady_ns: int) -> bool:
         """Whether the last published torque is on its way to zero or through it: that waits for no slow rate of outputs."""
         if self.torque_nm == 0.0:
             return False
-        return self.share(steady) < 1.0 or self.torque_nm * self.course(steady).target_nm <= 0.0
+        return self.share(steady_ns) < 1.0 or self.torque_nm * self.course(steady_ns).target_nm <= 0.0
 
     def move(self, course: Course) -> float:
         """The feed-forward [Nm] to publish, on a course of now."""
@@ -125,7 +125,7 @@ class FeedforwardFilter:
         else:  # while the session's goes to zero, so does this one
             end_nm = present_nm if min(0.0, last_nm) <= present_nm <= max(0.0, last_nm) else 0.0
             self._full_nm = step_towards(last_nm, end_nm, rate_towards(number, 0.0) * elapsed_s)
-        self._share, self._last_move_ns = self.share(course.steady), course.steady
+        self._share, self._last_move_ns = self.share(course.steady_ns), course.steady_ns
         self.torque_nm = self._full_nm * self._share
         return self.torque_nm
 
@@ -134,11 +134,11 @@ class FeedforwardFilter:
 
         A simulated clock may run fast, and a controller with it. How fast is the slower of two windows: a leap is in one.
         """
-        begin_ns, pace_ns = self._window = self._window or (course.steady, course.pace)
-        if course.steady - begin_ns >= WINDOW_NS:
-            self._rates = self._rates[1], (course.pace - pace_ns) / (course.steady - begin_ns)
-            self._window = course.steady, course.pace
-        passed_ns = 0 if self._last_move_ns is None else course.steady - self._last_move_ns
+        begin_ns, pace_ns = self._window = self._window or (course.steady_ns, course.pace)
+        if course.steady_ns - begin_ns >= WINDOW_NS:
+            self._rates = self._rates[1], (course.pace - pace_ns) / (course.steady_ns - begin_ns)
+            self._window = course.steady_ns, course.pace
+        passed_ns = 0 if self._last_move_ns is None else course.steady_ns - self._last_move_ns
         return passed_ns * NANOSECOND * max(1.0, min(self._rates))
 
 
@@ -184,13 +184,13 @@ class OutputPublisher:
         self.published += 1
 
     def publish_statuses(
-        self, statuses: Sequence[Status], now_ns: int, diagnostics: bool, learned: Sequence[Status] = ()
+        self, statuses: Sequence[Status], now_ns: int, diagnostics: bool, learning_statuses: Sequence[Status] = ()
     ) -> None:
         """Publish the first status on the node's own topic, and, on request, all as diagnostics and the learned values."""
         for output, topic in enumerate(self._outputs):
             if topic is PARAMETERS_TOPIC:
-                if diagnostics and learned and self.is_open:
-                    self._send(output, self._transport.publish_status, nearest_usable(now_ns), learned)
+                if diagnostics and learning_statuses and self.is_open:
+                    self._send(output, self._transport.publish_status, nearest_usable(now_ns), learning_statuses)
             elif topic.kind == "status" and (diagnostics if topic.shared else self.is_open):
                 own_statuses = statuses if topic.shared else statuses[:1]
                 self._send(output, self._transport.publish_status, nearest_usable(now_ns), own_statuses)
@@ -217,5 +217,5 @@ def _values(topic: OutputTopic, index: dict[str, int]) -> Values:
     if topic.kind == "temperature":
         mean, std = columns
         return lambda row: [row[mean], row[std] ** 2]
-    picked = list(zip(columns, signs, strict=True))
-    return lambda row: [row[column] * sign + 0.0 for column, sign in picked]
+    column_signs = list(zip(columns, signs, strict=True))
+    return lambda row: [row[column] * sign + 0.0 for column, sign in column_signs]

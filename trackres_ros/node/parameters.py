@@ -245,8 +245,8 @@ class Parameters:
 
     def output_quality(self, topic: OutputTopic) -> Quality:
         """Quality of service of an output; a deadline only on those that come at a steady rate."""
-        steady = topic.kind != "status" and topic.name != "torque_residual"
-        deadline_s = self.number("output_deadline_s") if steady else 0.0
+        steady_ns = topic.kind != "status" and topic.name != "torque_residual"
+        deadline_s = self.number("output_deadline_s") if steady_ns else 0.0
         return Quality(self.text("output_reliability") == "reliable", self.count("output_depth"), deadline_s)
 
     def with_changes(self, changes: Mapping[str, object]) -> Parameters:
@@ -274,8 +274,8 @@ def node_parameter(name: str) -> NodeParameter:
 
 def make_parameters(entries: Mapping[str, object]) -> Parameters:
     """Parameters from names and values, the rest by default. Raises InputError for an unknown name or a bad value."""
-    valid = {name: node_parameter(name).check(value) for name, value in entries.items()}
-    parameters = Parameters(MappingProxyType({name: valid.get(name, p.default) for name, p in PARAMETERS.items()}))
+    checked_values = {name: node_parameter(name).check(value) for name, value in entries.items()}
+    parameters = Parameters(MappingProxyType({name: checked_values.get(name, p.default) for name, p in PARAMETERS.items()}))
     rate, deadline = parameters.number("output_rate_hz"), parameters.number("output_deadline_s")
     if rate > 0.0 and 0.0 < deadline < 2.0 / rate:
         allowed = f"0, or at least {2.0 / rate:g} s, two outputs at an output_rate_hz of {rate:g} Hz"
@@ -300,18 +300,18 @@ def read_with_overrides(path: Path | None, node: str, namespace: str) -> tuple[d
         make_parameters(values)
     except InputError as error:
         raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None
-    overrides = dict(_flat({name: value for name, value in entries.items() if name not in values}, ""))
+    overrides = dict(_flat_entries({name: value for name, value in entries.items() if name not in values}, ""))
     for name, value in overrides.items():
         if not isinstance(value, bool | int | str):
             raise InputError(f"{path}: {name}", value, "a word, a whole number, true or false")
     return values, overrides
 
 
-def _flat(entries: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _flat_entries(entries: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     """Nested entries by their dotted names."""
     for name, value in entries.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+            yield from _flat_entries(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 
@@ -326,14 +326,14 @@ def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
     if not any(isinstance(value, Mapping) for value in content.values()):
         return dict(content)
     sections = _sections(content, "", str(path))
-    fitting = [values for pattern, values in sections if fits(pattern, full_name)]
+    fitting = [values for pattern, values in sections if fits_node(pattern, full_name)]
     if not fitting:
         names = ", ".join(pattern for pattern, _ in sections)
         raise InputError(str(path), f"parameters of {names}", f"a section for {full_name}", "use that name, or /** for any node")
     return {name: value for values in fitting for name, value in values.items()}
 
 
-def fits(pattern: str, node: str) -> bool:
+def fits_node(pattern: str, node: str) -> bool:
     """Whether a section is of a node with a full name, by the wildcards of ROS: /* is any one name, /** any number of them."""
     return re.fullmatch(re.escape(pattern).replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+"), node) is not None
 
@@ -355,13 +355,13 @@ def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tupl
             remedy = f"did you mean {ROS_KEY}?" if difflib.get_close_matches(ROS_KEY, name.split("/")) else ""
             allowed = f"the name of a node or namespace with a mapping that ends in {ROS_KEY}"
             raise InputError(f"{origin}: {name.strip('/')}", value, allowed, remedy)
-        others = {inner: entry for inner, entry in value.items() if inner != ROS_KEY}
+        sections_inside = {section_name: entry for section_name, entry in value.items() if section_name != ROS_KEY}
         if ROS_KEY in value:
             parameters = value[ROS_KEY]
             if not isinstance(parameters, Mapping | None):
                 raise InputError(f"{origin}: {name.strip('/')}.{ROS_KEY}", parameters, "names and values of parameters")
             sections.append((name, parameters or {}))
-        sections += _sections(others, name, origin)
+        sections += _sections(sections_inside, name, origin)
     return sections
 
 
@@ -393,13 +393,13 @@ def changed_parameters(current: Parameters, values: Mapping[str, object], topics
     decides.
     """
     parameters = current.with_changes(values)
-    fixed = settings_of(topics)
+    fixed_settings = settings_of(topics)
     for name in values:
-        if name in fixed and fixed[name] != parameters.values[name]:
+        if name in fixed_settings and fixed_settings[name] != parameters.values[name]:
             raise InputError(
                 f"parameter {name}",
                 values[name],
-                f"{fixed[name]}, set by the topics file",
+                f"{fixed_settings[name]}, set by the topics file",
                 f"change {FIELDS.get(name, 'max_age_s')} in {topics.origin} and reconfigure the node",
             )
     return parameters
@@ -430,9 +430,9 @@ class ParameterFile:
     start of the node, and `overruled` the names set on the command line.
     """
 
-    def __init__(self, path: Path, node: str, namespace: str, parameters: Parameters, overruled: Collection[str]) -> None:
+    def __init__(self, path: Path, node: str, namespace: str, parameters: Parameters, overruled_names: Collection[str]) -> None:
         self.path, self._node, self._namespace = path, node, namespace
-        self._overruled = frozenset(overruled)
+        self._overruled_names = frozenset(overruled_names)
         self._applied: dict[str, Value] = dict(parameters.values)
         self._read_stamp: Stamp | None = None
         self._last_stamp: Stamp | None = None
@@ -451,16 +451,20 @@ class ParameterFile:
             entries = read_entries(self.path, self._node, self._namespace)
         except InputError as error:
             return {}, [error]
-        meant, bad = {name: parameter.default for name, parameter in PARAMETERS.items()}, []
+        file_values, bad_lines = {name: parameter.default for name, parameter in PARAMETERS.items()}, []
         for name, value in entries.items():
             try:
-                meant[name] = node_parameter(name).check(value)
+                file_values[name] = node_parameter(name).check(value)
             except InputError as error:
-                meant.pop(name, None)
-                bad.append(error)
-        changes = {name: value for name, value in meant.items() if name not in self._overruled and value != self._applied[name]}
-        valid, errors = _valid_changes(changes, check)
-        return valid, bad + errors
+                file_values.pop(name, None)
+                bad_lines.append(error)
+        changes = {
+            name: value
+            for name, value in file_values.items()
+            if name not in self._overruled_names and value != self._applied[name]
+        }
+        valid_changes, errors = _valid_changes(changes, check)
+        return valid_changes, bad_lines + errors
 
     def note_changes(self, changes: Mapping[str, Value]) -> str:
         """Record a change; return it as text."""
@@ -477,22 +481,22 @@ def _valid_changes(
     changes: Mapping[str, Value], check: Callable[[Mapping[str, Value]], object]
 ) -> tuple[dict[str, Value], list[InputError]]:
     """All valid changes, and the errors of the others. Two that depend on each other pass in either order."""
-    valid: dict[str, Value] = {}
+    valid_changes: dict[str, Value] = {}
     errors: dict[str, InputError] = {}
-    waiting = dict(changes)
-    while waiting:
+    pending_changes = dict(changes)
+    while pending_changes:
         errors = {}
-        for name, value in waiting.items():
+        for name, value in pending_changes.items():
             try:
-                check({**valid, name: value})
+                check({**valid_changes, name: value})
             except InputError as error:
                 errors[name] = error
             else:
-                valid[name] = value
-        if len(errors) == len(waiting):
+                valid_changes[name] = value
+        if len(errors) == len(pending_changes):
             break
-        waiting = {name: waiting[name] for name in errors}
-    return valid, list(errors.values())
+        pending_changes = {name: pending_changes[name] for name in errors}
+    return valid_changes, list(errors.values())
 
 
 def _stamp(path: Path) -> Stamp | None:

@@ -47,7 +47,7 @@ class SignalRequests:
     def __init__(self) -> None:
         self.to_stop = False
         self._starting = True
-        self._waiting: list[int] = []
+        self._pending_signals: list[int] = []
 
     def listen(self) -> None:
         """Begin to listen; from then on no signal ends the process by itself. Under nohup a closed terminal ends nothing."""
@@ -63,14 +63,14 @@ class SignalRequests:
 
     def pending(self) -> Iterator[int]:
         """Requests to carry out now, each once."""
-        while self._waiting:
-            yield self._waiting.pop(0)
+        while self._pending_signals:
+            yield self._pending_signals.pop(0)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         if number in STOP:
             self.to_stop = True
         else:
-            self._waiting.append(number)
+            self._pending_signals.append(number)
         if self._starting:  # written past any buffer, as the main program may be writing now
             text = f"trackres: {signal.Signals(number).name} while starting: {WHAT[number]} as soon as it has started\n"
             with suppress(OSError):  # the log has no reader any more: that ends nothing
@@ -94,15 +94,15 @@ class ServiceManager:
         self._ready = False
         self._sent_count, self._notified_ns, self._status = 0, 0, ""
 
-    def alive(self, count: int, active: bool, steady: int) -> None:
+    def alive(self, count: int, is_active: bool, steady_ns: int) -> None:
         """Report that the node is alive, if messages were sent since the last call that did, or it is inactive by request.
 
-        `sent` is the number of messages passed to the middleware so far, `steady` is now by a steady clock [ns].
+        `sent` is the number of messages passed to the middleware so far, `steady_ns` is now by a steady clock [ns].
         """
-        if (active and count == self._sent_count) or (self._ready and steady - self._notified_ns < EVERY_NS):
+        if (is_active and count == self._sent_count) or (self._ready and steady_ns - self._notified_ns < EVERY_NS):
             return
         self._notify("WATCHDOG=1" if self._ready else "READY=1\nWATCHDOG=1")
-        self._ready, self._sent_count, self._notified_ns = True, count, steady
+        self._ready, self._sent_count, self._notified_ns = True, count, steady_ns
 
     def status(self, text: str) -> None:
         """Report the state in a line; `systemctl status` shows it."""
@@ -180,10 +180,10 @@ class ErrorLines:
             while self._lines:
                 line = self._lines.popleft()
                 self._taken_count += 1
-                lost = self._put_count - self._taken_count - len(self._lines)
-                if lost > 0:
-                    self._taken_count += lost
-                    line = f"[{lost} lines of the log were dropped, because nothing read them]\n{line}"
+                lost_count = self._put_count - self._taken_count - len(self._lines)
+                if lost_count > 0:
+                    self._taken_count += lost_count
+                    line = f"[{lost_count} lines of the log were dropped, because nothing read them]\n{line}"
                 self._write(line)
 
     def _write(self, line: str) -> None:

@@ -96,7 +96,7 @@ class Recorder:
         self._open_topics: deque[Item] = deque()
         self._put_bytes = self._taken_bytes = 0  # bytes; one thread counts each
         self._overflow, self._dropped_ns = [0, 0], -SHOWN_NS  # messages and estimates
-        self._given_out, self._finished, self._missing = [0, 0], [0, 0], [0, 0]
+        self._given_out, self._finished_counts, self._missing_counts = [0, 0], [0, 0], [0, 0]
         self._counts: dict[str, int] = {}  # messages of each topic
         self._error, self._failed_ns, self._answered_ns = "", -SHOWN_NS, 0
         self._is_finished = False
@@ -121,9 +121,9 @@ class Recorder:
         self._current = Origin(estimator, learner, application.record(self._keep), jump_ns)
         self._names = [input_name(topic.name, "/") for topic, _ in self._current.topics]
         self._counts = dict.fromkeys(self._names, 0) | self._counts
-        unfinished: list[Path] = []
+        unfinished_files: list[Path] = []
         if self._thread.ident is None:
-            unfinished = self._files.left_unfinished()
+            unfinished_files = self._files.left_unfinished()
             self._origin, self._last = self._current, [0] * len(self._current.topics)
             self._preview = ResultPreview(len(self._current.columns))
             try:
@@ -137,7 +137,7 @@ class Recorder:
         application.recording_notices = self.notices
         return [
             f"{path} is unfinished but readable; repair it with: trackres recover {shlex.quote(str(path))} -o FILE"
-            for path in unfinished
+            for path in unfinished_files
         ]
 
     def end(self) -> list[str]:
@@ -176,18 +176,18 @@ class Recorder:
         return f"Live: {self._origin.estimator.vehicle.title}"
 
     def _file_range(self) -> str:
-        first = self._finished_files[0] if self._finished_files else str(self._part)
-        return first if len(self._finished_files) < 2 else f"{first} to {self._finished_files[-1]}"
+        first_file = self._finished_files[0] if self._finished_files else str(self._part)
+        return first_file if len(self._finished_files) < 2 else f"{first_file} to {self._finished_files[-1]}"
 
     def notices(self) -> list[Notice]:
         """Text that data are not recorded, with the file and the amount."""
-        now = time.monotonic_ns()
-        silent_s = (now - self._answered_ns) * 1e-9
+        now_ns = time.monotonic_ns()
+        silent_s = (now_ns - self._answered_ns) * 1e-9
         if silent_s * 1e9 > SHOWN_NS:
             cause = f"the disk has not responded for {silent_s:.0f} s"
-        elif now - self._failed_ns < SHOWN_NS:
+        elif now_ns - self._failed_ns < SHOWN_NS:
             cause = self._error
-        elif now - self._dropped_ns < SHOWN_NS:
+        elif now_ns - self._dropped_ns < SHOWN_NS:
             cause = "the disk is too slow for the data"
         else:
             return []
@@ -235,7 +235,7 @@ class Recorder:
         else:
             success = True
         counts = self._written_counts()
-        self._missing = [handed - in_file for handed, in_file in zip(self._given_out, counts, strict=True)]
+        self._missing_counts = [given_count - in_file for given_count, in_file in zip(self._given_out, counts, strict=True)]
         self._answered_ns = time.monotonic_ns()
         return success
 
@@ -308,7 +308,7 @@ class Recorder:
             self._feed_preview()
         if items:
             self._began_ns = self._began_ns or first_ns
-            if self._limits.due(self._bag.writer.size, items[-1][3] - self._began_ns):
+            if self._limits.is_full(self._bag.writer.size, items[-1][3] - self._began_ns):
                 self._close()
                 self._open()
 
@@ -332,7 +332,7 @@ class Recorder:
 
     def _close(self) -> None:
         """Finish a file; if that fails, it stays unfinished."""
-        bag, self._finished, self._bag = self._bag, self._written_counts(), None
+        bag, self._finished_counts, self._bag = self._bag, self._written_counts(), None
         if bag is not None:
             bag.__exit__(None, None, None)
             self._finished_files.append(str(bag.path))
@@ -343,14 +343,14 @@ class Recorder:
 
     def _written_counts(self) -> list[int]:
         """Messages and estimates that are in a file."""
-        messages, estimates = self._finished
+        messages, estimates = self._finished_counts
         if self._bag is None:
             return [messages, estimates]
         return [messages + sum(topic.count for topic in self._topics), estimates + self._bag.estimates]
 
     def _lost_counts(self) -> list[int]:
         """Messages and estimates that are in no file, and will not be."""
-        return [missing + overflow for missing, overflow in zip(self._missing, self._overflow, strict=True)]
+        return [missing_count + overflow for missing_count, overflow in zip(self._missing_counts, self._overflow, strict=True)]
 
 
 def start_of(bag: Path) -> Path:
@@ -405,7 +405,7 @@ class RecordLimits:
         """Size of a file at which the next one begins; 0 is none."""
         return self.split_mb or self.limit_mb / FILES_IN_LIMIT
 
-    def due(self, size: int, span_ns: int) -> bool:
+    def is_full(self, size: int, span_ns: int) -> bool:
         """Whether the next file begins, behind one of so many bytes that covers so much time."""
         by_size = self.largest_mb and size >= self.largest_mb * MB
         return bool(by_size or (self.split_minutes and span_ns >= self.split_minutes * 60 * SECOND_NS))
@@ -428,7 +428,7 @@ class RecordingFiles:
     def next(self) -> tuple[Path, Path]:
         """The next file, and its name until it is finished."""
         if self._limits.splits or self._has_begun:
-            number = 1 + max((number for number, _ in self._numbered()), default=0 if self._has_begun else -1)
+            number = 1 + max((number for number, _ in self._numbered_files()), default=0 if self._has_begun else -1)
             path = self._path.with_name(f"{self._path.stem}_{number:04d}{self._path.suffix}")
             return path, path.with_name(path.name + SUFFIX)
         self._has_begun = True
@@ -449,7 +449,7 @@ class RecordingFiles:
         limits = self._limits
         if not limits.limit_mb:
             return
-        sizes = {path: path.stat().st_size for _, path in sorted(self._numbered()) if _is_ours(path)}
+        sizes = {path: path.stat().st_size for _, path in sorted(self._numbered_files()) if _is_ours(path)}
         too_much = sum(sizes.values()) + (limits.largest_mb - limits.limit_mb) * MB
         for path, size in sizes.items():
             if too_much <= 0:
@@ -459,7 +459,7 @@ class RecordingFiles:
                 self.deleted += 1
                 too_much -= size
 
-    def _numbered(self) -> list[tuple[int, Path]]:
+    def _numbered_files(self) -> list[tuple[int, Path]]:
         matches = [(self._name.fullmatch(path.name), path) for path in self._path.parent.iterdir()]
         return [(int(match[1]), path) for match, path in matches if match]
 

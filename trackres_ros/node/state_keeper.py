@@ -64,8 +64,8 @@ def state_name(node: str, namespace: str, vehicle: str) -> str:
     The readable part may be the same for two of them; the digest of the whole is not.
     """
     identity = [*filter(None, namespace.split("/"))], node, vehicle
-    readable = re.sub(r"[^A-Za-z0-9]+", "_", "_".join((*identity[0], node, vehicle))).strip("_")[:LONGEST_NAME]
-    return f"{readable}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]}.json"
+    readable_name = re.sub(r"[^A-Za-z0-9]+", "_", "_".join((*identity[0], node, vehicle))).strip("_")[:LONGEST_NAME]
+    return f"{readable_name}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]}.json"
 
 
 def lock_of(path: Path) -> Path:
@@ -82,7 +82,7 @@ class StateKeeper:
         self.holds_at = time.time()  # when the loaded state holds: that of the file may be later than a clock not yet set
         self.saved_ns: int | None = None  # by the steady clock
         self.error = why_none
-        self.unused = ""  # why the state file that was there could not be used
+        self.unused_reason = ""  # why the state file that was there could not be used
         self._copy_path: Path | None = None  # where that file is copied before it is replaced; None if there is nothing to keep
         self._used_copy: Path | None = None  # copy that this start went on with; it goes once a later state is saved
         self._lock = FileLock(lock_of(path)) if path else None
@@ -104,27 +104,27 @@ class StateKeeper:
             if not self.path.exists():
                 return estimator.session(), f"no state file {self.path} yet: cold start"
         except (OSError, ValueError) as error:
-            self.unused = f"cold start: the state file {self.path} cannot be reached: {error}"
-            return estimator.session(), self.unused
+            self.unused_reason = f"cold start: the state file {self.path} cannot be reached: {error}"
+            return estimator.session(), self.unused_reason
         file = self.path
         try:
             session, since_s = after_time_off(estimator, file, self.holds_at)
         except InputError as error:
             error = InputError(error.where, error.given, error.allowed)  # there is nothing to do: a copy is kept
-            self.unused = f"cold start: the state file cannot be used: {error}"
+            self.unused_reason = f"cold start: the state file cannot be used: {error}"
             with suppress(OSError):
                 if file.is_file() and is_other_kind(file):
                     self.error, self.path = f"{file} is another kind of file, which is not replaced", None
-                    return estimator.session(), self.unused
+                    return estimator.session(), self.unused_reason
             self._keep_unused("; a start with its values uses it again")
             file = place_aside(file, key(estimator))  # that of an earlier start with these values
             if self._copy_path in (None, file):  # then the state file itself may be the later one
-                return estimator.session(), self.unused
+                return estimator.session(), self.unused_reason
             try:
                 session, since_s = after_time_off(estimator, file, self.holds_at)
             except InputError:
-                return estimator.session(), self.unused
-            self.unused, self._used_copy = "", file
+                return estimator.session(), self.unused_reason
+            self.unused_reason, self._used_copy = "", file
         off_s = max(0.0, since_s)
         self.holds_at += off_s - since_s
         subject = "belts" if estimator.assemblies else "temperatures of the effects"
@@ -132,20 +132,20 @@ class StateKeeper:
         if not session.started:
             text = f"no {subject} in {file}: cold start{' in the last known air' if session.has_past else ''}"
         try:
-            learned = learning.go_on(session, read_learning(estimator, file), self.holds_at)
+            learning_note = learning.go_on(session, read_learning(estimator, file), self.holds_at)
         except ValueError as error:
-            self.unused = f"learning starts from the vehicle file: {error}"
+            self.unused_reason = f"learning starts from the vehicle file: {error}"
             self._keep_unused("")
             self._used_copy = None
-            return session, f"{text}; {self.unused}"
-        return session, f"{text}; {learned}" if learned else text
+            return session, f"{text}; {self.unused_reason}"
+        return session, f"{text}; {learning_note}" if learning_note else text
 
     def _keep_unused(self, use: str) -> None:
         """Have the state file copied before it is replaced, and say where; `how` says how it is used again."""
         assert self.path is not None
         self._copy_path = aside_of(self.path)
         if self._copy_path is not None:
-            self.unused += f"; before it is replaced it is copied to {self._copy_path}{use}"
+            self.unused_reason += f"; before it is replaced it is copied to {self._copy_path}{use}"
 
     def _may_replace(self, session: Session) -> bool:
         """Whether there is anything to save in place of what is there: after a speed, and before it what was restored."""
@@ -164,8 +164,8 @@ class StateKeeper:
         if self.shared_with:
             text = f"{self.shared_with} keeps its state in {self.path} too: it is not written until that one has ended"
             notices.append(Notice("STATE_SHARED", f"{text}; give each node a name or a state_file of its own"))
-        if self.unused:
-            notices.append(Notice("STATE_NOT_USED", self.unused))
+        if self.unused_reason:
+            notices.append(Notice("STATE_NOT_USED", self.unused_reason))
         return notices
 
     def _has_lock(self) -> bool:

@@ -72,7 +72,7 @@ class Watch:
         self._offset_ns = 0
         self._began_ns: int | None = None
         self._missing_inputs: set[int] = set()  # inputs whose message stands, and which have had none
-        self._logged: frozenset[str] | None = None
+        self._logged_names: frozenset[str] | None = None
 
     def count_step(self, reasons: int, offset_ns: int) -> bool:
         """Record an estimate; return true if it has reasons that are not shown yet."""
@@ -89,52 +89,54 @@ class Watch:
 
     def look_at_age(self, age_s: float, max_age_s: float) -> bool:
         """True when the speed has just become too old, or fresh again."""
-        old = age_s > max_age_s
-        is_new, self._was_old = old is not self._was_old, old
+        is_old = age_s > max_age_s
+        is_new, self._was_old = is_old is not self._was_old, is_old
         return is_new
 
-    def inputs(self, steady: int) -> tuple[InputState, ...]:
+    def inputs(self, steady_ns: int) -> tuple[InputState, ...]:
         """Every role in the last second, with its present age."""
         ages = {role: self.accepted_ns[self._channel[role]] for role, _ in self._roles}
         return tuple(
-            replace(state, age_s=math.nan if (at_ns := ages[state.role]) is None else (steady - at_ns) * 1e-9)
+            replace(state, age_s=math.nan if (at_ns := ages[state.role]) is None else (steady_ns - at_ns) * 1e-9)
             for state in self._inputs
         )
 
     def every_second(
-        self, session: Session, reader: InputReader, peers: Sequence[Sequence[Peer]], steady: int, arrival: int
+        self, session: Session, reader: InputReader, peers: Sequence[Sequence[Peer]], steady_ns: int, arrival: int
     ) -> None:
         """Work out rates and refusals since the last call, and begin a new second. `arrival` is that of a message now [ns]."""
-        elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
+        elapsed_s = math.nan if self._looked_ns is None else max((steady_ns - self._looked_ns) * 1e-9, 1e-9)
         totals = {count.name.lower(): session.memory.counters[:, count] for count in at.Count} | reader.counts()
-        new = {name: self._increase(name, counts) for name, counts in totals.items()}
-        counts_received = self._increase("received", reader.received)
-        self._drops = [(topic.name, int(n)) for topic, n in zip(self._topics, new["dropped"], strict=True) if n]
+        increases = {name: self._increase(name, counts) for name, counts in totals.items()}
+        counts_received = self._increase("received", reader.message_counts)
+        self._drops = [(topic.name, int(n)) for topic, n in zip(self._topics, increases["dropped"], strict=True) if n]
         states = []
         for role, i in self._roles:
             channel = self._channel[role]
             place = {name: i if name == "dropped" else channel for name in totals}
-            latest = {name: int(counts[place[name]]) for name, counts in new.items()}
-            messages = sum(latest[name] for name in ("accepted", *REFUSALS, "bad_stamp", "unused"))
+            latest_counts = {name: int(counts[place[name]]) for name, counts in increases.items()}
+            messages = sum(latest_counts[name] for name in ("accepted", *REFUSALS, "bad_stamp", "unused"))
             messages = int(counts_received[i]) if role in reader.sums else messages
-            refusals = _refusal_text(latest, messages, reader.lacks[channel])
-            messages += 0 if role in reader.sums else sum(latest[name] for name in ("absent", *COMPANIONS))
+            refusals = _refusal_text(latest_counts, messages, reader.lack_texts[channel])
+            messages += 0 if role in reader.sums else sum(latest_counts[name] for name in ("absent", *COMPANIONS))
             counts = tuple((name, int(n)) for name, counter in totals.items() if (n := counter[place[name]]))
-            value, old = float(session.memory.values[channel]), self._is_old(role, session, steady, arrival)
-            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, counts, refusals, old))
+            value, is_old = float(session.memory.values[channel]), self._is_old(role, session, steady_ns, arrival)
+            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, counts, refusals, is_old))
         self._inputs = tuple(states)
-        pending = self._last_reasons if not (self._steps or self._was_old) else 0  # of a slow speed, until its next step
+        pending_reasons = self._last_reasons if not (self._steps or self._was_old) else 0  # of a slow speed, until its next step
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
-        self._peers, self._looked_ns = peers, steady
-        self._began_ns = steady if self._began_ns is None else self._began_ns
-        is_late = steady - self._began_ns >= STARTING_NS
-        self._missing_inputs = {i for i, topic in enumerate(self._topics) if is_late and topic.stands and not reader.received[i]}
-        self._shown_reasons, self._second_reasons = self._second_reasons | pending, 0
+        self._peers, self._looked_ns = peers, steady_ns
+        self._began_ns = steady_ns if self._began_ns is None else self._began_ns
+        is_late = steady_ns - self._began_ns >= STARTING_NS
+        self._missing_inputs = {
+            i for i, topic in enumerate(self._topics) if is_late and topic.stands and not reader.message_counts[i]
+        }
+        self._shown_reasons, self._second_reasons = self._second_reasons | pending_reasons, 0
 
-    def _is_old(self, role: str, session: Session, steady: int, arrival: int) -> bool:
+    def _is_old(self, role: str, session: Session, steady_ns: int, arrival: int) -> bool:
         """Whether the last accepted value of a role is not used any more."""
         channel, settings = self._channel[role], session.estimator.settings
-        age_ns = steady - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
+        age_ns = steady_ns - (self.accepted_ns[channel] or 0)  # simulated time does not age a speed
         if role != "speed":
             age_ns = arrival - int(session.memory.times[channel, at.Times.last_arrival])
         allowed_s = longest_age_s(settings, role)
@@ -145,9 +147,9 @@ class Watch:
 
     def _increase(self, name: str, counters: Sequence[int] | Sequence[Sequence[int]] | IntArray) -> IntArray:
         """What was added to counters since the last look at them."""
-        latest = np.array(counters, dtype=np.int64)
-        last, self._last[name] = self._last.get(name, np.zeros_like(latest)), latest
-        return latest - last
+        latest_counts = np.array(counters, dtype=np.int64)
+        last, self._last[name] = self._last.get(name, np.zeros_like(latest_counts)), latest_counts
+        return latest_counts - last
 
     def notices(self, age_s: float, max_age_s: float, period_s: float, no_clock: str) -> list[Notice]:
         """All present notices of inputs and estimate; `period_s`: in which the speed comes; `no_clock`: why there is no time,
@@ -159,8 +161,10 @@ class Watch:
         if math.isinf(age_s):
             notices.append(Notice("NO_SPEED", "no speed yet"))
         elif age_s > max_age_s:
-            fading = "the feed-forward fades to zero"
-            notices.append(Notice("SPEED_OLD", f"no accepted speed for {age_s:.1f} s, at most {max_age_s:g} s allowed: {fading}"))
+            fade_text = "the feed-forward fades to zero"
+            notices.append(
+                Notice("SPEED_OLD", f"no accepted speed for {age_s:.1f} s, at most {max_age_s:g} s allowed: {fade_text}")
+            )
         for name, number in self._drops:
             text = f"{name}: {number} messages were dropped in the last second, as they arrived too fast"
             notices.append(Notice("OVERRUN", text))
@@ -180,29 +184,29 @@ class Watch:
             notices.append(_slow_speed_notice(period_s, max_age_s))
         return notices + of_reasons(reasons)
 
-    def to_log(self, notices: Sequence[Notice], steady: int) -> tuple[Level, str] | None:
+    def to_log(self, notices: Sequence[Notice], steady_ns: int) -> tuple[Level, str] | None:
         """Level and text for the log, if the notices above OK have changed since the last call.
 
         Just after the start a missing input is no warning.
         """
         if self._began_ns is None:
             return None
-        starting = steady - self._began_ns < STARTING_NS
-        heavy = [notice for notice in notices if notice.level > Level.OK]
-        wrong = [notice for notice in heavy if not (starting and KINDS[notice.name].awaited)]
-        names = frozenset(notice.name for notice in wrong) or frozenset({"STARTING"} if heavy else ())
-        if names == self._logged:
+        starting = steady_ns - self._began_ns < STARTING_NS
+        heavy_notices = [notice for notice in notices if notice.level > Level.OK]
+        wrong_notices = [notice for notice in heavy_notices if not (starting and KINDS[notice.name].awaited)]
+        names = frozenset(notice.name for notice in wrong_notices) or frozenset({"STARTING"} if heavy_notices else ())
+        if names == self._logged_names:
             return None
-        self._logged = names
-        text = "; ".join(notice.text for notice in wrong or heavy) or "no warnings"
-        return (level_of(wrong), text if wrong or not heavy else f"waiting for inputs: {text}")
+        self._logged_names = names
+        text = "; ".join(notice.text for notice in wrong_notices or heavy_notices) or "no warnings"
+        return (level_of(wrong_notices), text if wrong_notices or not heavy_notices else f"waiting for inputs: {text}")
 
 
-def _refusal_text(latest: Mapping[str, int], messages: int, lack: str) -> str:
+def _refusal_text(latest_counts: Mapping[str, int], messages: int, lack: str) -> str:
     """Numbers and kinds of the messages rejected in the last second, where they are many; `lack` is the last missing field."""
-    refusals = {name: latest[name] for name in (*REFUSALS, "bad_stamp", "without_other_part", *COMPANIONS)}
-    if not latest["accepted"]:  # else another publisher on the topic has the element
-        refusals[f"absent (the messages do not have {lack})"] = latest["absent"]
+    refusals = {name: latest_counts[name] for name in (*REFUSALS, "bad_stamp", "without_other_part", *COMPANIONS)}
+    if not latest_counts["accepted"]:  # else another publisher on the topic has the element
+        refusals[f"absent (the messages do not have {lack})"] = latest_counts["absent"]
     is_many = sum(refusals.values()) > REFUSED_SHARE * messages
     return ", ".join(f"{number} {name}" for name, number in refusals.items() if number and is_many)
 
@@ -220,9 +224,9 @@ def _slow_speed_notice(period_s: float, max_age_s: float) -> Notice:
 
 def _peer_notices(topic: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     roles = topic.role_names
-    publishers = [peer for peer in peers if peer.type == topic.type and not peer.misread]
+    publishers = [peer for peer in peers if peer.type == topic.type and not peer.is_misread]
     notices = []
-    if any(peer.misread for peer in peers):
+    if any(peer.is_misread for peer in peers):
         text = f"{roles}: a publisher on {topic.name} has another definition of {topic.type}: no message of the topic is used"
         notices.append(Notice("WRONG_TYPE", text))
     for kind in sorted({peer.type for peer in peers} - {topic.type}):
@@ -251,7 +255,7 @@ def _latch_notices(topic: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     return [Notice("NOT_LATCHED", text)]
 
 
-def contested(rivals: Sequence[str], is_open: bool) -> Notice:
+def contest_notice(rivals: Sequence[str], is_open: bool) -> Notice:
     """That others publish the feed-forward too, by the names of their nodes, and whether our topics are open."""
     effect = "the feed-forward goes to zero" if is_open else "nothing is published but /diagnostics"
     end = "until it is gone, which takes up to 20 s after a crash"
@@ -386,8 +390,8 @@ def _estimate_values(overview: Overview) -> Values:
     stamp = math.nan if overview.stamp_ns is None else overview.stamp_ns * 1e-9
     remarks = " ".join(notice.name for notice in overview.notices)
     head = ("level", "remarks", "stamp", "age_s", "rate_hz", "published", "feedforward_left")
-    derived = {"level": overview.level.name.lower(), "remarks": remarks, "stamp": stamp, "rate_hz": overview.steps_hz}
-    head_values = _values(head, overview, **derived, feedforward_left=overview.left)
+    derived_values = {"level": overview.level.name.lower(), "remarks": remarks, "stamp": stamp, "rate_hz": overview.steps_hz}
+    head_values = _values(head, overview, **derived_values, feedforward_left=overview.left)
     if not overview.values:
         return head_values
     numbers = {f"resistance_torque/{part}": overview.values[name] * sign_of(name) + 0.0 for part, name in TOTALS.items()}
@@ -398,9 +402,9 @@ def _estimate_values(overview: Overview) -> Values:
     return head_values + tuple((name, _text(value, 3)) for name, value in numbers.items())
 
 
-def _values(keys: Iterable[str], source: object, **derived: object) -> Values:
+def _values(keys: Iterable[str], source: object, **derived_values: object) -> Values:
     """Keys of a status with their texts, of values derived or by that name."""
-    values = {key: derived[key] if key in derived else getattr(source, key) for key in keys}
+    values = {key: derived_values[key] if key in derived_values else getattr(source, key) for key in keys}
     return tuple((key, _text(value, DIGITS.get(key, 1))) for key, value in values.items())
 
 

@@ -110,8 +110,8 @@ def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
     """All topics to publish, most urgent first; the residual and learned values only with a measured torque."""
     has_torque = "torque" in topics
     outputs = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or has_torque)
-    learned = (PARAMETERS_TOPIC,) if has_torque else ()
-    return (*outputs, *learned, DIAGNOSTICS)
+    parameter_topics = (PARAMETERS_TOPIC,) if has_torque else ()
+    return (*outputs, *parameter_topics, DIAGNOSTICS)
 
 
 def full_name(name: str, node: str, namespace: str) -> str:
@@ -167,7 +167,7 @@ class Peer:
         return self.node or NAMELESS
 
     @property
-    def misread(self) -> bool:
+    def is_misread(self) -> bool:
         """Whether its messages arrive and would be read by another definition."""
         return self.compatible and not self.defines_alike
 

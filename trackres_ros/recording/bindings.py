@@ -427,8 +427,8 @@ def _time(line: object, where: str) -> TopicBinding:
             where, line, f"column, and if need be {', '.join(OF_TIME[1:])}", "write for example: time: {column: seconds}"
         )
     base_binding: TopicBinding = _reader(where).part(TopicBinding, line, selection=OF_TIME)
-    by_unit = _unit(base_binding.unit, "s", where)[1].scale
-    scale, offset = by_unit * base_binding.scale, by_unit * base_binding.offset
+    by_unit = _unit(base_binding.unit, "s", where)[1]
+    scale, offset = by_unit.scale * base_binding.scale, by_unit.scale * base_binding.offset + by_unit.offset
     if scale <= 0.0:
         raise InputError(f"{where}: scale", scale, "a positive number: seconds in a unit of the column")
     return replace(base_binding, scale=scale, offset=offset, unit="", converts=_converts(line))

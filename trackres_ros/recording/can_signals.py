@@ -5,10 +5,13 @@
 
 import copy
 import itertools
+import logging
 import re
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import inf, nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +22,7 @@ from trackres_ros.recording.bindings import DBC, Topics
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelFile, ChannelRows, ChosenChannel
 from trackres_ros.recording.reading import check_there, reading
 from trackres_ros.recording.samples import Finding
+from trackres_ros.text import some_of
 
 CONNECTION, PACKET = 0xEC, 0xEB
 """PDU formats of TP.CM, which announces a message, and of TP.DT, which carries it."""
@@ -140,9 +144,17 @@ def _identifier(packet: int, group: int) -> int:
 
 
 NOT_AVAILABLE = re.compile(
-    r"(?<!\bno[ -])\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b(?![ -]free\b)", re.IGNORECASE
+    r"(?<!\bno[ -])(?<!\bkein )\b(sna|snv|n[/.]?a|(not|nicht) ?(available|avail|valid|defined|verf(ü|ue)gbar|definiert)|"
+    r"unavailable|(no|kein) ?(data|value|signal|wert)|invalid|ung(ü|ue)ltig|err(or)?|fehler|fault|fail(ed|ure)|defective|"
+    r"init|undefined|unknown|unbekannt|reserved|missing|out of range|timeout)\b(?![ -]free\b)",
+    re.IGNORECASE,
 )
 """In the name of a value, of a database or of an MDF file: the signal is not available. "No error" is a value."""
+NEW_WORD = re.compile(r"_|(?<=[a-z])(?=[A-Z])")
+"""Where a word of such a name ends."""
+ROUNDED = 1e-6
+"""Share of a limit by which it may be rounded, of a number in floating point; of others it is half of a step."""
+NAMES_SHOWN = 5
 J1939_LAST_VALID = 0xFA
 """SAE J1939-71: a signal of 8 bits or more with a first byte above it is in error, not available, or a special code."""
 J1939_ANY_SOURCE = (0xFE, 0xFF)
@@ -159,9 +171,12 @@ class _Signal:
     name: str
     scale: float
     offset: float
-    missing_parts: frozenset[int]
+    missing_values: frozenset[int]
+    named_values: frozenset[int]  # which its limits do not refuse
     last_valid: float
-    in_every_frame: bool  # not multiplexed
+    limits: tuple[float, float]  # physical, with what they are rounded by
+    outside: int = 0  # values outside of the limits
+    outside_value: float = 0.0  # the first one
 
 
 @dataclass(slots=True)
@@ -177,6 +192,8 @@ class _Message:
     wanted_signals: list[_Signal] = field(default_factory=list)
     sender: tuple[int | None, int | None] | None = None  # bus, and control unit of J1939, whose frames are read: the first ones
     other_buses: Counter[int | None] = field(default_factory=Counter)  # frames of other buses, by bus
+    short_frames: int = 0  # frames that end before a signal
+    cut_signals: dict[str, None] = field(default_factory=dict)  # the names of these, in order
 
     @property
     def frames(self) -> tuple[object, ...]:
@@ -210,9 +227,13 @@ class CanSignals(ChannelFile):
                 name, "a log of CAN frames without a database", "the database of the bus, such as a .dbc file", remedy
             )
         self._messages = [entry for bus, file in files for entry in _messages_of(bus, file)]
+        _tell_apart(self._messages)
         signals = [(entry, signal) for entry in self._messages for signal in entry.message.signals]
-        self._signals = signals
-        self.channels = [Channel(signal.name, signal.unit or "", entry.group, _named_values(signal)) for entry, signal in signals]
+        first = {(entry.group, signal.name): (entry, signal) for entry, signal in reversed(signals)}
+        self._signals = [first[key] for key in reversed(first)]  # of one message in two databases the first
+        self.channels = [
+            Channel(signal.name, signal.unit or "", entry.group, _named_values(signal)) for entry, signal in self._signals
+        ]
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose the signals to decode."""
@@ -232,6 +253,10 @@ class CanSignals(ChannelFile):
         for entry in self._messages:
             entry.sender = None
             entry.other_buses.clear()
+            entry.short_frames = 0
+            entry.cut_signals.clear()
+            for signal in entry.wanted_signals:
+                signal.outside = 0
         message_by_key: dict[tuple[int, bool, int | None], _Message | None] = {}
         rows = self._values(message_by_key, event_counts)
         while chunk := list(itertools.islice(rows, CHUNK_ROWS)):
@@ -241,7 +266,9 @@ class CanSignals(ChannelFile):
                     cells[row, column] = value
             stamps = np.array([stamp_ns for stamp_ns, _ in chunk], np.int64)
             yield ChannelRows(stamps, np.ones(len(chunk), np.bool_), cells, ~np.isnan(cells))
-        self.findings = (*_findings_of(event_counts), *_of_buses(self._messages), *_of_rivals(self._messages))
+        roles = [channel.role for channel in self.wanted]
+        of_signals = itertools.chain.from_iterable(_of_signals(entry, roles) for entry in self._messages)
+        self.findings = (*_findings_of(event_counts), *of_signals, *_of_buses(self._messages), *_of_rivals(self._messages))
 
     def _values(
         self, message_by_key: dict[tuple[int, bool, int | None], _Message | None], event_counts: Counter[str]
@@ -271,15 +298,9 @@ class CanSignals(ChannelFile):
             raw_values = _raw(entry, data, event_counts)
             if raw_values is None:
                 continue
-            values = []
-            for signal in entry.wanted_signals:
-                raw = raw_values.get(signal.name)
-                if raw is None:
-                    event_counts["malformed"] += signal.in_every_frame
-                elif raw in signal.missing_parts or raw > signal.last_valid or raw != raw:
-                    event_counts["absent"] += 1
-                else:
-                    values.append((signal.column, signal.scale * raw + signal.offset))
+            if len(data) < entry.message.length:
+                _note_short(entry, raw_values)
+            values = list(_values_of(entry, raw_values, event_counts))
             if values:
                 yield stamp_ns, values
 
@@ -301,8 +322,9 @@ def _messages_of(bus: int | None, file: Path) -> list[_Message]:
     """The messages that a database describes."""
     from cantools.database import load_file
 
+    logging.getLogger("cantools").setLevel(logging.ERROR)  # messages of one name are told apart
     check_there(file)
-    with reading(file, "a database of a CAN bus, such as a .dbc file"):
+    with reading(file, "a database of a CAN bus, such as a .dbc file"), warnings.catch_warnings(action="ignore"):
         database: Any = load_file(file, strict=False)
         messages = database.messages
         attributes = getattr(database.dbc, "attributes", {}) or {}
@@ -320,6 +342,47 @@ def _messages_of(bus: int | None, file: Path) -> list[_Message]:
             )
             for message in messages
         ]
+
+
+def _tell_apart(messages: Sequence[_Message]) -> None:
+    """Give messages of one name and bus their identifiers as names."""
+    identifiers: dict[str, set[str]] = {}
+    for entry in messages:
+        identifiers.setdefault(entry.group, set()).add(_identifier_text(entry.message))
+    for entry in messages:
+        if len(identifiers[entry.group]) > 1:
+            name = entry.message.name
+            entry.group = entry.group.replace(name, f"{name}{_identifier_text(entry.message)}", 1)
+
+
+def _identifier_text(message: Any) -> str:
+    """The identifier of a message in the name of its group, of 29 bits with all digits."""
+    return f"#0x{message.frame_id:0{8 if message.is_extended_frame else 1}X}"
+
+
+def _note_short(entry: _Message, raw_values: Any) -> None:
+    """Count a frame that ends before signals of every frame, and name them."""
+    cut_signals = [
+        signal.name for signal in entry.message.signals if not signal.multiplexer_ids and signal.name not in raw_values
+    ]
+    entry.short_frames += bool(cut_signals)
+    entry.cut_signals.update(dict.fromkeys(cut_signals))
+
+
+def _values_of(entry: _Message, raw_values: Any, event_counts: Counter[str]) -> Iterator[tuple[int, float]]:
+    """Columns and physical values of the signals to read of a frame."""
+    for signal in entry.wanted_signals:
+        raw = raw_values.get(signal.name)
+        if raw is None:
+            continue
+        value = signal.scale * raw + signal.offset
+        if raw in signal.missing_values or raw > signal.last_valid or raw != raw:
+            event_counts["absent"] += 1
+        elif signal.limits[0] <= value <= signal.limits[1] or raw in signal.named_values:
+            yield signal.column, value
+        else:
+            signal.outside_value = signal.outside_value if signal.outside else value
+            signal.outside += 1
 
 
 def _raw(entry: _Message, data: bytes, event_counts: Counter[str]) -> Any:
@@ -361,7 +424,7 @@ def _pgn(number: int) -> int:
 
 def is_unavailable(name: str) -> bool:
     """Whether the name of a value says that there is none."""
-    return bool(NOT_AVAILABLE.search(name.replace("_", " ")))
+    return bool(NOT_AVAILABLE.search(NEW_WORD.sub(" ", name)))
 
 
 def _named_values(signal: Any) -> tuple[tuple[float, str], ...]:
@@ -374,14 +437,17 @@ def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
     """How a signal is read."""
     choices = {raw: str(name) for raw, name in (signal.choices or {}).items()}
     missing = frozenset(raw for raw, name in choices.items() if is_unavailable(name))
-    last = float("inf")
+    low, high = (end if limit is None else float(limit) for limit, end in ((signal.minimum, -inf), (signal.maximum, inf)))
+    step = 0.0 if signal.is_float else 0.5 * abs(float(signal.scale))
+    limits = (low - max(step, ROUNDED * abs(low)), high + max(step, ROUNDED * abs(high))) if low < high else (-inf, inf)
+    last = inf
     if j1939 and not signal.is_signed and not signal.is_float:
         if signal.length >= 8:
             last = ((J1939_LAST_VALID + 1) << (signal.length - 8)) - 1
         elif signal.length > 1:
             last = (1 << signal.length) - 3  # the last two say error and not available
-    is_plain = signal.multiplexer_ids is None
-    return _Signal(column, signal.name, float(signal.scale), float(signal.offset), missing, last, is_plain)
+    named = frozenset(choices) - missing
+    return _Signal(column, signal.name, float(signal.scale), float(signal.offset), missing, named, last, limits)
 
 
 TEXTS = {
@@ -406,7 +472,24 @@ TEXTS = {
 def _findings_of(event_counts: Counter[str]) -> Iterable[Finding]:
     for event, (kind, text) in TEXTS.items():
         if event_counts[event]:
-            yield Finding("", kind, event_counts[event], float("nan"), f"{event_counts[event]} {text}")
+            yield Finding("", kind, event_counts[event], nan, f"{event_counts[event]} {text}")
+
+
+def _of_signals(entry: _Message, roles: Sequence[str]) -> Iterator[Finding]:
+    """Frames that end before a signal, and values outside of its limits."""
+    if entry.short_frames:
+        names = some_of(list(entry.cut_signals), NAMES_SHOWN)
+        text = f"{entry.short_frames} frames of {entry.group} are too short for {names}: only their other signals are read"
+        yield Finding("", "short", entry.short_frames, nan, text)
+    for signal in entry.wanted_signals:
+        if signal.outside:
+            described = entry.message.get_signal_by_name(signal.name)
+            limits = f"[{described.minimum}|{described.maximum}] {described.unit or ''}".rstrip()
+            text = (
+                f"{signal.outside} values of {entry.group}/{signal.name} are outside of its limits {limits}, such as "
+                f"{signal.outside_value:g}: they give no sample. If these are wrong, correct {entry.file.name}; [0|0] is none"
+            )
+            yield Finding(roles[signal.column], "out_of_range", signal.outside, nan, text)
 
 
 def _of_buses(messages: Iterable[_Message]) -> Iterator[Finding]:
@@ -419,7 +502,7 @@ def _of_buses(messages: Iterable[_Message]) -> Iterator[Finding]:
                 f"{entry.sender[0]} sends first; they are skipped. To choose the bus, write in the topics file: "
                 f"dbc: {{{bus}: {entry.file.name}}}"
             )
-            yield Finding("", "other_bus", count, float("nan"), text)
+            yield Finding("", "other_bus", count, nan, text)
 
 
 def _of_rivals(messages: Sequence[_Message]) -> Iterator[Finding]:
@@ -433,4 +516,4 @@ def _of_rivals(messages: Sequence[_Message]) -> Iterator[Finding]:
                 f"{entry.group} are read as {rival.group} in {rival.file.name}, which has the same identifier. If their buses "
                 f"differ, write in the topics file, by their numbers: dbc: {{1: {rival.file.name}, 2: {entry.file.name}}}"
             )
-            yield Finding("", "empty", len(entry.wanted_signals), float("nan"), text)
+            yield Finding("", "empty", len(entry.wanted_signals), nan, text)

@@ -6,16 +6,19 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
+from trackres_ros.files.documents import in_a_line
 from trackres_ros.recording.bindings import TIME, TopicBinding
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray
 
 CHUNK_ROWS = 8192
+SEEN_CELLS = 64
+"""First cells of a column that show whether it is a time, and in which notation."""
 
 
 class Channel(NamedTuple):
@@ -117,6 +120,10 @@ class TableFile(ChannelFile):
 
     has_times, uses = False, (TIME,)
 
+    def first_cells(self, place: int) -> Sequence[Any]:  # noqa: ARG002
+        """The first cells of a column with a value, up to `SEEN_CELLS`: numbers, texts, dates or clocks; none if unknown."""
+        return ()
+
 
 def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> ChannelRows:
     """Rows at times in seconds; each number other than nan is a sample.
@@ -146,11 +153,12 @@ def check_dates(time: ChosenChannel, name: str, are_dates: bool, first_text: str
     """
     where = f"{name}: {time.name}"
     if first_text and not are_dates:
-        allowed = "dates with times, such as 2026-11-23 10:00:00.5, 23.11.2026 10:00, 11/23/2026 10:00"
+        allowed = "dates with times, such as 2026-11-23 10:00:00.5, 23.11.2026 10:00, 23-Nov-2026 10:00:00; clocks as 10:00:00.5"
         remedy = "write date and time in one column as 2026-11-23T10:00:00, or seconds in a column time_s"
         raise InputError(where, first_text, allowed if time.dates_only else f"numbers, or {allowed}", remedy)
     if not are_dates and time.dates_only:
-        remedy = f"give the unit in a topics file: time: {{column: {time.name}, unit: ms}}, or name the column time_s"
+        line = in_a_line({"column": time.name, "unit": "s"})
+        remedy = f"give the unit in a topics file: time: {line}, or ms; or name the column time_s"
         raise InputError(where, "numbers of an unknown unit", "dates with times", remedy)
     if are_dates and time.binding.scale != 1.0:
         raise InputError(where, f"scale {time.binding.scale:g}", "no scale for dates with times")

@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.documents import in_a_line
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
 from trackres_ros.recording.choosing import Choice, choose, listed_names, torque_columns, torque_note
-from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
+from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, parts_without_samples, readings_of
 from trackres_ros.recording.reading import read_in_steps, reading
-from trackres_ros.recording.roles import may_say_reverse
+from trackres_ros.recording.roles import likely_values, may_say_reverse
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
+from trackres_ros.recording.wrapping import WrappingClock
 
 
 class ChannelSource:
@@ -52,7 +54,7 @@ class ChannelSource:
         topics = self.topics = topics_file and topics_file.select(of_topics=False)
         with reading(path, self._allowed_text):
             files = read(path, self.name, topics)
-        self._file, choice, other_files = _first_that_fits(files, topics)
+            self._file, choice, other_files = _first_that_fits(files, topics)
         self._time, channels = choice.time, sorted(choice.channels, key=lambda channel: channel.role == "speed")
         self.roles = tuple(dict.fromkeys(channel.role for channel in channels))
         of_role = {
@@ -90,7 +92,7 @@ class ChannelSource:
             *self._sums().notes,
             *self._companions().notes,
         ]
-        self._may_say_reverse = [] if "direction" in self.roles else may_say_reverse(name for _, name in ignored_channels)
+        self._may_say_reverse = {} if "direction" in self.roles else self._direction_lines(ignored_channels)
         if ignored_channels:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored_channels])}")
         notes += torque_note(self.torque_candidates, self.roles)
@@ -135,6 +137,21 @@ class ChannelSource:
         in_rows = "" if self._of_sums_apart[role].parts else ", where a row has them all"
         return f"{role}: sum of the columns {', '.join(column.name for column in columns)}{in_rows}"
 
+    def _direction_lines(self, channels: Sequence[tuple[int, str]]) -> dict[str, str]:
+        """Lines of a topics file for those of some channels, by place and name, that may say the direction."""
+        lines = {}
+        for place, name in channels:
+            if may_say_reverse([name]):
+                values = likely_values(name, self._file.channels[place].value_names)
+                numbers = "" if self._file.is_number(place) else ", and numbers instead of texts in that column"
+                lines[name] = f"direction: {{channel: {in_a_line([name])[1:-1]}, values: {values}}}{numbers}"
+        return lines
+
+    @property
+    def time(self) -> TopicBinding | None:
+        """The column of the time of a table; None of a file whose channels have their own times."""
+        return self._time.binding if self._time else None
+
     def _companions(self) -> Companions:
         return Companions(self._readings, self._of_sums_apart, self._is_direction_required)
 
@@ -159,8 +176,8 @@ class ChannelSource:
         for block in read_in_steps(self._path, self._allowed_text, blocks):
             signed_block = signs.seen(companions.with_signs(block, self.roles))
             yield self._position.in_radians(signed_block, self.roles)
-        lines = (f"direction: {{channel: {name}, values: {{forward: [0], reverse: [1]}}}}" for name in self._may_say_reverse)
-        self.findings = (*self.findings, *sums.findings, *companions.findings, *signs.findings(self._may_say_reverse, lines))
+        unsigned = signs.findings(list(self._may_say_reverse), self._may_say_reverse.values())
+        self.findings = (*self.findings, *sums.findings, *companions.findings, *unsigned)
 
     def _blocks(self, max_rows: int) -> Iterator[SampleBlock]:
         """Readings row by row, before parts with other times are added."""
@@ -169,8 +186,10 @@ class ChannelSource:
         modes = {place: binding for place, binding in enumerate(whole_bindings) if binding and binding.has_modes}
         at_once = max(1, max_rows // len(self._readings))
         self._lone_rows = [0] * len(self._readings)
+        self._seen_parts: list[set[int]] = [set() for _ in self._readings]
+        clock = WrappingClock(self._time.binding.scale if self._time else 1.0)
         row_count = 0
-        streams = [self._stamp_rows(stream) for stream in self._file.streams()]
+        streams = [self._stamp_rows(stream, clock) for stream in self._file.streams()]
         for stamp_ns, cells, has_value in streams[0] if len(streams) == 1 else _in_order(streams):
             row_count += len(stamp_ns)
             values, is_present = self._values(cells, has_value)
@@ -188,14 +207,18 @@ class ChannelSource:
         if not row_count:
             if self._file.has_times:
                 reasons = "; ".join(finding.text for finding in self._file.findings)
-                raise InputError(self._file.name, "no sample of any channel in use", "at least one sample", reasons)
+                in_use = ", ".join(f"{channel.name} ({channel.role})" for channel in self._file.wanted)
+                raise InputError(self._file.name, f"no sample of any channel in use: {in_use}", "at least one sample", reasons)
             raise InputError(self._file.name, "no row", "at least one row below the column names")
-        self.findings = (*self._file.findings, *self._of_rows())
+        self.findings = (*self._file.findings, *clock.findings(), *self._of_rows())
 
-    def _stamp_rows(self, stream: Iterator[ChannelRows]) -> Iterator[_Stamped]:
+    def _stamp_rows(self, stream: Iterator[ChannelRows], clock: WrappingClock) -> Iterator[_Stamped]:
+        """The rows of a stream with stamps [ns]. `clock`: of the column of the time; dates and own times need none."""
         row_count = 0
         for time, has_time, cells, has_value in stream:
-            yield self._stamps(time, has_time, row_count), cells, has_value
+            is_clock = self._time is not None and time.dtype == np.float64 and has_time.all()
+            times = clock.continued(time.astype(np.float64)) if is_clock else time
+            yield self._stamps(times, has_time, row_count), cells, has_value
             row_count += len(time)
 
     def _stamps(self, time: FloatArray | IntArray, has_time: NDArray[np.bool_], row_count: int) -> IntArray:
@@ -219,7 +242,9 @@ class ChannelSource:
         place = 0
         for index, places in enumerate(self._columns):
             is_whole, total = np.ones(len(cells), np.bool_), np.zeros(len(cells))
-            for column in places:
+            for part, column in enumerate(places):
+                if has_value[:, place].any():
+                    self._seen_parts[index].add(part)
                 total = total + column.binding.scale * cells[:, place] + column.binding.offset
                 is_whole &= has_value[:, place]
                 place += 1
@@ -231,9 +256,10 @@ class ChannelSource:
         return values, is_present
 
     def _of_rows(self) -> Iterator[Finding]:
-        for series, count in zip(self._readings, self._lone_rows, strict=True):
+        for series, count, seen_parts in zip(self._readings, self._lone_rows, self._seen_parts, strict=True):
             if count:
-                text = f"{count} rows have only some parts of the sum: they give no sample"
+                lack = parts_without_samples(self.bindings[series.role].parts, seen_parts)
+                text = f"{count} rows have only some parts of the sum and give no sample{lack}"
                 yield Finding(series.role, "part", count, float("nan"), text)
 
 

@@ -3,18 +3,19 @@
 
 """Chooses the channels or topics to read: those that the topics file names, those known by name, else those guessed."""
 
-import math
+import itertools
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-import yaml
-
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.documents import in_a_line
 from trackres_ros.recording.bindings import EXAMPLE, IN_DEGREES, TIME, TopicBinding, Topics, inside_unit
-from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
+from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel, TableFile
+from trackres_ros.recording.guess_values import faults_of
+from trackres_ros.recording.name_units import bracketed_unit, is_same, unit_in
 from trackres_ros.recording.roles import (
     POSITION,
     ROLES,
@@ -31,6 +32,7 @@ from trackres_ros.recording.roles import (
     names_a_part,
     standard_of,
 )
+from trackres_ros.recording.time_columns import DAYS, SeenTimes, is_named_as_time, seen_times
 from trackres_ros.text import some_of, words
 
 NOT_MEASURED = re.compile(
@@ -43,8 +45,10 @@ PREFERRED = {
     "ambient": re.compile(r"\b(ambient|outside|outdoor)\b"),
 }
 """By role: words of the preferred names."""
-WHEEL = re.compile(r"\bwheels?\b(?! based (vehicle|machine))")
+WHEEL = re.compile(r"\bwheels?\b(?! based (vehicle|machine))|\brad(geschw|dreh)|\b(roue|rueda|ruota)s?\b")
 """Of a channel: a wheel speed is not that of the vehicle; wheel-based speeds of J1939 and ISO 11783 are."""
+SYMBOLS = {"speed": re.compile(r"^v( (veh|fzg|ist|act))?( [km]\w*( [hs])?)?$"), "torque": re.compile(r"^(m ?d\b|m k?nm$|par\b)")}
+"""By role: symbols of channels, which need a unit; a topic of such a name may be anything."""
 ADDED = ("load", "torque")
 """Roles whose values are the sum of those of the parts of the vehicle."""
 PART = re.compile(r"\b(left|right|front|rear|axles?|[lr]|[lr]hs?|[fr][lr]|links|rechts|vorne?|hinten|[vh][lr])\d*\b")
@@ -52,8 +56,7 @@ PART = re.compile(r"\b(left|right|front|rear|axles?|[lr]|[lr]hs?|[fr][lr]|links|
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
 NOT_GUESSED = "not guessed from"
-OF_ONE_LETTER = "mnt"
-"""Units of one letter that a name may end with; others may be anything, such as a front axle."""
+NONE_REFUSED: Mapping[tuple[str, str], str] = MappingProxyType({})
 
 
 class _Rule(NamedTuple):
@@ -93,19 +96,21 @@ RULES = (
 """In the order of preference."""
 
 
-def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
+def guess(available: Mapping[str, str], refused: Mapping[tuple[str, str], str] = NONE_REFUSED) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
     Acceleration is never guessed: that of an IMU contains gravity on a slope, and is treated as a specific force.
 
-    `available`: message type by topic. Raises InputError if no topic is recognised as the speed; the text lists every topic and
-    type. Returns `topics`: the guesses, and `notes`: one sentence per role, with alternatives.
+    `available`: message type by topic; `refused`: roles and topics that are no guess, by their values, and why. Raises InputError
+    if no topic is recognised as the speed; the text lists every topic and type. Returns `topics`: the guesses, and `notes`: one
+    sentence per role, with alternatives.
     """
     options_by_role: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:
         for topic in sorted(available, key=lambda topic: (len(topic), topic)):
             topic_words = words(topic)
-            if available[topic] not in rule.types or not re.search(rule.words, topic_words):
+            is_refused = available[topic] not in rule.types or (rule.role, topic) in refused
+            if is_refused or not re.search(rule.words, topic_words):
                 continue
             unit = _unit_of(rule, topic_words)
             if unit is not None and not re.search(rule.not_words, topic_words) and not NOT_MEASURED.search(topic_words):
@@ -115,9 +120,17 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
                 )
                 options_by_role.setdefault(rule.role, []).append((binding, unit))
     if "speed" not in options_by_role:
-        topic_list = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
+        topic_list = "; ".join(
+            [
+                *(f"{topic}: {reason}" for (role, topic), reason in refused.items() if role == "speed"),
+                *(f"{topic} ({kind})" for topic, kind in sorted(available.items())),
+            ]
+        )
         raise InputError(
-            "speed", topic_list, "a topic with a type that holds the vehicle's speed", f"give it in a topics file: {EXAMPLE}"
+            "speed",
+            topic_list or "no topic at all",
+            "a topic with a type that holds the vehicle's speed",
+            f"give it in a topics file: {EXAMPLE}",
         )
     of_vehicle = _namespace_of_vehicle(options_by_role)
     bindings, notes = dict[str, TopicBinding](), []
@@ -135,6 +148,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
             f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
             + (f"; also possible: {other_topics}" if other_topics else "")
         )
+    notes += [f"{role}: {NOT_GUESSED} {topic}: {reason}" for (role, topic), reason in refused.items()]
     return Topics(MappingProxyType(bindings), "guessed"), notes
 
 
@@ -159,51 +173,54 @@ def _namespace_of_vehicle(options_by_role: Mapping[str, Sequence[tuple[TopicBind
 
 
 class Guesses(NamedTuple):
-    """Channels by role: the guessed ones, names of other candidates, and those that measure a part of a role without a guess."""
+    """Channels by role: the guessed ones, other candidates, and those that measure a part of a role without a guess."""
 
     bindings: dict[str, TopicBinding]
-    alternatives: dict[str, list[str]]
+    alternatives: dict[str, list[TopicBinding]]
     parts: dict[str, list[TopicBinding]]
 
 
-def guess_channels(channels: Sequence[Channel], present_roles: Collection[str]) -> Guesses:
+def guess_channels(
+    channels: Sequence[Channel], present_roles: Collection[str], refused: Collection[tuple[str, str]] = ()
+) -> Guesses:
     """Guess by name and unit the channels of roles without one; without a unit there is no guess.
 
-    `channels`: with unique names; `present_roles`: roles that have a channel. Returns bindings without the unit that
-    the file gives.
+    `channels`: with unique names; `present_roles`: roles that have a channel; `refused`: roles and names that are no guess.
+    Returns bindings without the unit that the file gives.
     """
     guesses = Guesses({}, {}, {})
     for role, entry in ROLES.items():
         is_open = role not in present_roles and bool(entry.words)
-        options = [channel for channel in channels if is_open and _may_be(channel, role, entry)]
+        options = [
+            channel for channel in channels if is_open and (role, channel.name) not in refused and _may_be(channel, role, entry)
+        ]
         whole_channels = sorted(
             (channel for channel in options if not _is_part(role, channel.name)), key=lambda channel: _rank(role, channel.name)
         )
         if whole_channels:
-            guesses.bindings[role] = _of_channel(role, whole_channels[0])
-            guesses.alternatives[role] = [channel.name for channel in whole_channels[1:]]
+            guesses.bindings[role], *guesses.alternatives[role] = [_of_channel(role, channel) for channel in whole_channels]
         elif options:
             guesses.parts[role] = [_of_channel(role, channel) for channel in options]
-    _guess_direction(channels, present_roles, guesses)
+    if "direction" not in present_roles and "speed" in guesses.bindings:
+        _guess_direction([channel for channel in channels if ("direction", channel.name) not in refused], channels, guesses)
     return guesses
 
 
-def _guess_direction(channels: Sequence[Channel], present_roles: Collection[str], guesses: Guesses) -> None:
+def _guess_direction(options: Sequence[Channel], channels: Sequence[Channel], guesses: Guesses) -> None:
     """Guess the direction: a channel of a standard, first one in the message of the speed."""
-    options = [channel for channel in channels if standard_of(channel.name) and not NOT_MEASURED.search(words(channel.name))]
-    speed = guesses.bindings.get("speed")
-    if "direction" in present_roles or not options or not speed:
-        return
-    group = next(channel.group for channel in channels if channel.name == speed.column)
+    options = [channel for channel in options if standard_of(channel.name) and not NOT_MEASURED.search(words(channel.name))]
+    group = next(channel.group for channel in channels if channel.name == guesses.bindings["speed"].column)
     options.sort(key=lambda channel: (channel.group != group, "selected" in words(channel.name), len(channel.name), channel.name))
-    best_channel = options[0]
-    ways = named_ways(best_channel.value_names) or STANDARDS[standard_of(best_channel.name)]
-    guesses.bindings["direction"] = TopicBinding(column=best_channel.name, ways=ways)
-    guesses.alternatives["direction"] = [channel.name for channel in options[1:]]
+    bindings = [
+        TopicBinding(column=channel.name, ways=named_ways(channel.value_names) or STANDARDS[standard_of(channel.name)])
+        for channel in options
+    ]
+    if bindings:
+        guesses.bindings["direction"], *guesses.alternatives["direction"] = bindings
 
 
 def _of_channel(role: str, channel: Channel) -> TopicBinding:
-    unit = "" if channel.unit or role in POSITION else _unit_in(role, words(channel.name))
+    unit = "" if channel.unit or role in POSITION else unit_in(role, channel.name)
     scale, offset = _conversion_of(role, unit or ROLES[role].unit)
     return TopicBinding(column=channel.name, scale=scale, offset=offset)
 
@@ -238,13 +255,12 @@ def _is_preferred(role: str, words: str) -> bool:
 
 
 def _may_be(channel: Channel, role: str, entry: Role) -> bool:
-    name_words = words(channel.name)
-    if not re.search(entry.words, name_words) or any(
-        re.search(pattern, name_words) for pattern in (entry.not_words, NOT_MEASURED, WHEEL)
-    ):
+    name_words = words(channel.name).strip()
+    is_named = re.search(entry.words, name_words) or (role in SYMBOLS and SYMBOLS[role].search(name_words))
+    if not is_named or any(re.search(pattern, name_words) for pattern in (entry.not_words, NOT_MEASURED, WHEEL)):
         return False
     if not channel.unit:
-        return role in POSITION or bool(_unit_in(role, name_words))
+        return role in POSITION or bool(unit_in(role, channel.name))
     return conversion(channel.unit, entry.unit) is not None
 
 
@@ -267,11 +283,6 @@ def topics_line(role: str, binding: TopicBinding) -> str:
     return f"{in_a_line([role])[1:-1]}: {in_a_line(line)}"
 
 
-def in_a_line(content: object) -> str:
-    """A list or mapping as YAML in one line."""
-    return yaml.safe_dump(content, default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True).strip()
-
-
 def _is_part(role: str, name: str) -> bool:
     """Whether a name is that of a part of what the whole vehicle has."""
     return role in ADDED and bool(PART.search(words(name)))
@@ -281,29 +292,8 @@ def _unit_of(rule: _Rule, name_words: str) -> str | None:
     """The unit of a topic; None if its name has that of another quantity."""
     if rule.role in POSITION:
         return "degrees"
-    of_name = _unit_in(rule.role, name_words) if rule.field == "data" else ""
+    of_name = unit_in(rule.role, name_words) if rule.field == "data" else ""
     return of_name if of_name is None else of_name or ROLES[rule.role].unit
-
-
-def _unit_in(role: str, name_words: str) -> str | None:
-    """The unit that the words of a name carry; empty without one, None if they end with that of another quantity."""
-    si_unit = ROLES[role].unit
-    for text, ends in _texts(name_words.split()):
-        of_text = "m/s" if (role, text) == ("speed", "ms") else text  # a speed is not in milliseconds
-        factor = conversion(of_text, si_unit)
-        if factor and (len(text) > 1 or (ends and text in OF_ONE_LETTER)):
-            return next(unit for unit, known_factor in UNITS[si_unit].items() if known_factor == factor)
-        if ends and len(text) > 1 and any(conversion(text, other_unit) for other_unit in UNITS):
-            return None
-    return ""
-
-
-def _texts(word_list: Sequence[str]) -> Iterator[tuple[str, bool]]:
-    """Texts of one to three words that may be a unit, and whether they end the name; the last and longest come first."""
-    for end in range(len(word_list), 0, -1):
-        for count in (3, 2, 1):
-            joined_words = word_list[max(end - count, 0) : end]
-            yield from ((mark.join(joined_words), end == len(word_list)) for mark in ("", "/"))
 
 
 def _conversion_of(role: str, unit: str) -> Conversion:
@@ -312,6 +302,8 @@ def _conversion_of(role: str, unit: str) -> Conversion:
     return factor
 
 
+IDENTIFIER = re.compile(r"#0x[0-9A-F]+")
+"""In the name of a group: the identifier of a message whose name others have too."""
 TIME_S = "time_s"
 DATE_NAMES = ("time", "timestamp", "datetime")
 """Names of a column of dates with times, in any case; for numbers the unit would be unknown."""
@@ -319,8 +311,6 @@ COLUMNS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {name: (role, unit) for role, about in ROLES.items() for name, unit in about.columns.items()}
 )
 """Columns known by name: role, and unit. ``weight_n/front`` is the load of the axle or assembly front."""
-UNIT_IN_BRACKETS, UNIT_AT_THE_END = re.compile(r"[\[(]([^\[\]()]+)[\])]$"), re.compile(r"[_ ]([^_ ]{2,})$")
-"""In the name of a column: ``Geschw [km/h]``, ``time_ms``; one letter at the end may be anything."""
 NAMES_SHOWN = 20
 
 
@@ -337,53 +327,55 @@ class Choice:
 def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     """Choose the channels of a file.
 
-    `file`: the opened file; `topics`: the topics file. If it names no role, channels of a file other than a table are guessed by
-    name and unit. Raises InputError for a missing or ambiguous channel, no time, no speed, or a unit that does not fit its role.
+    `file`: the opened file; `topics`: the topics file. If it names no role, and no column is known as the speed, channels are
+    guessed by name and unit. Raises InputError for a missing or ambiguous channel, no time, no speed, or a unit that does not
+    fit its role.
     """
     names = _Names(file)
     file_lines = topics.bindings.items() if topics else ()
     origin = topics.origin if topics else file.name
     notes = _left_out(file)
     of_file = [
-        channel
+        _less_conversion(channel, binding, file)
         for role, binding in file_lines
         if not binding.of_topics
-        for part in binding.sources
-        for channel in names.with_validity(role, part, origin, notes)
+        for number, part in enumerate(binding.sources, 1)
+        for channel in names.with_validity(
+            role, part, f"{origin}: {role}{f': sum: part {number}' if binding.parts else ''}", notes
+        )
     ]
     known_channels = _find_known_channels(file, frozenset(channel.role for channel in of_file), names, notes)
     time = None if file.has_times else _time(file, topics, names, notes)
-    if topics:
-        notes += _units_in_names(file, topics, [*of_file, *([time] if time and topics.time else [])])
     chosen_channels = [*of_file, *known_channels]
     present_roles, guessed_bindings = {base_role(channel.role) for channel in chosen_channels}, dict[str, TopicBinding]()
-    if file.has_times and not file_lines and "speed" not in present_roles:
-        guessed_bindings, other_names, parts = guess_channels(
-            [channel for channel in file.channels if names.is_single(channel.name)], present_roles
-        )
+    refused: dict[tuple[str, str], str] = {}
+    if not file_lines and "speed" not in present_roles:
+        guesses, refused = _guess_by_values(file, time, names, present_roles)
+        guessed_bindings = guesses.bindings
         for role, binding in guessed_bindings.items():
             chosen_channels.append(names.choose_channel(role, binding, origin, []))
-            alternatives = f"; also possible: {listed_names(other_names[role])}" if other_names[role] else ""
+            other_names = [alternative.column for alternative in guesses.alternatives[role]]
+            alternatives = f"; also possible: {listed_names(other_names)}" if other_names else ""
             notes.append(f"{topics_line(role, chosen_channels[-1].binding)}  # guessed{alternatives}")
-        for role, part_bindings in parts.items():
+        for role, part_bindings in guesses.parts.items():
             notes.append(
                 note_of_parts(role, [names.choose_channel(role, channel, origin, []).binding for channel in part_bindings])
             )
+        notes += [f"{role}: {NOT_GUESSED} {name}: {reason}" for (role, name), reason in refused.items()]
     if not any(channel.role == "speed" for channel in chosen_channels):
-        remedy_words = ", or a speed with a unit whose name a single group has" if file.has_times else ""
-        given = "; ".join([f"columns {names.list_names or 'none'}", *_left_out(file)])
-        remedy = f"or give it in a topics file: {_speed_line(file)}"
-        raise InputError(file.name, given, f"a column speed_mps or speed_kmh{remedy_words}", remedy)
+        raise _no_speed(file, names, refused)
     for name in ((time.name,) if time else ()) + tuple(channel.name for channel in chosen_channels):
-        names.check_single(name)
+        names.check_single(name, file.name)
     return Choice(time, chosen_channels, notes, frozenset(guessed_bindings))
 
 
-def _speed_line(file: ChannelFile) -> str:
-    """A line of a topics file for a channel named as a speed in a unit, such as speed_mph; else an example."""
-    bare_channels = [channel for channel in file.channels if not channel.unit]
-    bindings = guess_channels(bare_channels, ROLES.keys() - {"speed"}).bindings
-    return topics_line("speed", bindings["speed"]) if bindings else "speed: {channel: NAME, unit: km/h}"
+def _less_conversion(channel: ChosenChannel, line: TopicBinding, file: ChannelFile) -> ChosenChannel:
+    """A part of a sum without the unit of its name, where the line of the sum converts from that unit: once is enough."""
+    by_line, by_part = (line.scale, line.offset), (channel.binding.scale, channel.binding.offset)
+    is_twice = bool(line.parts) and line.converts and by_line != (1.0, 0.0) and is_same(by_line, by_part)
+    if not is_twice or file.channels[channel.place].unit or channel.binding.converts or channel.is_valid:
+        return channel
+    return replace(channel, binding=replace(channel.binding, scale=1.0, offset=0.0, unit=""))
 
 
 def _left_out(file: ChannelFile) -> list[str]:
@@ -405,52 +397,98 @@ class _Names:
         self.first_places = {name: places[0] for name, places in self._places.items()}  # channel of each name, without a group
         for place, channel in enumerate(file.channels):
             if channel.group:
-                self._places.setdefault(f"{channel.group}/{channel.name}", []).append(place)
+                for group in dict.fromkeys((channel.group, IDENTIFIER.sub("", channel.group))):
+                    self._places.setdefault(f"{group}/{channel.name}", []).append(place)
 
     @property
     def list_names(self) -> str:
         """The names, of several groups with the group before it."""
-        channels = self._file.channels
-        channel_names = [
-            f"{channel.group}/{channel.name}" if channel.group and not self.is_single(channel.name) else channel.name
-            for channel in channels
-        ]
-        return listed_names(list(dict.fromkeys(channel_names)))
+        return listed_names(list(dict.fromkeys(map(self.full_name, self._file.channels))))
+
+    def full_name(self, channel: Channel) -> str:
+        """The name of a channel, with its group if others have the name too."""
+        return f"{channel.group}/{channel.name}" if channel.group and not self.is_single(channel.name) else channel.name
 
     def is_single(self, name: str) -> bool:
         return len(self._places[name]) == 1
 
-    def check_single(self, name: str) -> None:
+    def check_single(self, name: str, where: str) -> None:
         """Refuse a name of several channels."""
-        places = self._places[name]
-        if len(places) > 1:
-            groups = [self._file.channels[place].group for place in places]
-            full_names = [f"{group}/{name}" for group in groups if group]
-            remedy = f"put the group name before it: {listed_names(full_names)}" if len(set(groups)) == len(groups) else ""
-            raise InputError(self._file.name, f"{len(places)} columns {name}", "each column once", remedy)
+        channels = [self._file.channels[place] for place in self._places[name]]
+        if len(channels) > 1:
+            full_names = [f"{channel.group}/{channel.name}" for channel in channels if channel.group]
+            remedy = f"put the group name before it: {listed_names(full_names)}" if len(set(full_names)) == len(channels) else ""
+            raise InputError(where, f"{len(channels)} columns {name}", "each column once", remedy)
 
-    def with_validity(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> Iterator[ChosenChannel]:
+    def with_validity(self, role: str, binding: TopicBinding, where: str, notes: list[str]) -> Iterator[ChosenChannel]:
         """The channel that says whether the one of a line counts, if the line names it, and that one."""
         if binding.valid:
-            validity_channel = self.choose_channel("enable", binding.valid, f"{origin}: {role}: valid", notes)
+            validity_channel = self.choose_channel("enable", binding.valid, f"{where}: valid", notes)
             yield replace(validity_channel, role=role, is_valid=True)
-        yield self.choose_channel(role, binding, origin, notes)
+        yield self.choose_channel(role, binding, where, notes)
 
-    def choose_channel(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> ChosenChannel:
-        """A channel that a line names, in the unit of its role."""
+    def choose_channel(self, role: str, binding: TopicBinding, where: str, notes: list[str]) -> ChosenChannel:
+        """A channel that a line names, in the unit of its role; `where`: the line, for messages."""
         if binding.column not in self._places:
-            where = f"{origin}: {role}: column"
             for channel, reason in self._file.left_out.items():
                 if binding.column in (channel.name, f"{channel.group}/{channel.name}"):
-                    raise InputError(where, binding.column, "a channel that can be read", reason)
-            raise InputError(where, binding.column, self.list_names, nearest(binding.column, self._places))
+                    raise InputError(f"{where}: column", binding.column, "a channel that can be read", reason)
+            raise InputError(f"{where}: column", binding.column, self.list_names, nearest(binding.column, self._places))
+        self.check_single(binding.column, f"{where}: column")
         place = self._places[binding.column][0]
         if role == "direction" and binding.ways is None:
-            binding = replace(binding, ways=_ways_of(self._file.channels[place], origin))
-        return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
+            binding = replace(binding, ways=_ways_of(self._file.channels[place], where))
+        return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, where, notes))
 
 
-def _ways_of(channel: Channel, origin: str) -> Ways:
+def _guess_by_values(
+    file: ChannelFile, time: ChosenChannel | None, names: _Names, present_roles: Collection[str]
+) -> tuple[Guesses, dict[tuple[str, str], str]]:
+    """The guesses that their values allow; roles and names of better ones that they do not, with the reason."""
+    channels = [channel for channel in file.channels if names.is_single(channel.name)]
+    guesses = guess_channels(channels, present_roles)
+    candidates = {role: [binding, *guesses.alternatives[role]] for role, binding in guesses.bindings.items()}
+    faults = faults_of(
+        file,
+        time,
+        {
+            role: [names.choose_channel(role, binding, file.name, []) for binding in of_role]
+            for role, of_role in candidates.items()
+        },
+    )
+    refused = dict[tuple[str, str], str]()
+    for role, of_role in candidates.items():
+        keys = itertools.takewhile(faults.__contains__, ((role, binding.column) for binding in of_role))
+        refused |= {key: faults[key] for key in keys}
+    return guess_channels(channels, present_roles, faults) if faults else guesses, refused
+
+
+def _no_speed(file: ChannelFile, names: _Names, refused: Mapping[tuple[str, str], str]) -> InputError:
+    """The error of a file without a speed: its columns, or the values of those that may be one."""
+    of_speed = [f"{name}: {reason}" for (role, name), reason in refused.items() if role == "speed"]
+    remedy_words = ", or a speed with a unit whose name a single group has" if file.has_times else ""
+    allowed = f"a column speed_mps or speed_kmh{remedy_words}"
+    if of_speed:
+        allowed = "a speed with values that are available, possible and not all the same"
+    reasons = [finding.text for finding in file.findings] if of_speed else []
+    given = "; ".join([*of_speed, *reasons, f"columns {names.list_names or 'none'}", *_left_out(file)])
+    return InputError(file.name, given, allowed, f"or give it in a topics file: {_speed_line(file, names, refused)}")
+
+
+def _speed_line(file: ChannelFile, names: _Names, refused: Collection[tuple[str, str]]) -> str:
+    """A line of a topics file for a channel named as a speed, in the unit of its name or km/h; else an example."""
+    channels = [channel._replace(name=names.full_name(channel)) for channel in file.channels]
+    in_kmh = [channel._replace(unit="km/h") for channel in channels if not channel.unit]
+    for options in (channels, in_kmh):
+        guess = guess_channels(options, ROLES.keys() - {"speed"}, refused).bindings.get("speed")
+        if guess is not None and options is channels:
+            return topics_line("speed", names.choose_channel("speed", guess, file.name, []).binding)
+        if guess is not None:
+            return topics_line("speed", guess).replace("unit: m/s", "unit: km/h")
+    return "speed: {channel: NAME, unit: km/h}"
+
+
+def _ways_of(channel: Channel, where: str) -> Ways:
     """What the values of a direction mean, by the names that the file gives them, else by its own name.
 
     Raises InputError if neither says it.
@@ -458,51 +496,37 @@ def _ways_of(channel: Channel, origin: str) -> Ways:
     ways = named_ways(channel.value_names) or STANDARDS.get(standard_of(channel.name))
     if ways is None:
         remedy = f"for example: direction: {{channel: {channel.name}, values: {{forward: [1], reverse: [0]}}}}"
-        raise InputError(f"{origin}: direction", f"no values for {channel.name}", "values that mean forward and reverse", remedy)
+        raise InputError(where, f"no values for {channel.name}", "values that mean forward and reverse", remedy)
     return ways
 
 
-def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
-    """The binding with the unit of the file, if the line gives neither unit nor scale."""
-    if not channel.unit or binding.has_modes:
+def _in_unit(channel: Channel, role: str, binding: TopicBinding, where: str, notes: list[str]) -> TopicBinding:
+    """The binding with the unit of the file, else of the name of the channel, if the line gives neither unit nor scale."""
+    of_name = bracketed_unit(channel.name) or unit_in(role, channel.name, binding.derivative)
+    text, source = (channel.unit, "the file") if channel.unit else (of_name, "its name")
+    if not text or binding.has_modes:
         return binding
     si_unit = inside_unit(role, binding.derivative)
-    of_file = conversion(channel.unit, si_unit)
-    if role == TIME and of_file is None:  # dates have none
+    of_file = conversion(text, si_unit)
+    if of_file is None and role == TIME:  # dates have none
         return binding
     of_line = (binding.scale, binding.offset)
-    by_offset = binding.offset != 0.0 and of_file in (None, of_line)  # an offset alone, which may convert all there is: K
+    by_offset = binding.offset != 0.0 and (of_file is None or is_same(of_file, of_line))  # an offset alone, for all there is: K
     if binding.converts or by_offset:
-        if of_file != of_line:
+        if not (of_file and is_same(of_file, of_line)) and (channel.unit or of_file):
             read = "but the topics file uses another conversion"
-            notes.append(f"{role}: {binding.column} is in {channel.unit} according to the file, {read}")
+            notes.append(f"{role}: {binding.column} is in {text} according to {source}, {read}")
         return binding
     if of_file is None:
-        keys = f"channel: {binding.column}, unit: {next(iter(UNITS[si_unit]))}{', derivative: true' * binding.derivative}"
-        remedy = f"give its unit in the topics file: {role}: {{{keys}}}"
-        raise InputError(f"{origin}: {role}: unit of {binding.column}", channel.unit, ", ".join(UNITS[si_unit]), remedy)
+        keys = {"channel": binding.column, "unit": next(iter(UNITS[si_unit]))} | (
+            {"derivative": True} if binding.derivative else {}
+        )
+        remedy = f"give its unit in the topics file: {in_a_line([role])[1:-1]}: {in_a_line(keys)}"
+        raise InputError(f"{where}: unit of {binding.column}", text, ", ".join(UNITS[si_unit]), remedy)
     unit = next(name for name, known_conversion in UNITS[si_unit].items() if known_conversion == of_file)
     if unit != si_unit:
-        notes.append(f"{role}: {binding.column} is in {unit} according to the file")
+        notes.append(f"{role}: {binding.column} is in {unit} according to {source}")
     return replace(binding, scale=of_file.scale, offset=of_file.scale * binding.offset + of_file.offset, unit=unit)
-
-
-def _units_in_names(file: ChannelFile, topics: Topics, channels: Sequence[ChosenChannel]) -> Iterator[str]:
-    """Note where the name of a column has a unit, but its line and the file have none and it is read in another one."""
-    for channel in channels:
-        line = topics.time if channel.role == TIME and topics.time else topics[channel.role]
-        match = UNIT_IN_BRACKETS.search(channel.name) or UNIT_AT_THE_END.search(channel.name)
-        given = (
-            file.channels[channel.place].unit or line.converts or channel.binding.converts or line.has_modes or channel.is_valid
-        )
-        if not match or given or channel.role in POSITION:  # the values of a position decide
-            continue
-        si_unit = inside_unit(channel.role, line.derivative)
-        of_name = conversion(match[1], si_unit)
-        is_foreign = of_name is None and match.re is UNIT_IN_BRACKETS and is_quantity(match[1])
-        if is_foreign or of_name not in (None, (1.0, 0.0), (channel.binding.scale, channel.binding.offset)):
-            read = f"but is read in {si_unit}, as its line has neither unit nor scale"
-            yield f"{channel.role}: {channel.name} is in {match[1]} according to its name, {read}"
 
 
 def _find_known_channels(file: ChannelFile, by_file: frozenset[str], names: _Names, notes: list[str]) -> list[ChosenChannel]:
@@ -535,12 +559,12 @@ def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[st
         conversion(*unit_pair) for unit_pair in ((unit, si_unit), (channel.unit, si_unit), (channel.unit, "1"))
     )
     assert by_name is not None
-    ways = _ways_of(channel, origin) if role == "direction" else None
+    ways = _ways_of(channel, f"{origin}: {role}") if role == "direction" else None
     binding = TopicBinding(column=channel.name, scale=by_name.scale, unit=unit, ways=ways)
     if of_file == by_name or share == (1.0, 0.0):  # the same, or none
         return binding
     if of_file and unit == "1":
-        return _in_unit(channel, role, TopicBinding(column=channel.name), origin, notes)
+        return _in_unit(channel, role, TopicBinding(column=channel.name), f"{origin}: {role}", notes)
     if of_file or share or is_quantity(channel.unit):
         true_conversion = of_file or by_name
         line = topics_line(role, replace(binding, scale=true_conversion.scale, offset=true_conversion.offset))
@@ -553,28 +577,73 @@ def _by_name(channel: Channel, role: str, unit: str, origin: str, notes: list[st
 def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[str]) -> ChosenChannel:
     """The column of the time in a table."""
     if topics and topics.time:
-        return names.choose_channel(TIME, topics.time, topics.origin, notes)
+        channel = names.choose_channel(TIME, topics.time, f"{topics.origin}: {TIME}", notes)
+        return _with_seen_times(file, channel, notes)
     if TIME_S in names.first_places:
         place = names.first_places[TIME_S]
-        return ChosenChannel(place, TIME_S, TIME, _by_name(file.channels[place], TIME, "s", file.name, notes))
+        binding = _by_name(file.channels[place], TIME, "s", file.name, notes)
+        return _with_seen_times(file, ChosenChannel(place, TIME_S, TIME, binding), notes)
     date_names = [name for name in names.first_places if name.lower() in DATE_NAMES]
-    if len(date_names) == 1:
-        time_channel = names.choose_channel(TIME, TopicBinding(column=date_names[0]), file.name, notes)
-        return replace(time_channel, dates_only=not conversion(file.channels[time_channel.place].unit or "?", "s"))
-    allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
-    line = next(_time_lines(names.first_places), "time: {column: NAME, unit: ms}")
-    raise InputError(
-        file.name, f"columns {listed_names(list(names.first_places))}", allowed, f"or give it in a topics file: {line}"
-    )
+    guesses = [] if len(date_names) == 1 else _guess_times(file, names)
+    if guesses or len(date_names) == 1:
+        name = guesses[0] if guesses else date_names[0]
+        channel = names.choose_channel(TIME, TopicBinding(column=name), f"{file.name}: {TIME}", notes)
+        has_unit = bool(channel.binding.unit) or bool(conversion(file.channels[channel.place].unit or "?", "s"))
+        channel = _with_seen_times(file, replace(channel, dates_only=not has_unit), notes)
+        if guesses:
+            others = f"; also possible: {listed_names(guesses[1:])}" if guesses[1:] else ""
+            notes.append(f"{time_line(channel.binding)}  # guessed{others}")
+        return channel
+    allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times, or one named as a time with a unit"
+    named = next((name for name in names.first_places if is_named_as_time(name)), "NAME")
+    remedy = f"or give it in a topics file: {time_line(TopicBinding(column=named, unit=unit_in(TIME, named) or 's'))}"
+    raise InputError(file.name, f"columns {listed_names(list(names.first_places))}", allowed, remedy)
 
 
-def _time_lines(names: Iterable[str]) -> Iterator[str]:
-    """Lines of a topics file for columns named as a time in a unit, such as time_ms."""
-    for name in names:
-        first_word, *rest = words(name).split() or [""]
-        unit = conversion(rest[-1], "s") if rest and first_word in ("t", *DATE_NAMES) else None
-        if unit:
-            yield topics_line(TIME, TopicBinding(column=name, scale=unit.scale))
+def _seen_times(file: ChannelFile, place: int) -> SeenTimes:
+    return seen_times(file.first_cells(place) if isinstance(file, TableFile) else ())
+
+
+def _with_seen_times(file: ChannelFile, channel: ChosenChannel, notes: list[str]) -> ChosenChannel:
+    """The column of the time in the unit that its numbers show, if neither line, file nor name has one; dates have none."""
+    binding, seen = channel.binding, _seen_times(file, channel.place)
+    if binding.converts:
+        return channel
+    if seen.is_text:
+        offset = binding.offset if binding.scale == 1.0 else 0.0
+        return replace(channel, binding=replace(binding, scale=1.0, offset=offset, unit=""))
+    is_of_days = binding.unit == "d" and seen.unit in DAYS
+    if not seen.unit or (binding.unit and not is_of_days):
+        return channel
+    binding = replace(binding, scale=1.0, offset=0.0) if is_of_days else binding
+    factor = UNITS["s"][seen.unit]
+    notes.append(f"time: column {channel.name}, in {seen.unit} according to its numbers")
+    offset = factor.scale * binding.offset + factor.offset
+    return replace(channel, dates_only=False, binding=replace(binding, scale=factor.scale, offset=offset, unit=seen.unit))
+
+
+def _guess_times(file: ChannelFile, names: _Names) -> list[str]:
+    """Columns that may be the time, the best one first: they rise, and are dates, clocks or numbers of a known unit."""
+    ranks = dict[str, tuple[bool, bool, int]]()
+    for name, place in names.first_places.items():
+        is_named, unit = is_named_as_time(name), file.channels[place].unit
+        has_unit = bool(conversion(unit, "s") if unit else unit_in(TIME, name))
+        if not names.is_single(name) or not (is_named or has_unit):
+            continue
+        seen = _seen_times(file, place)
+        if seen.rises and (seen.is_text or (is_named and (has_unit or seen.unit))):
+            ranks[name] = (seen.changes < MOSTLY, not is_named, place)
+    return sorted(ranks, key=ranks.__getitem__)
+
+
+MOSTLY = 0.5
+"""Share of the cells of a time that differ from the one before; a clock with a coarser step than the table is worse."""
+
+
+def time_line(binding: TopicBinding) -> str:
+    """The line of a topics file for the column of the time."""
+    line = {key: getattr(binding, key) for key in ("unit", "order") if getattr(binding, key)}
+    return f"{TIME}: {in_a_line({'channel': binding.column, **line})}"
 
 
 def listed_names(names: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import copysign, inf, isnan, nan
 
@@ -75,7 +75,7 @@ class Sums:
         """Messages that gave no sum."""
         for role, total in self._sums.items():
             if total.lone_samples:
-                text = f"{total.lone_samples} messages give no sample, because another part of the sum is missing"
+                text = f"{total.lone_samples} messages give no sample, because another part of the sum is missing{total.lack}"
                 yield Finding(role, "part", total.lone_samples, float("nan"), text)
 
     def add_totals(self, block: SampleBlock) -> SampleBlock:
@@ -104,6 +104,16 @@ class Sums:
         )
 
 
+def parts_without_samples(parts: Sequence[TopicBinding], seen_parts: Container[int]) -> str:
+    """Names of the parts of a sum without any sample, for the end of a sentence."""
+    names = [
+        f"part {place + 1} ({part.column or f'{part.topic} {part.field}'})"
+        for place, part in enumerate(parts)
+        if place not in seen_parts
+    ]
+    return f": {some_of(names, NAMES_SHOWN)} never has one" if names else ""
+
+
 class Sum:
     """The sum of parts, at the times of the first topic.
 
@@ -126,6 +136,12 @@ class Sum:
         self._pending: deque[tuple[int, int, float]] = deque()  # clock, stamp and value of the first topic
         self._other_samples: list[deque[tuple[int, float]]] = [deque() for _ in topics[1:]]
         self.lone_samples = 0
+        self._seen_parts: set[int] = set()
+
+    @property
+    def lack(self) -> str:
+        """Names of the parts without any sample, for people."""
+        return parts_without_samples(self._binding.parts, self._seen_parts)
 
     @property
     def note(self) -> str:
@@ -143,6 +159,7 @@ class Sum:
         the arrival; `value`: scaled by its line of the topics file. Returns stamp [ns], and the sum in the unit of the role.
         """
         index = self._topic_of[part]
+        self._seen_parts.add(part)
         message, parts_seen, total = self._message[index]
         if parts_seen and (message != (stamp_ns, arrival_ns) or part in parts_seen):
             self.lone_samples += 1

@@ -3,6 +3,7 @@
 
 """The one table of roles: meaning, unit and known column names of each kind of input; conversions of units; ways of travel."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +19,8 @@ from trackres_ros.units import DEGREE, GRAVITY, KMH_PER_MPS, ZERO_DEGC_K
 # NIST SP 811, appendix B
 POUND_FORCE_N, FOOT_M, MILE_M, SEA_MILE_M, PSI_PA = 4.4482216152605, 0.3048, 1609.344, 1852.0, 6894.757293168361
 
+DAY_S = 86400.0
+
 
 class Conversion(NamedTuple):
     """A value in the unit of the role is ``scale * value + offset``."""
@@ -26,6 +29,7 @@ class Conversion(NamedTuple):
     offset: float = 0.0
 
 
+# datenum counts days as MATLAB does, excel_days as Excel does on Windows; both become seconds since 1970.
 _NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {
     "m/s": {
         "m/s": (1.0,), "km/h": (1.0 / KMH_PER_MPS,), "mph": (MILE_M / 3600.0,), "knots": (SEA_MILE_M / 3600.0,),
@@ -39,7 +43,8 @@ _NUMBERS: dict[str, dict[str, tuple[float, ...]]] = {
     "rad/s": {"rad/s": (1.0,), "deg/s": (DEGREE,)},
     "rad": {"rad": (1.0,), "deg": (DEGREE,)},
     "m": {"m": (1.0,), "km": (1e3,), "cm": (1e-2,), "mm": (1e-3,), "ft": (FOOT_M,), "mi": (MILE_M,)},
-    "s": {"s": (1.0,), "ms": (1e-3,), "us": (1e-6,), "ns": (1e-9,), "min": (60.0,), "h": (3600.0,)},
+    "s": {"s": (1.0,), "ms": (1e-3,), "us": (1e-6,), "ns": (1e-9,), "min": (60.0,), "h": (3600.0,), "d": (DAY_S,),
+          "datenum": (DAY_S, -719529.0 * DAY_S), "excel_days": (DAY_S, -25569.0 * DAY_S)},
     "Pa": {"Pa": (1.0,), "kPa": (1e3,), "MPa": (1e6,), "bar": (1e5,), "mbar": (1e2,), "psi": (PSI_PA,)},
 }  # fmt: skip
 UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
@@ -52,7 +57,23 @@ SPELLINGS = {
     "degrees": "deg", "kgf": "kg", "ton": "t", "lb": "lbf", "lbs": "lbf", "percent": "%", "hpa": "mbar", "knot": "knots",
     "kt": "knots", "kts": "knots", "kn": "knots", "mile": "mi", "miles": "mi",
 }  # fmt: skip
-"""Other spellings, as `_plain` simplifies them, in lower case."""
+"""Other spellings, as `_plain_form` simplifies them, in lower case."""
+UNIT_WORDS = {
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "sekunde": "s", "sekunden": "s", "seconde": "s",
+    "secondes": "s", "segundos": "s", "msec": "ms", "millisecond": "ms", "milliseconds": "ms", "millisekunden": "ms",
+    "usec": "us", "microseconds": "us", "minute": "min", "minutes": "min", "hr": "h", "hour": "h", "hours": "h", "hrs": "h",
+    "day": "d", "days": "d", "tage": "d",
+    **dict.fromkeys(("m/sec", "meter/s", "meters/s", "meter/second", "meters/second", "metres/second", "meter/sec", "meters/sec",
+                     "meterspersecond", "metrespersecond", "meterpersecond"), "m/s"),
+    **dict.fromkeys(("km/hr", "km/hour", "kilometer/hour", "kilometers/hour", "kilometres/hour", "kilometersperhour",
+                     "kilometresperhour", "kmperhour", "kmhr"), "km/h"),
+    **dict.fromkeys(("mi/h", "miles/hour", "mile/hour", "milesperhour"), "mph"), "ft/sec": "ft/s", "feet/second": "ft/s",
+    **dict.fromkeys(("newtonmeter", "newtonmeters", "newtonmetre", "newtonmetres"), "Nm"), "newton": "N", "newtons": "N",
+    "kilonewton": "kN", "tonne": "t", "tonnes": "t", "tons": "t", "kilogram": "kg", "kilograms": "kg", "kilogramm": "kg",
+    "poundfoot": "lbfft", "footpounds": "lbfft", "fahrenheit": "degF", "gradc": "degC",
+    "meter": "m", "meters": "m", "metre": "m", "metres": "m", "kilometers": "km", "feet": "ft", "foot": "ft",
+}  # fmt: skip
+"""Units in words. The name of a channel may end with such a word without a meaning as a unit: ``torque_meter``."""
 
 
 def _plain_form(text: str) -> str:
@@ -72,7 +93,7 @@ def conversion(text: str, si_unit: str) -> Conversion | None:
     names = {_plain_form(name): factor for name, factor in UNITS[si_unit].items()}
     for spelt in (
         plain_text,
-        _plain_form(SPELLINGS.get(plain_text.lower(), plain_text)),
+        _plain_form((SPELLINGS | UNIT_WORDS).get(plain_text.lower(), plain_text)),
     ):  # kn is kN of a load, and knots of a speed
         matches = [factor for name, factor in names.items() if name.lower() == spelt.lower()]
         result = names.get(spelt) or (matches[0] if len(matches) == 1 else None)
@@ -122,10 +143,15 @@ KNOWN = {
 }  # fmt: skip
 """Words in the name of a signal or column that is of a standard."""
 SAYS_REVERSE = re.compile(
-    r"\brevers(e|ing)\b|\bdirection (indicator|of travel)\b|\b(machine|driving|travel) direction\b|\bgear\b"
+    r"\brevers(e|ing)\b|\bbackwards?\b|\brueckw|\bdirection (indicator|of travel)\b|"
+    r"\b(machine|driving|travel|drive) direction\b|^(is )?(direction|forward)$|\bgear\b"
 )
 """Words in the name of a column that may say when a vehicle drives backwards."""
-NAMED = {"forward": r"\b(forwards?|drive)\b", "reverse": r"\b(reverse|backwards?)\b", "neutral": r"\b(neutral|park)\b"}
+NAMED = {
+    "forward": r"\b(forwards?|drive|vorwaerts)\b",
+    "reverse": r"\b(revers(e|ing)|backwards?|rueckwaerts)\b",
+    "neutral": r"\b(neutral|park)\b",
+}
 """Words of the names that files give values."""
 
 
@@ -153,6 +179,21 @@ def as_said(ways: Ways) -> str | dict[str, list[float]]:
     return standard or {way: [float(value) for value in getattr(ways, way)] for way in WAYS if getattr(ways, way)}
 
 
+def likely_values(name: str, value_names: Iterable[tuple[float, str]] = ()) -> str:
+    """`values` of a topics file for a column that may say when a vehicle drives backwards, by its value names and its name."""
+    ways, name_words = named_ways(value_names), words(name)
+    if ways:
+        numbers = {way: ", ".join(f"{number:g}" for number in getattr(ways, way)) for way in WAYS}
+        return f"{{{', '.join(f'{way}: [{text}]' for way, text in numbers.items() if text)}}}"
+    standard = standard_of(name)
+    if "forward" in name_words or standard == "iso_11783":
+        return "{forward: [1], reverse: [0]}"
+    if not standard and "direction" in name_words:
+        return "{forward: [1], reverse: [-1]}"
+    is_gear = standard == "gear" or ("gear" in name_words and "revers" not in name_words)
+    return "gear" if is_gear else "{forward: [0], reverse: [1]}"
+
+
 def may_say_reverse(names: Iterable[str]) -> list[str]:
     """Those of some columns that may say when a vehicle drives backwards."""
     return [name for name in names if SAYS_REVERSE.search(words(name)) or standard_of(name)]
@@ -173,17 +214,19 @@ class Role:
 
 
 NOT_VEHICLE = (
-    r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b|"
+    r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu|moteur|motore|vent|viento|vento)\b|\bmotor(dreh)?mom|\bwindg|"
     r"^(?!.*\bveh(icle)? ?(speed|velocity|spd)\b).*\b(eng|e?mot)\d*\b"  # which may send the vehicle's speed too
 )
 """Words for a speed, load or torque that is not that of the vehicle at its tracks."""
-AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
+AMBIENT = r"\b(ambient|outside|outdoor|air|ambiante|exterieure?|ambiente|esterna)\b|\b(umgebung|aussen|luft)"
 NOT_AMBIENT = (
     r"inlet|intake|outlet|manifold|charge|compress|cooler|exhaust|condition(er|ing|ed)|\bair ?cond(ition)?\b|\bac\b|"
-    r"interior|inside|indoor|cargo|surface|\beng(ine)?\d*\b|^(?!.*\b(outside|outdoor)\b).*\bcab(in)?\d*\b"
+    r"ansaug|innen|interior|inside|indoor|cargo|surface|\beng(ine)?\d*\b|^(?!.*\b(outside|outdoor)\b).*\bcab(in)?\d*\b"
 )
 """Words for the air in a part of the vehicle, or the ground; ambient conditions are a group of J1939 that has both."""
 OF_VEHICLE = r"veh(icle)? ?(speed|velocity|spd)"
+SPEED = r"speed|velocity|\bspd\b|geschw|\bvitesse\b|\bvelocid|\bvelocit|\bsnelheid|\bhastighe|\bpredkosc"
+"""Words for a speed in English, German, French, Spanish, Italian, Dutch, Swedish and Polish."""
 CRUISE = (
     r"^(?=.*\bset\b).*\bcruise\b|"
     rf"^(?!.*(?<!cruise control )(?<!cruise ctrl )\b{OF_VEHICLE}).*"
@@ -194,18 +237,20 @@ CRUISE = (
 ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "speed": Role("m/s", "forward speed of the vehicle",
-            is_lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=r"speed|velocity|\bspd\b",
-            not_words=NOT_VEHICLE + "|" + CRUISE + r"|\bset ?(speed|spd)\b|\bforward veh|\bpreceding\b|"
+            is_lively=True, columns={"speed_mps": "m/s", "speed_kmh": "km/h"}, words=SPEED,
+            not_words=NOT_VEHICLE + "|" + CRUISE + r"|\bsollgeschw|\bset ?(speed|spd)\b|\bforward veh|\bpreceding\b|"
             r"\brelative\b(?! to ground)"),
         "direction": Role("1", "the way a speed without a sign is driven: 1 forward, -1 backwards, 0 neutral",
             columns={"reverse": "1", "travel_direction": "1"}),
         "load": Role("N", "weight carried by the tracks, total or of an axle or assembly",
-            parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight",
-            not_words=NOT_VEHICLE + r"|pay ?load|cargo|trailer|^(?!.*\bpowered veh).*combination|"
+            parts=True, columns={"weight_n": "N", "weight_kn": "kN"}, words=r"\bload\b|weight|gewicht|\b(poids|peso)\b",
+            not_words=NOT_VEHICLE + r"|leergew|nutzlast|zuladung|\bvide\b|pay ?load|cargo|trailer|"
+            r"^(?!.*\bpowered veh).*combination|"
             r"\b(empty|tare|unladen|kerb|curb)\b"),
         "torque": Role("Nm", "measured torque at the sprockets, of the whole vehicle or of an assembly; or at the motor",
-            parts=True, is_lively=True, columns={"torque_nm": "Nm"}, words=r"torque|\btrq\b",
-            not_words=NOT_VEHICLE + r"|brak|brems|steer|lenk|retard|clutch|\bpto\b"),
+            parts=True, is_lively=True, columns={"torque_nm": "Nm"},
+            words=r"torque|\btrq\b|drehmoment|antriebsmoment|\b(couple|coppia|koppel)\b",
+            not_words=NOT_VEHICLE + r"|brak|brems|frein|kupplung|steer|lenk|retard|clutch|\bpto\b"),
         "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT, not_words=NOT_AMBIENT),
         "belt": Role("degC", "measured temperature of the rubber belt",
             parts=True, columns={"belt_degc": "degC"}, words=r"\b(belt|track|rubber)\b", not_words=AMBIENT),
@@ -219,9 +264,9 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "distance": Role("m", "distance travelled", columns={"distance_m": "m"}),
         "stood": Role("s", "standing time before the recording began; one value", columns={"stood_s": "s"}),
         "latitude": Role("rad", "latitude, positive north",
-            columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b"),
+            columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b|^(gps )?lat( deg)?$"),
         "longitude": Role("rad", "longitude, positive east",
-            columns={"longitude_deg": "deg", "longitude_rad": "rad"}, words=r"\blongitude\b"),
+            columns={"longitude_deg": "deg", "longitude_rad": "rad"}, words=r"\blongitude\b|^(gps )?(lon|long|lng)( deg)?$"),
         "altitude": Role("m", "height above a fixed level", columns={"altitude_m": "m"}, words=r"\baltitude\b"),
         "steering_angle": Role("rad", "angle of the steered wheels, positive to the left",
             columns={"steering_angle_rad": "rad"}, words=r"steering angle\b", not_words=r"\bwheel\b|ratio"),
@@ -236,6 +281,27 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 )  # fmt: skip
 
 
+PLAUSIBLE: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "speed": (-120.0, 120.0),  # the fastest vehicle file, and a fifth
+        "load": (1e2, 1e8),
+        "torque": (-1e6, 1e6),
+        "ambient": (-60.0, 60.0),
+        "belt": (-60.0, 180.0),
+        "accel": (-15.0, 15.0),
+        "grade": (-0.6, 0.6),
+        "yaw_rate": (-5.0, 5.0),
+        "heading": (-1e3, 1e3),
+        "distance": (-1e9, 1e9),
+        "passengers": (0.0, 1e3),
+        "latitude": (-0.5 * math.pi, 0.5 * math.pi),
+        "longitude": (-2.0 * math.pi, 2.0 * math.pi),
+        "enable": (0.0, 1.0),
+        "altitude": (-1e3, 1e4),
+        "specific_force": (-30.0, 30.0),
+    }
+)
+"""Limits outside of which a measurement is refused, and a guess, unless the vehicle file gives others: [low, high]."""
 POSITION = ("latitude", "longitude")
 GROUND = ("altitude", "specific_force")
 """Roles that show the rise of the ground, for learning from a measured torque; the estimate itself needs none of them."""

@@ -14,8 +14,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import date
-from functools import lru_cache
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, NamedTuple, cast
@@ -24,7 +22,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.recording.reading import UTF_16
 from trackres_ros.recording.roles import is_quantity
 from trackres_ros.recording.samples import Finding
-from trackres_ros.units import SECOND_NS
+from trackres_ros.recording.text_times import is_clock, is_date_time
 
 Mark = Literal[".", ","]
 POINT: Mark = "."
@@ -51,9 +49,23 @@ SURELY = {mark: re.compile(rf"^{_sure_pattern(mark, other)}$", re.MULTILINE) for
 EITHER = {mark: re.compile(rf"^{_either_pattern(mark)}$", re.MULTILINE) for mark, _ in MARKS}
 GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPONENT}", re.ASCII) for mark, other in MARKS}
 """A number with a mark between thousands, by its decimal mark."""
-NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?)", re.IGNORECASE)
-NO_VALUE = frozenset(("", "-", "--", "---", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "Null", "null", "None", "none"))
-"""Cells without a value: no sample."""
+NUMBER_LIKE = re.compile(rf"[+-]?(?:[\d.,]*\d[\d.,]*{EXPONENT}|nan|inf(?:inity)?|true|false)", re.IGNORECASE)
+TRUTH = {"true": 1.0, "false": 0.0}
+"""Cells of a switch, in lower case."""
+NO_VALUE_WORDS = frozenset((
+    "", "-", "--", "---", "----", "?", "*", "***", "na", "n/a", "n.a.", "n.a", "n/d", "nd", "nil", "null", "(null)", "none",
+    "nan", "+nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind", "1.#ind", "<na>", "nat", "missing", "invalid",
+    "no data", "no value", "not available", "undefined", "#n/a", "#na", "#nv", "#value!", "#wert!", "#div/0!", "#num!",
+    "#zahl!", "#ref!", "#bezug!", "#name?", "#null!", "#valeur!", "#nombre!", "k. a.", "k.a.",
+))  # fmt: skip
+"""What programs write into a cell without a value, in lower case; the words with # are errors of spreadsheets."""
+NO_VALUE = frozenset(form(word) for word in NO_VALUE_WORDS for form in (str, str.upper, str.title)) | {"NaN", "NaT", "<NA>"}
+"""Cells without a value, as they are written most: no sample. Other cases count as well."""
+
+
+def has_no_value(text: str) -> bool:
+    """Whether a cell holds no value: one list for tables of text, Excel and DMA sweeps."""
+    return text.strip().lower() in NO_VALUE_WORDS
 
 
 @dataclass(slots=True)
@@ -130,9 +142,9 @@ def is_number(text: str) -> bool:
 
 
 def number_of(text: str, mark: Mark, where: str = "") -> float | None:
-    """The number in a cell, None where it is empty. Raises InputError with its place if it is no number."""
+    """The number in a cell, None where it has no value. Raises InputError with its place if it is no number."""
     number_text, other_mark = text.strip(), COMMA if mark == POINT else POINT
-    if not number_text:
+    if not number_text[-1:].isdigit() and has_no_value(number_text):
         return None
     try:
         if "_" in number_text or (
@@ -142,136 +154,14 @@ def number_of(text: str, mark: Mark, where: str = "") -> float | None:
         number_text = number_text.replace(other_mark, "")
         return float(number_text if mark == POINT else number_text.replace(COMMA, POINT))
     except ValueError:
-        if number_text in NO_VALUE:
-            return None
+        if number_text.lower() in TRUTH:
+            return TRUTH[number_text.lower()]
         raise InputError(where, text, "a number, or an empty cell") from None
 
 
 def is_number_or_time(text: str) -> bool:
-    """Whether a cell holds a number, or a date with a time."""
-    return is_number(text) or is_date_time(text)
-
-
-ZONE = r"(?P<zone>Z|UTC|[+-]\d\d(?::?\d\d)?)?"
-CLOCK = rf"(?P<hour>\d{{1,2}}):?(?P<minute>\d\d)(?::?(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?\s*{ZONE}"
-FIRST = r"(?P<year>\d{4})(?P<mark>[-/]?)(?P<month>\d\d)(?P=mark)(?P<day>\d\d)[T ] *"
-LAST = r"(?P<one>\d{1,2})(?P<mark>[./-])(?P<two>\d{1,2})(?P=mark)(?P<year>\d{4})[T ,] *"
-YEAR_FIRST, YEAR_LAST = (re.compile(day + CLOCK, re.IGNORECASE | re.ASCII) for day in (FIRST, LAST))
-UNIX_DAY = date(1970, 1, 1).toordinal()
-MOST_S = 2**63 // SECOND_NS - 1
-"""Years that fit in 64 bits as nanoseconds: from 1678 to 2262."""
-MOST_MONTHS = 12
-
-Order = Literal["dmy", "mdy", ""]
-
-
-def is_date_time(text: str) -> bool:
-    """Whether a cell holds a date with a time."""
-    text = text.strip()
-    return bool(YEAR_FIRST.fullmatch(text) or YEAR_LAST.fullmatch(text))
-
-
-class DateTimes:
-    """The dates and times of one column, all in the notation of the first one.
-
-    `first`: the first cell; `is_date_time` is true for it; `order`: of day and month if the year comes last and the topics file
-    names it. With dots the day comes first.
-    """
-
-    def __init__(self, first_text: str, order: Order = "") -> None:
-        match = YEAR_FIRST.fullmatch(first_text.strip()) or YEAR_LAST.fullmatch(first_text.strip())
-        assert match
-        self._pattern = match.re
-        self._mark = match["mark"]
-        self._has_zone = bool(match["zone"])
-        self._order: Order = order or ("dmy" if self._mark == "." else "")
-        self._first_text = first_text.strip()
-        self._order_examples: dict[Order, str] = {}
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the other cells have to show which is the day and which the month."""
-        return self._pattern is YEAR_LAST and not self._order
-
-    def see(self, cells: Iterable[str]) -> None:
-        """Look for a day above 12 in some more cells."""
-        for text in cells:
-            if match := YEAR_LAST.fullmatch(text.strip()):
-                if int(match["one"]) > MOST_MONTHS:
-                    self._order_examples.setdefault("dmy", text)
-                if int(match["two"]) > MOST_MONTHS:
-                    self._order_examples.setdefault("mdy", text)
-
-    def decide(self, where: str) -> None:
-        """Settle the order of day and month from the cells so far.
-
-        Raises InputError if the column does not show it, or shows both.
-        """
-        if not self.is_open:
-            return
-        if len(self._order_examples) > 1:
-            raise InputError(where, " and ".join(self._order_examples.values()), "dates in one order of day and month")
-        if not self._order_examples:
-            remedy = "give the order in a topics file: time: {column: NAME, order: dmy}, or mdy; or write dates as 2026-11-23"
-            given = f"{self._first_text}: the order of day and month is ambiguous in the whole column"
-            raise InputError(where, given, "at least one date with a day above 12", remedy)
-        self._order = next(iter(self._order_examples))
-
-    def ns(self, text: str, where: str = "") -> int:
-        """Time since 1970 in UTC [ns]; digits below a nanosecond are cut off.
-
-        Raises InputError with its place for another notation than that of the first cell, or an invalid date or time.
-        """
-        try:
-            match = self._pattern.fullmatch(text.strip())
-            if not match or match["mark"] != self._mark or bool(match["zone"]) is not self._has_zone:
-                raise ValueError(text)
-            if self._pattern is YEAR_FIRST:
-                month, day = match["month"], match["day"]
-            else:
-                month, day = (match["two"], match["one"]) if self._order == "dmy" else (match["one"], match["two"])
-            hour, minute, second = int(match["hour"]), int(match["minute"]), int(match["second"] or 0)
-            if hour > 23 or minute > 59 or second > 60:  # a leap second has the number 60
-                raise ValueError(text)
-            seconds = _day_s(match["year"], month, day) + 3600 * hour + 60 * minute + second - _zone_s(match["zone"])
-            if abs(seconds) > MOST_S:
-                raise ValueError(text)
-            return seconds * SECOND_NS + int((match["part"] or "0")[:9].ljust(9, "0"))
-        except ValueError:
-            raise InputError(where, text, f"an existing date and time, as in the other rows ({self.text})") from None
-
-    def read(self, cell: str) -> int | None:
-        """The time in a cell, as `ns`; None where there is none."""
-        return None if cell.strip() in NO_VALUE else self.ns(cell)
-
-    @property
-    def text(self) -> str:
-        """How the column was read, for people."""
-        if self._pattern is YEAR_FIRST:
-            form = "yyyy/mm/dd hh:mm:ss" if self._mark == "/" else "ISO 8601"
-        else:
-            form = f"{self._mark.join(('dd', 'mm') if self._order == 'dmy' else ('mm', 'dd'))}{self._mark}yyyy hh:mm:ss"
-        return f"{form}, {'with a time zone' if self._has_zone else NO_ZONE}"
-
-
-NO_ZONE = "without a time zone: treated as UTC"
-
-
-@lru_cache(maxsize=64)
-def _day_s(year: str, month: str, day: str) -> int:
-    return (date(int(year), int(month), int(day)).toordinal() - UNIX_DAY) * 86400
-
-
-@lru_cache(maxsize=64)
-def _zone_s(zone: str | None) -> int:
-    """Seconds by which a zone is ahead of UTC."""
-    if not zone or zone.upper() in ("Z", "UTC"):
-        return 0
-    digits = zone[1:].replace(":", "").ljust(4, "0")
-    hours, minutes = int(digits[:2]), int(digits[2:])
-    if hours > 23 or minutes > 59:
-        raise ValueError(zone)
-    return (3600 * hours + 60 * minutes) * (-1 if zone[0] == "-" else 1)
+    """Whether a cell holds a number, a date with a time, or a clock."""
+    return is_number(text) or is_date_time(text) or is_clock(text)
 
 
 # --- tables
@@ -301,7 +191,7 @@ class Header(NamedTuple):
     place: int  # index of the row of names
     first_row: int  # index of the row below the names and the units
     rows: int  # rows of numbers of the same width below them, up to `COMPARED_ROWS`
-    numbers: int  # numbers and times in the first row
+    numbers: int  # most numbers and times in one of these rows
 
 
 def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] = is_quantity) -> Header | None:
@@ -310,36 +200,77 @@ def header_of(rows: Sequence[tuple[Row, bool]], is_unit: Callable[[str], bool] =
     `rows`: each row, empty or not, and whether it is a comment, which may hold the names too; `is_unit`: whether a text is a
     unit. Returns None if all rows are empty.
     """
-    filled_rows = [(place, cells) for place, (cells, comment) in enumerate(rows) if any(cells) and not comment]
-    best_header: Header | None = None
-    for place, (cells, _) in enumerate(rows):
-        if has_remarks(cells):
-            return Header(cells, (), place, place + 1, COMPARED_ROWS, len(cells))
-        is_first, has_several = bool(filled_rows) and place == filled_rows[0][0], sum(map(bool, cells)) > 1
-        if not (is_first or (has_several and not any(map(is_number_or_time, cells)))):
+    lines = [
+        _Line(place, cells, comment, sum(map(is_number_or_time, cells)))
+        for place, (cells, comment) in enumerate(rows)
+        if any(cells) and not (any(map(str.strip, cells)) and all(map(has_no_value, cells)))
+    ]
+    first = next((line.place for line in lines if not line.comment), None)
+    best_header, is_best_comment = None, False
+    for number, line in enumerate(lines):
+        if has_remarks(line.cells):
+            return Header(line.cells, (), line.place, line.place + 1, COMPARED_ROWS, len(line.cells))
+        is_first, has_several = line.place == first, sum(map(bool, line.cells)) > 1
+        if not (is_first or (has_several and not line.numbers)):
             continue
-        rows_below = [entry for entry in filled_rows if entry[0] > place and entry[1] != cells]
-        units: Row = ()
-        if rows_below and any(map(is_unit, rows_below[0][1])) and not any(map(is_number_or_time, rows_below[0][1])):
-            units = rows_below[0][1]
-            rows_below = [entry for entry in rows_below if entry[1] != units]  # some instruments write both again
-        fitting = [
-            has_several and any(map(is_number_or_time, row)) and fits_width(row, len(cells))
-            for _, row in rows_below[:COMPARED_ROWS]
-        ]
-        count = [*fitting, False].index(False)
-        numbers = sum(map(is_number_or_time, rows_below[0][1])) if count else 0
-        first = rows_below[0][0] if rows_below else len(rows)
-        if best_header is None or count > best_header.rows:
-            best_header = Header(cells, units, place, first, count, numbers) if count or is_first else best_header
-        if fitting and all(fitting):
-            break
+        header = _header_at(line, lines[number + 1 :], has_several, len(rows), is_unit)
+        if best_header is None:
+            is_better = bool(header.rows) or is_first
+        else:
+            gain = (header.rows, header.numbers) > (best_header.rows, best_header.numbers)
+            is_nearer = header.rows == best_header.rows and is_best_comment and line.comment  # text may stand above the names
+            is_better = (gain and line.cells != best_header.names) or (is_nearer and line.cells != best_header.units)
+        if is_better:
+            best_header, is_best_comment = header, line.comment
     return best_header
 
 
 def has_remarks(names: Row) -> bool:
     """Whether the last column holds comments, and most rows end before it."""
     return len(names) > 1 and (names[0], names[-1]) == REMARKS
+
+
+class _Line(NamedTuple):
+    """A filled row of the head of a table: its index, and how many of its cells are numbers or times."""
+
+    place: int
+    cells: Row
+    comment: bool
+    numbers: int
+
+
+KINDS_OF_NUMBERS = re.compile(
+    r"[iuf]\d{1,2}|u?int\d*|float\d*|double|single|real|integer|bool(?:ean)?|string|text|number|numeric|date(?:time)?|time|char",
+    re.IGNORECASE,
+)
+"""Words of a row that says how numbers were stored."""
+
+
+def _header_at(line: _Line, below: Sequence[_Line], has_several: bool, end: int, is_unit: Callable[[str], bool]) -> Header:
+    """The header if a row holds the names: rows with units, kinds of numbers or, below units, descriptions may follow.
+
+    `below`: the filled rows below it; `has_several`: whether it has several names; `end`: number of rows.
+    """
+    first_number = next((other.place for other in below if not other.comment), end)
+    below = [other for other in below if not other.comment or (line.comment and other.place < first_number)]
+    units: Row = ()
+    rows = list[_Line]()
+    for other in below:
+        if other.cells in (line.cells, units):  # some instruments write both again
+            continue
+        if not rows and not other.numbers:
+            filled_cells = [cell for cell in other.cells if cell]
+            if not units and any(map(is_unit, filled_cells)):
+                units = other.cells
+                continue
+            is_described = bool(units) and len(other.cells) == len(line.cells)
+            if other.comment or is_described or all(map(KINDS_OF_NUMBERS.fullmatch, filled_cells)):
+                continue
+        rows.append(other)
+    fitting = [has_several and row.numbers > 0 and fits_width(row.cells, len(line.cells)) for row in rows[:COMPARED_ROWS]]
+    count = [*fitting, False].index(False)
+    numbers = max((row.numbers for row in rows[:count]), default=0)
+    return Header(line.cells, units, line.place, rows[0].place if rows else end, count, numbers)
 
 
 def fits_width(row: Row, width: int) -> bool:
@@ -358,7 +289,7 @@ class Progress:
     line: int = 0  # number of the last line
     has_line_end: bool = True  # false after a row of one line without an end, which may be cut
     left_out: bool = False  # whether that row is
-    side_rows: int = 0  # rows between the others that are comments, or the names and units again
+    side_rows: int = 0  # rows between the others that are comments, empty, or the names and units again
 
 
 class Column(NamedTuple):
@@ -393,8 +324,10 @@ class TextTable:
             raise InputError(name, "no line with text", "a table with a line of column names")
         _, self.separator, header = max(candidates, key=itemgetter(0))
         self.has_remarks = has_remarks(header.names)
-        self.names = [cell.strip() for cell in header.names[: -1 if self.has_remarks else None]]
-        self.units = [cell.strip() for cell in header.units]
+        names = [cell.strip() for cell in header.names[: -1 if self.has_remarks else None]]
+        self.names = names[: max(place for place, cell in enumerate(names, 1) if cell)]
+        self.units = ["" if has_no_value(cell) else cell.strip() for cell in header.units][: len(self.names)]
+        self._header = [names, [cell.strip() for cell in header.units]]
         self.line, self.first_row, self.lines_above = header.place + 1, header.first_row, lines[: header.place]
 
     def _head(self) -> list[str]:
@@ -454,7 +387,12 @@ class TextTable:
 
     def first_cell(self, place: int) -> str:
         """The first cell of a column with a value; empty without one."""
-        return next((cell for row in self.whole_rows() if (cell := row[place].strip()) not in NO_VALUE), "")
+        return next(iter(self.first_cells(place, 1)), "")
+
+    def first_cells(self, place: int, count: int) -> list[str]:
+        """The first so many cells of a column with a value."""
+        cells = (row[place].strip() for row in self.whole_rows())
+        return list(itertools.islice((cell for cell in cells if not has_no_value(cell)), count))
 
     def look(self, observers: Sequence[tuple[int, Callable[[Sequence[str]], None]]]) -> None:
         """Show the cells of some columns to a function each."""
@@ -473,15 +411,23 @@ class TextTable:
             try:
                 numbers = self._numbers(row, columns, progress.line)
             except InputError:
-                if row[0].lstrip().startswith(COMMENTS) or [cell.strip() for cell in row] in (self.names, self.units):
+                if row[0].lstrip().startswith(COMMENTS) or self._is_header(row):
                     progress.side_rows += 1
                     continue
                 if progress.has_line_end or len(row) > len(self.names):
                     raise
                 numbers = [None]
+            if numbers.count(None) == len(numbers) and progress.has_line_end and not any(map(str.strip, row)):
+                progress.side_rows += 1
+                continue
             progress.left_out = not progress.has_line_end and numbers[0] is None
             if not progress.left_out:
                 yield numbers
+
+    def _is_header(self, row: Sequence[str]) -> bool:
+        """Whether a row holds the names or units again."""
+        cells = [cell.strip() for cell in row]
+        return any(header and cells[: len(header)] == header and not any(cells[len(header) :]) for header in self._header)
 
     def _numbers(self, row: Sequence[str], columns: Sequence[Column], line: int) -> list[float | int | None]:
         width = len(self.names)
@@ -503,7 +449,7 @@ class TextTable:
     def look_at_lines(self, progress: Progress) -> Iterator[Finding]:
         """Report lines of the file that are no rows of the table, and a last row that may be incomplete."""
         if progress.side_rows:
-            text = f"{progress.side_rows} lines between the rows are skipped: they are comments, or the names again"
+            text = f"{progress.side_rows} lines between the rows are skipped: they are comments, empty, or the names again"
             yield Finding("", "comment", progress.side_rows, float("nan"), text)
         if progress.has_quotes:
             with io.TextIOWrapper(self.binary(), "latin-1") as file:  # whatever ends the lines

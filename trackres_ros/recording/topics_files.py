@@ -10,9 +10,11 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from trackres_ros.files.documents import in_a_line
 from trackres_ros.files.resources import shipped_topics
-from trackres_ros.recording.bindings import TopicBinding, Topics
-from trackres_ros.recording.choosing import NOT_GUESSED, in_a_line, topics_line
+from trackres_ros.recording.bindings import TIME, TopicBinding, Topics
+from trackres_ros.recording.channel_source import ChannelSource
+from trackres_ros.recording.choosing import NOT_GUESSED, TIME_S, time_line, topics_line
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.roles import Conversion, as_said, base_role
 from trackres_ros.text import table
@@ -117,9 +119,12 @@ def guessed_topics(recording: Sequence[Path], topics: Topics | None) -> list[str
     lines = [f"# Guessed from {source.name}: check each line."]
     if topics and topics.dbc:
         lines.append(f"dbc: {in_a_line([str(file) for _, file in topics.dbc])}")
-    for role, binding in source.bindings.items():
+    time = source.time if isinstance(source, ChannelSource) else None
+    guesses = {TIME: time_line(time)} if time and time.column != TIME_S else {}
+    guesses |= {role: topics_line(role, binding) for role, binding in source.bindings.items()}
+    for role, line in guesses.items():
         alternatives = [note.partition(ALSO)[2] for note in source.notes if note.startswith(f"{role}: ") and ALSO in note]
-        lines.append(topics_line(role, binding) + (f"  # or {alternatives[0]}" if alternatives else ""))
+        lines.append(line + (f"  # or {alternatives[0]}" if alternatives else ""))
     return [*lines, *(f"# {note}" for note in source.notes if f": {NOT_GUESSED} " in note)]
 
 

@@ -43,12 +43,12 @@ def limited(**limits: Limits) -> Callable[[Callable[Given, Result]], Callable[Gi
 
     def decorate(function: Callable[Given, Result]) -> Callable[Given, Result]:
         LIMITS[function.__name__] = limits
-        optional = {name for name, parameter in signature(function).parameters.items() if parameter.default is None}
+        optional_names = {name for name, parameter in signature(function).parameters.items() if parameter.default is None}
 
         @wraps(function)
         def check_and_call(*args: Given.args, **kwargs: Given.kwargs) -> Result:
             for name, (low, high, unit) in limits.items():
-                if name not in kwargs or (kwargs[name] is None and name in optional):
+                if name not in kwargs or (kwargs[name] is None and name in optional_names):
                     continue
                 if isinstance(low, int) and isinstance(high, int):
                     checks.whole(kwargs[name], name, low, high, unit)
@@ -124,9 +124,9 @@ def as_track_vehicle(vehicle: VehicleGiven) -> Vehicle:
     return track_vehicle
 
 
-def check_weight(vehicle: AnyVehicle, weight_kn: float | None, least: float, largest: float) -> None:
+def check_weight(vehicle: AnyVehicle, weight_kn: float | None, least_share: float, largest_share: float) -> None:
     """Check a weight [kN] by shares of the vehicle's own."""
-    low, nominal, high = (share * vehicle.weight / 1e3 for share in (least, 1.0, largest))
+    low, nominal, high = (share * vehicle.weight / 1e3 for share in (least_share, 1.0, largest_share))
     if weight_kn is not None and not low <= weight_kn <= high:
         raise InputError("weight_kn", weight_kn, f"{figures(low)} to {figures(high)} kN for a vehicle of {figures(nominal)} kN")
 

@@ -317,8 +317,8 @@ class DiagnosisResult:
             page_file = place / PAGE_FILE
             if page_file.is_file() and "<title>Diagnosis of " in page_file.read_text(encoding="utf-8", errors="replace"):
                 pictures = (picture for name in PICTURES for picture in place.glob(name))
-                for old in {page_file, *place.glob(SETTINGS_FILE), *pictures}.difference(files):
-                    remove(old)
+                for old_file in {page_file, *place.glob(SETTINGS_FILE), *pictures}.difference(files):
+                    remove(old_file)
         self.written = files
         return place
 
@@ -352,8 +352,8 @@ class DiagnosisResult:
         vehicle = [self._base_file.source] if self._base_file.source else []
         made_of = provenance([*self.recordings, *vehicle], self._seconds)
         path, title = place / PAGE_FILE, f"Diagnosis of {self._base_file.title}"
-        first = glance(self.diagnosis, self._content["topics_lines"])
-        write_page(path, self._content, first, pictures, title, _plots(self.diagnosis), made_of)
+        summary = glance(self.diagnosis, self._content["topics_lines"])
+        write_page(path, self._content, summary, pictures, title, _plots(self.diagnosis), made_of)
         return path, *(picture.path for picture in pictures)
 
     def as_dict(self) -> dict[str, Any]:
@@ -381,8 +381,8 @@ class DiagnosisResult:
         d = self.diagnosis
         if not isinstance(d.base, TrackBase | RoadBase):
             return []
-        acting = (*d.base.vehicle.active, *d.kept.effects)
-        inputs = {"accel", "grade", *(need for active in acting for need in active.effect.needs)}
+        acting_effects = (*d.base.vehicle.active, *d.kept.effects)
+        inputs = {"accel", "grade", *(need for active in acting_effects for need in active.effect.needs)}
         texts = [text for c, text in REPLAYED.items() if c in inputs and any(c in s.computed for s in d.gated.sessions)]
         if not texts:
             return []

@@ -143,12 +143,12 @@ class OperatingPoint(Content):
             return panel(self._head(), wheels, *map(paragraph, self._sentences()[1:]), listed("Remarks", self["remarks"]))
         losses = [(part, decimals(value, 1)) for part, value in self["loss_force_n"].items()]
         sentences = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
-        first = self["assemblies"][0]
+        first_assembly = self["assemblies"][0]
         return panel(
             self._head(),
             html_table(("torque at the sprockets", "Nm"), torques),
-            html_table((f"loss per metre of {first}", "N"), losses),
-            html_table((f"road wheel of {first}", *WHEEL_HEAD), self._wheels(), ("", *WHEEL_HEAD.values())),
+            html_table((f"loss per metre of {first_assembly}", "N"), losses),
+            html_table((f"road wheel of {first_assembly}", *WHEEL_HEAD), self._wheels(), ("", *WHEEL_HEAD.values())),
             *map(paragraph, sentences),
             listed("Remarks", self["remarks"]),
         )

@@ -92,8 +92,8 @@ def live_command(
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record"), limits) if record else None
     watch(record)
     entries, of_qos = read_with_overrides(params_file, name, namespace)
-    overruled = dict(_single(text) for text in single) | {key: value for key, value in values.items() if value is not None}
-    parameters = make_parameters(entries | overruled)
+    given_parameters = dict(_single(text) for text in single) | {key: value for key, value in values.items() if value is not None}
+    parameters = make_parameters(entries | given_parameters)
     REQUESTS.listen()
     displays: list[LiveDisplay] = []
     applications: list[Application] = []  # one at a time: a lifecycle's cleanup and configure make the next
@@ -124,7 +124,7 @@ def live_command(
         if of_qos:
             allowed = "no override of a quality of service, which needs --transport ros"
             raise InputError(str(params_file), ", ".join(of_qos), allowed, "input_* and output_* set that of all topics")
-        parameter_file = ParameterFile(params_file, name, namespace, parameters, overruled) if params_file else None
+        parameter_file = ParameterFile(params_file, name, namespace, parameters, given_parameters) if params_file else None
         code = run_on_dds(parameters, name, namespace, REQUESTS, on_start, parameter_file)
         return code
     finally:

@@ -61,11 +61,11 @@ class LiveJson(LiveDisplay):
     """Prints an overview once a second, and at the end with `"final": true`."""
 
     def _run(self) -> None:
-        final = False
-        while not final:
-            final = self._stop.wait(JSON_PERIOD_S)
+        is_final = False
+        while not is_final:
+            is_final = self._stop.wait(JSON_PERIOD_S)
             try:
-                print(json.dumps(as_dict(self._overview(), final), allow_nan=False), flush=True)
+                print(json.dumps(as_dict(self._overview(), is_final), allow_nan=False), flush=True)
             except BrokenPipeError:  # the output has no reader any more, which does not end the node
                 to_nowhere()
                 return
@@ -73,40 +73,40 @@ class LiveJson(LiveDisplay):
                 continue
 
 
-def as_dict(overview: Overview, final: bool) -> dict[str, Any]:
+def as_dict(overview: Overview, is_final: bool) -> dict[str, Any]:
     """The overview ready for JSON; torques [Nm] positive where they resist forward travel, unknown numbers are null."""
     comparison, disturbance = overview.mismatch, overview.disturbance
     return {
-        "final": final,
+        "final": is_final,
         "level": overview.level.name.lower(),
         "remarks": [{"name": r.name, "level": r.level.name.lower(), "text": r.text} for r in overview.notices],
         "stamp_ns": overview.stamp_ns,
-        "age_s": _finite(overview.age_s),
-        "rate_hz": _finite(overview.steps_hz),
+        "age_s": _json_number(overview.age_s),
+        "rate_hz": _json_number(overview.steps_hz),
         "published": overview.published,
         "feedforward_published_nm": overview.feedforward_nm,
-        "estimate": {name: _finite(value) for name, value in overview.values.items() if name != "reasons"},
+        "estimate": {name: _json_number(value) for name, value in overview.values.items() if name != "reasons"},
         "inputs": [
             {
-                "role": state.role, "topic": state.topic, "value": _finite(state.value), "rate_hz": _finite(state.rate_hz),
-                "age_s": _finite(state.age_s), "counts": dict(state.counts),
+                "role": state.role, "topic": state.topic, "value": _json_number(state.value),
+                "rate_hz": _json_number(state.rate_hz), "age_s": _json_number(state.age_s), "counts": dict(state.counts),
             }
             for state in overview.inputs
         ],
         "comparison": {
-            "parted": comparison.parted, "settled": comparison.settled, "mean_nm": _finite(comparison.mean_nm),
+            "parted": comparison.parted, "settled": comparison.settled, "mean_nm": _json_number(comparison.mean_nm),
             "text": comparison.text,
         },
         "learning": overview.learning or None,
         "disturbance": disturbance and {
-            "form": disturbance.form, "there": _finite(disturbance.probability), "present": disturbance.is_present,
-            "torque_nm": _finite(disturbance.torque_nm), "text": disturbance.text,
+            "form": disturbance.form, "there": _json_number(disturbance.there), "present": disturbance.present,
+            "torque_nm": _json_number(disturbance.torque_nm), "text": disturbance.text,
         },
-        "state": {"file": overview.state_file, "saved_s_ago": _finite(overview.saved_s_ago), "error": overview.state_error},
+        "state": {"file": overview.state_file, "saved_s_ago": _json_number(overview.saved_s_ago), "error": overview.state_error},
     }  # fmt: skip
 
 
-def _finite(value: float) -> float | None:
+def _json_number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
@@ -121,16 +121,16 @@ class LiveTable(LiveDisplay):
         console = Console()
         if not console.is_terminal:
             while True:
-                final = self._stop.wait(PLAIN_PERIOD_S)
+                is_final = self._stop.wait(PLAIN_PERIOD_S)
                 with suppress(OSError):  # a full disk: the next line may fit again
                     console.print(line(self._overview()), soft_wrap=True, markup=False, highlight=False)
-                if final:
+                if is_final:
                     return
         with Live(console=console, auto_refresh=False) as live:
-            final = False
-            while not final:
+            is_final = False
+            while not is_final:
                 live.update(table(self._title(), self._overview()), refresh=True)
-                final = self._stop.wait(REFRESH_S)
+                is_final = self._stop.wait(REFRESH_S)
             live.update(table(self._title(), self._overview()), refresh=True)
 
 

@@ -38,10 +38,10 @@ class Number(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """See `click.FloatRange`."""
-        converted = super().convert(value, param, ctx)
-        if converted != converted:
+        number = super().convert(value, param, ctx)
+        if number != number:
             self.fail(f"{value} is not a number", param, ctx)
-        return converted
+        return number
 
 
 def vehicles_to_complete(_context: click.Context, _option: click.Parameter, beginning: str) -> list[CompletionItem]:

@@ -35,9 +35,9 @@ def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_jso
     signal.signal(signal.SIGINT, lambda *_: stop.set())
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     try:
-        absent = [topic for topic in wait_for if topic not in player.topics]
-        if absent:
-            raise InputError("--wait-for", absent[0], f"a topic that is played: {', '.join(player.topics)}")
+        absent_topics = [topic for topic in wait_for if topic not in player.topics]
+        if absent_topics:
+            raise InputError("--wait-for", absent_topics[0], f"a topic that is played: {', '.join(player.topics)}")
         for topic in player.left_out:
             click.echo(f"trackres: not played, because its type is unknown without ROS: {topic}", err=True)
         if not player.wait_for_listeners(wait_for, LISTENERS_WITHIN_S):

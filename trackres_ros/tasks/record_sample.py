@@ -102,8 +102,8 @@ def write_sample(
     """
     drive = lap_drive(speed_kmh, laps_driven)
     random = np.random.default_rng(SEED)
-    noisy = drive.speed + random.normal(0.0, SPEED_NOISE, len(drive.speed)) * (drive.speed > 0)
-    speed = np.maximum(np.round(noisy / SPEED_STEP), 0.0) * SPEED_STEP
+    noisy_speed = drive.speed + random.normal(0.0, SPEED_NOISE, len(drive.speed)) * (drive.speed > 0)
+    speed = np.maximum(np.round(noisy_speed / SPEED_STEP), 0.0) * SPEED_STEP
     load_stride, ambient_stride = LAP_HZ // LOAD_HZ, LAP_HZ // AMBIENT_HZ
     stamps = START_NS + np.round(drive.time_s * 1e9).astype(np.int64)
     load_kn = vehicle.weight * (1.0 + random.normal(0.0, LOAD_NOISE_SHARE, len(stamps[::load_stride]))) / 1e3

@@ -96,7 +96,7 @@ def replay(
     topics
         As in `read`, where paths are given.
     params
-        Parameters of the estimator (docs/settings.md): a file, flat or as the live node reads it, or a mapping of name to value.
+        Parameters of the estimator (config/trackres.yaml): a file, flat or as the live node reads it, or a mapping.
     resume, save_state
         State files: to continue from, and to write at the end. A recording whose times begin before the end of the state
         continues after time off: its standing time, or none.

@@ -230,11 +230,12 @@ def replay(
     counts = tuple(session.counts(counters))
     if not preview.steps:
         refusals = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in counts)
+        faults = [finding.text for finding in source.findings if finding.role in ("speed", "") and finding.count]
         raise InputError(
             source.name,
-            f"{messages} messages, but no usable speed ({refusals or 'no message'})",
+            f"{messages} messages, but no usable speed ({'; '.join([refusals, *faults]).strip('; ') or 'no message'})",
             "at least one finite, plausible speed",
-            "check topic, field, scale and unit of the speed",
+            "check topic or channel, field, scale and unit of the speed",
         )
     reason_counts = session.reason_counts(reasons)
     late_s = (preview.first_ns - start[0]) * NANOSECOND if start else 0.0
@@ -291,7 +292,7 @@ class DisturbanceColumns:
             counts = compares(speed, accel)
             jumped = bool(int(reasons) & CLOCK_JUMPED)
             belief = watch.take(stamp, residual if counts else math.nan, speed, stamp - arrival, jumped)
-            columns[:, i] = belief.probability, belief.torque_nm
+            columns[:, i] = belief.there, belief.torque_nm
         return list(columns)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE
 from trackres_ros.estimator.drives import SimulatedDrive, by_column, ramp_and_hold, run_drive, series_of, through_points
 from trackres_ros.estimator.energy import drive_text, sum_drive
 from trackres_ros.estimator.estimator import Estimator
@@ -28,7 +28,7 @@ from trackres_ros.output.table import write_table
 from trackres_ros.recording.channel_source import ChannelSource
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import POSITION, ROLES
+from trackres_ros.recording.roles import PLAUSIBLE, POSITION, ROLES
 from trackres_ros.tasks import options
 from trackres_ros.tasks.arguments import (
     AMBIENT,
@@ -178,13 +178,13 @@ def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = Fals
             raise InputError("profile", str(profile), "a CSV or Parquet table; trackres replay reads bags")
         recording = Recording.from_source(source)
     roles = [role for role in ("speed", *ARGUMENT_OF) if on_route or role not in POSITION]
-    foreign = [role for role in recording.roles if role not in roles]
-    if foreign:
+    foreign_roles = [role for role in recording.roles if role not in roles]
+    if foreign_roles:
         allowed = ", ".join(roles)
         remedy = "remove the columns that a simulation does not use"
-        if set(foreign) <= set(POSITION):
+        if set(foreign_roles) <= set(POSITION):
             remedy = "a position needs a route in the surroundings: --surroundings FILE"
-        raise InputError(f"{recording.name}: columns of", ", ".join(foreign), allowed, remedy)
+        raise InputError(f"{recording.name}: columns of", ", ".join(foreign_roles), allowed, remedy)
     return recording
 
 
@@ -216,10 +216,10 @@ def along(recording: Recording, role: str, time_s: Array, weight: float, option:
     times, value = recording.time_s(role), recording.series[role].value
     order = np.argsort(times, kind="stable")
     order = order[np.isfinite(value[order])]
-    bad = value[order][(value[order] < low) | (value[order] > high)]
-    if bad.size:
+    bad_values = value[order][(value[order] < low) | (value[order] > high)]
+    if bad_values.size:
         allowed = f"{low:g} to {high:g} {ROLES[role].unit}{f' for a vehicle of {figures(weight)} N' if role == 'load' else ''}"
-        raise InputError(f"{option} {recording.name}: {role}".lstrip(), float(bad[0]), allowed)
+        raise InputError(f"{option} {recording.name}: {role}".lstrip(), float(bad_values[0]), allowed)
     value = np.unwrap(value[order]) if role == "longitude" else value[order]  # it goes on over the date line
     edge = np.nan if role in POSITION else None
     return np.interp(time_s, times[order], value, left=edge, right=edge)

@@ -73,11 +73,11 @@ def print_warnings(kind: type[Warning] = Warning) -> Iterator[None]:
         yield
 
 
-def needs(feature: str, extra: str, *modules: str) -> None:
+def needs(feature: str, extra_name: str, *modules: str) -> None:
     """Check for an optional library before any work begins."""
     for module in modules:
         if find_spec(module) is None:
-            raise MissingExtraError(feature, module, extra)
+            raise MissingExtraError(feature, module, extra_name)
 
 
 def begin_command() -> None:
@@ -162,10 +162,10 @@ def picture_if_possible(picture: Path) -> Iterator[None]:
     try:
         yield
     except MissingExtraError as error:
-        existed = picture.is_file()
+        was_there = picture.is_file()
         with suppress(OSError):
             remove(picture)
-        click.echo(f"trackres: no picture{f', the earlier {picture} is removed' if existed else ''}: {error}", err=True)
+        click.echo(f"trackres: no picture{f', the earlier {picture} is removed' if was_there else ''}: {error}", err=True)
 
 
 @contextmanager
@@ -183,10 +183,10 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(label, total=total)
 
-        def tell(part: str, _count: int, _total: int) -> None:
+        def show_progress(part: str, _count: int, _total: int) -> None:
             bar.update(task, description=f"{label}: {part}")
 
-        with listening(tell):
+        with listening(show_progress):
             yield lambda count: bar.update(task, advance=count)
 
 
@@ -200,8 +200,8 @@ def stage_progress() -> Iterator[Callable[[str], None]]:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
-    remaining = TimeRemainingColumn(compact=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), remaining)
+    time_column = TimeRemainingColumn(compact=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), time_column)
     with Progress(*columns, console=console, transient=True) as bar:
         state: dict[str, Any] = {"stage": "", "since": 0.0, "task": None, "part": None}
 
@@ -215,7 +215,7 @@ def stage_progress() -> Iterator[Callable[[str], None]]:
                 bar.remove_task(state["task"])
             state.update(stage=stage, since=time.monotonic(), task=bar.add_task(stage, total=None), part=None)
 
-        def tell(part: str, count: int, total: int) -> None:
+        def show_progress(part: str, count: int, total: int) -> None:
             if state["task"] is None:
                 begin("begins")
             if part != state["part"]:
@@ -223,6 +223,6 @@ def stage_progress() -> Iterator[Callable[[str], None]]:
                 state["part"] = part
             bar.update(state["task"], completed=count)
 
-        with listening(tell):
+        with listening(show_progress):
             yield begin
         print_stage()

@@ -86,9 +86,9 @@ def derived_values(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
     tracks, remarks = {}, []
     for name, track in vehicle.tracks.items():
         model, loads = track_model(vehicle, name), load_range(vehicle, name)
-        began = time.perf_counter()
+        begin_s = time.perf_counter()
         table = loss_table(vehicle, name)
-        took = time.perf_counter() - began
+        took = time.perf_counter() - begin_s
         errors = np.abs(interpolation_error(model, table, loads, vehicle.chassis.max_speed, points))
         physics, messages = _physics(vehicle, name, model, table)
         remarks += messages
@@ -99,7 +99,7 @@ def derived_values(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
             )
         stiffness = float(belt_model.axial_stiffness(track.belt, model.rubber.dynamic_modulus(10.0, vehicle.chassis.ambient)))
         tension, mass = steady_tension(model, vehicle.chassis.ambient), mass_per_length(track.belt, rubber)
-        uncertain = ("loss", "cooling", "heat_capacity", "sprocket_radius")
+        uncertain_names = ("loss", "cooling", "heat_capacity", "sprocket_radius")
         tracks[name] = {
             "wheel_loads_n": wheel_loads(track, loads.nominal).tolist(),
             "hinge_position_m": hinge_position(track),
@@ -110,7 +110,7 @@ def derived_values(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
             "axial_stiffness_n": stiffness,
             "tension_n": tension,
             "sag_m": float(belt_model.catenary_sag(tension, mass, track.belt.sag_half_span, stiffness)),
-            "uncertainty": dict(zip(uncertain, spread(vehicle, name).relative.tolist(), strict=True)),
+            "uncertainty": dict(zip(uncertain_names, spread(vehicle, name).relative.tolist(), strict=True)),
             "table": {
                 "seconds": took,
                 "load_range_n": [loads.low, loads.high],
@@ -166,9 +166,9 @@ def _check_road(vehicle: RoadVehicle) -> dict[str, Any]:
 
 def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -> tuple[dict[str, Any], list[str]]:
     """Range of the rubber data for one kind of track, its steady belt temperature, and remarks on both."""
-    chassis, covered = vehicle.chassis, coverage(vehicle, name)
-    settles = check_heat(vehicle, name, table)
-    strain = float(model.loss.contacts(SLOWEST, covered.hottest, load_range(vehicle, name).nominal).largest_strain.max())
+    chassis, rubber_data = vehicle.chassis, coverage(vehicle, name)
+    heat_balance = check_heat(vehicle, name, table)
+    strain = float(model.loss.contacts(SLOWEST, rubber_data.hottest, load_range(vehicle, name).nominal).largest_strain.max())
     if strain >= 1.0:
         raise InputError(
             f"{vehicle.source}: tracks.{name}",
@@ -177,27 +177,28 @@ def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -
             "check the unit of the moduli, the thickness, and radius, number and contact length of the road wheels",
         )
     speeds = [share * chassis.max_speed for share in SHOWN_SPEED_SHARES]
-    coldest = [covered.coldest(model.rubber, speed) for speed in speeds]
+    coldest_degc = [rubber_data.coldest(model.rubber, speed) for speed in speeds]
     remarks = []
     ambient = vehicle.parameters["chassis.ambient"].low
-    if coldest[-1] > ambient:
+    if coldest_degc[-1] > ambient:
         remarks.append(
-            f"track {name}: the rubber data end at {coldest[-1]:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h, and the file's "
-            f"ambient temperature begins at {ambient:g} degC. Below, the end values are used, and the status shows OUTSIDE_TABLE"
+            f"track {name}: the rubber data end at {coldest_degc[-1]:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h, and the "
+            f"file's ambient temperature begins at {ambient:g} degC. Below, the end values are used, and the status "
+            "shows OUTSIDE_TABLE"
         )
-    if settles > covered.hottest:
+    if heat_balance > rubber_data.hottest:
         remarks.append(
-            f"track {name}: at {chassis.max_speed * 3.6:.0f} km/h the belt settles at {settles:.0f} degC, and the data or the "
-            f"life of its rubber end at {covered.hottest:.0f} degC. Above, the status shows OUTSIDE_TABLE"
+            f"track {name}: at {chassis.max_speed * 3.6:.0f} km/h the belt settles at {heat_balance:.0f} degC, and the data or "
+            f"the life of its rubber end at {rubber_data.hottest:.0f} degC. Above, the status shows OUTSIDE_TABLE"
         )
     if strain > DEEP_STRAIN:
         remarks.append(
             f"track {name}: a road wheel indents a hot belt by {strain:.0%} of its thickness: too deep for the contact model"
         )
     physics = {
-        "balance_degc": settles,
+        "balance_degc": heat_balance,
         "largest_strain": strain,
-        "rubber_data": {"speed_mps": speeds, "coldest_degc": coldest, "hottest_degc": covered.hottest},
+        "rubber_data": {"speed_mps": speeds, "coldest_degc": coldest_degc, "hottest_degc": rubber_data.hottest},
     }
     return physics, remarks
 
@@ -308,17 +309,18 @@ def new_vehicle(name: str, folder: Path, template: str) -> list[Path]:
     return paths
 
 
-def differences(first: str, second: str) -> list[dict[str, Any]]:
+def differences(first_vehicle: str, second_vehicle: str) -> list[dict[str, Any]]:
     """Differences of two vehicle files: path, unit, both values, the second over the first if both are numbers with a
     true zero, ranges, and flags if only one value is fitted: its uncertainty then is the whole one.
 
     Files that both name, such as that of the rubber, are compared by a digest of their content. Raises InputError if one is
     no vehicle file.
     """
-    places = [find_vehicle(name) for name in (first, second)]
+    places = [find_vehicle(name) for name in (first_vehicle, second_vehicle)]
     contents = [read_yaml(place) for place in places]
     sides = [
-        {**dict(_leaves(content)), **_digests(content, place.parent)} for content, place in zip(contents, places, strict=True)
+        {**dict(_leaf_values(content)), **_digests(content, place.parent)}
+        for content, place in zip(contents, places, strict=True)
     ]
     rows = []
     for path in dict.fromkeys([*sides[0], *sides[1]]):
@@ -343,17 +345,17 @@ def differences(first: str, second: str) -> list[dict[str, Any]]:
     return rows
 
 
-def differences_text(first: str, second: str, rows: Sequence[Mapping[str, Any]]) -> str:
+def differences_text(first_vehicle: str, second_vehicle: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """The same for people."""
 
     def cells(d: Mapping[str, Any]) -> tuple[str, ...]:
         ratio = "" if d["ratio"] is None else f"{100.0 * (d['ratio'] - 1.0):+.1f} %"
         spans = ["" if span is None else f"{figures(span[0])} to {figures(span[1])}" for span in d["ranges"] or (None, None)]
-        fits = ["" if flag is None else f" ({flag})" for flag in d["flags"] or (None, None)]
-        values = [f"{_value_text(d[side])}{fit}" for side, fit in zip(("one", "other"), fits, strict=True)]
+        flag_texts = ["" if flag is None else f" ({flag})" for flag in d["flags"] or (None, None)]
+        values = [f"{_value_text(d[side])}{fit}" for side, fit in zip(("one", "other"), flag_texts, strict=True)]
         return d["path"], d["unit"], *values, ratio, *spans
 
-    head = ("value", "unit", first, second, "change", f"range of {first}", f"range of {second}")
+    head = ("value", "unit", first_vehicle, second_vehicle, "change", f"range of {first_vehicle}", f"range of {second_vehicle}")
     return table(map(cells, rows), head, numbers=False) if rows else "They have the same values."
 
 
@@ -379,7 +381,7 @@ def _digests(content: Mapping[str, Any], folder: Path) -> dict[str, str]:
     return digests
 
 
-def _leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def _leaf_values(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Quantities and plain values by their paths; parts of a list by their names."""
     if isinstance(node, Mapping) and "value" in node:
         # A reason does not define a vehicle, nor a flag other than F.
@@ -387,11 +389,11 @@ def _leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     elif isinstance(node, Mapping):
         for key, value in node.items():
             if key != "name" or not path:
-                yield from _leaves(value, f"{path}.{key}" if path else str(key))
+                yield from _leaf_values(value, f"{path}.{key}" if path else str(key))
     elif isinstance(node, list):
         for i, value in enumerate(node):
             name = value.get("name", i) if isinstance(value, Mapping) else i
-            yield from _leaves(value, f"{path}.{name}")
+            yield from _leaf_values(value, f"{path}.{name}")
     else:
         yield path, node
 

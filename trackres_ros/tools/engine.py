@@ -120,23 +120,23 @@ def run_pieces(client: Client, function: Callable[[Work], Any], work: Iterable[W
     from distributed import KilledWorker
 
     threads = sum(client.nthreads().values()) if client.status == "running" else 1
-    suspected = []
+    suspects = []
     for piece, result in _run_pieces(client, function, work, AHEAD * max(1, threads)):
         if isinstance(result, KilledWorker):
-            suspected.append(piece)
+            suspects.append(piece)
         else:
             yield piece, result
-    yield from _run_pieces(client, function, suspected, at_once=1)
+    yield from _run_pieces(client, function, suspects, at_once=1)
 
 
 def results(
-    function: Callable[[Work], Any], work: Sequence[Work], address: str, workers: int | None = None, few: bool = False
+    function: Callable[[Work], Any], work: Sequence[Work], address: str, workers: int | None = None, has_few: bool = False
 ) -> Iterator[tuple[Work, Any]]:
     """Each piece of work with its result, in order of completion; a few pieces, or all without Dask, in this process.
 
     Raises the exception that ended a piece.
     """
-    if address == LOCAL and workers is None and (few or find_spec("distributed") is None):
+    if address == LOCAL and workers is None and (has_few or find_spec("distributed") is None):
         yield from ((piece, function(piece)) for piece in work)
         return
     with engine(address, workers) as client:
@@ -159,9 +159,9 @@ def _run_pieces(
         return [future for future, _ in futures]
 
     first_futures = submit(at_once)
-    completed = as_completed(first_futures, loop=client.loop)
+    futures_done = as_completed(first_futures, loop=client.loop)
     del first_futures
-    for future in completed:
+    for future in futures_done:
         if future.status == "cancelled":
             raise _gone_error(client)
         try:  # a result lost with its worker is computed again
@@ -172,7 +172,7 @@ def _run_pieces(
         del future
         yield piece, result
         for next_future in submit(1):
-            completed.add(next_future)
+            futures_done.add(next_future)
 
 
 def _gone_error(client: Client) -> EngineGoneError:

@@ -41,25 +41,25 @@ def fitted(sweep, vehicle, folder):
 
 def test_the_reference_compound_comes_out_as_it_went_in(good, repository, tmp_path, drawn):
     words = ("compound", "fit", repository / "config" / "rubber" / "nr_sbr_10hz.csv")
-    found = json.loads(good(*words, "--json", cwd=tmp_path))
-    assert found["shift"]["law"] == "kept"
-    assert found["rms"]["storage"] < 0.005
-    assert found["rms"]["loss"] < 0.01
-    assert max(found["prony"]["rms_storage"], found["prony"]["rms_loss"]) < 0.03
-    assert [Path(path).suffix for path in found["written"]] == [".yaml", ".csv", ".csv", ".png"]
-    assert all((tmp_path / path).stat().st_size > 500 for path in found["written"])
+    result = json.loads(good(*words, "--json", cwd=tmp_path))
+    assert result["shift"]["law"] == "kept"
+    assert result["rms"]["storage"] < 0.005
+    assert result["rms"]["loss"] < 0.01
+    assert max(result["prony"]["rms_storage"], result["prony"]["rms_loss"]) < 0.03
+    assert [Path(path).suffix for path in result["written"]] == [".yaml", ".csv", ".csv", ".png"]
+    assert all((tmp_path / path).stat().st_size > 500 for path in result["written"])
     assert [drawn.faults(figure) for figure in drawn.figures] == [[]]
-    fitted, reference = load(tmp_path / found["written"][0]).rubber, load("xgd24d").rubber
-    np.testing.assert_allclose(fitted.storage_pa, reference.storage_pa, rtol=0.02)
-    np.testing.assert_allclose(fitted.loss_pa, reference.loss_pa, rtol=0.02)
-    assert 0.0 < found["covered"]["share"] < 1.0
-    assert "extrapolated" in found["covered"]["text"]
-    said = good(*words, cwd=tmp_path)
+    fit_result, reference = load(tmp_path / result["written"][0]).rubber, load("xgd24d").rubber
+    np.testing.assert_allclose(fit_result.storage_pa, reference.storage_pa, rtol=0.02)
+    np.testing.assert_allclose(fit_result.loss_pa, reference.loss_pa, rtol=0.02)
+    assert 0.0 < result["covered"]["share"] < 1.0
+    assert "extrapolated" in result["covered"]["text"]
+    text = good(*words, cwd=tmp_path)
     page = (repository / "docs" / "compound.md").read_text(encoding="utf-8").split("```\n")[1]
-    assert page.splitlines()[1:] == said.splitlines()[1:]
-    assert f"rms of a Prony series of {found['prony']['terms']} terms" in said
-    assert found["covered"]["text"] in said
-    assert "! to fit a shift," in said
+    assert page.splitlines()[1:] == text.splitlines()[1:]
+    assert f"rms of a Prony series of {result['prony']['terms']} terms" in text
+    assert result["covered"]["text"] in text
+    assert "! to fit a shift," in text
 
 
 @pytest.mark.parametrize(
@@ -94,16 +94,16 @@ def test_of_a_compound_whose_belts_would_burn_nothing_is_written(refused, tmp_pa
 
 
 def test_a_damaged_sweep_is_read_or_refused_in_one_line(tmp_path):
-    path, readable, refused = tmp_path / "sweep.csv", [], []
+    path, readable, refusal_here = tmp_path / "sweep.csv", [], []
     for content in mutations(FORMS["decimal commas, units below"].encode(), DAMAGED, seed=3):
         path.write_bytes(content)
-        one, text = refusal(read_sweep, path)
-        (refused if one is None else readable).append(text if one is None else one)
-    assert all(map(a_line, refused))
-    assert min(len(readable), len(refused)) > DAMAGED // 20
+        value, text = refusal(read_sweep, path)
+        (refusal_here if value is None else readable).append(text if value is None else value)
+    assert all(map(a_line, refusal_here))
+    assert min(len(readable), len(refusal_here)) > DAMAGED // 20
     vehicle = load("xgd24d")
-    for number, one in enumerate(random.Random(1).sample(readable, FITTED)):
-        assert a_line(refusal(fitted, one, vehicle, tmp_path / str(number))[1])
+    for number, value in enumerate(random.Random(1).sample(readable, FITTED)):
+        assert a_line(refusal(fitted, value, vehicle, tmp_path / str(number))[1])
 
 
 def test_whatever_rubber_may_have_is_fitted_or_refused(tmp_path):

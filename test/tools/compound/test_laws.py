@@ -54,8 +54,8 @@ def test_frequency_times_shift_factor_equals_another_temperature(shift, temp, ot
     decades = shift.log_shift(temp) - shift.log_shift(other)
     assume(abs(decades) < 290.0)  # full precision of a double
     carried = frequency * 10.0**decades
-    one, same = shift.equivalent_degc(frequency, temp, 1.0), shift.equivalent_degc(carried, other, 1.0)
-    assert same == pytest.approx(one, rel=1e-6, abs=1e-6)
+    item, same = shift.equivalent_degc(frequency, temp, 1.0), shift.equivalent_degc(carried, other, 1.0)
+    assert same == pytest.approx(item, rel=1e-6, abs=1e-6)
     assert shift.equivalent_degc(1.0, temp, 1.0) == pytest.approx(temp, abs=1e-6)
 
 
@@ -70,17 +70,17 @@ def test_the_shift_is_that_of_the_model(vehicle, glass, c1, c2, temp):
 def test_arrhenius_is_a_wlf_shift_with_its_pole_at_absolute_zero():
     shift, temps = Shift(3000.0, ABSOLUTE_ZERO_DEGC, -60.0), np.array([-20.0, 20.0, 80.0])
     kelvin = temps - ABSOLUTE_ZERO_DEGC
-    expected = shift.activation_energy / GAS_CONSTANT / np.log(10.0) * (1.0 / kelvin - 1.0 / kelvin[0])
-    assert shift.log_shift(temps) - shift.log_shift(-20.0) == pytest.approx(expected)
+    expectation = shift.activation_energy / GAS_CONSTANT / np.log(10.0) * (1.0 / kelvin - 1.0 / kelvin[0])
+    assert shift.log_shift(temps) - shift.log_shift(-20.0) == pytest.approx(expectation)
 
 
 def test_scaling_all_frequencies_keeps_the_shift_and_moduli(vehicle):
     temps, shift = np.arange(-60.0, 61.0, 8.0), published("natural rubber")
-    one = sweep(shift, temps)
-    faster = replace(one, frequency=10.0 * one.frequency)
-    fits = [fit_compound(each, vehicle) for each in (one, faster)]
-    for name, found in fits[0].values.items():
-        assert fits[1].values[name].value == pytest.approx(found.value, rel=1e-4)
+    item = sweep(shift, temps)
+    faster = replace(item, frequency=10.0 * item.frequency)
+    fits = [fit_compound(entry, vehicle) for entry in (item, faster)]
+    for name, result in fits[0].values.items():
+        assert fits[1].values[name].value == pytest.approx(result.value, rel=1e-4)
     degc = np.linspace(-60.0, 60.0, 9)
     for slow, fast in zip(fits[0].master.moduli(degc), fits[1].master.moduli(degc), strict=True):
         assert fast == pytest.approx(slow, rel=1e-3)
@@ -93,11 +93,11 @@ def test_published_shifts_come_back_within_their_intervals(vehicle, name):
     shift = published(name)
     inside = []
     for seed in range(2):
-        found = fit_compound(sweep(shift, np.arange(shift.glass_transition + 10.0, 61.0, 5.0), seed=seed), vehicle)
-        assert found.law == WLF
-        assert not found.glass_is_seen
-        c1, c2 = replace(shift, glass_transition=found.shift.glass_transition).wlf()
-        for value, true in ((found.values["wlf_c1"], c1), (found.values["wlf_c2"], c2)):
+        result = fit_compound(sweep(shift, np.arange(shift.glass_transition + 10.0, 61.0, 5.0), seed=seed), vehicle)
+        assert result.law == WLF
+        assert not result.glass_is_seen
+        c1, c2 = replace(shift, glass_transition=result.shift.glass_transition).wlf()
+        for value, true in ((result.values["wlf_c1"], c1), (result.values["wlf_c2"], c2)):
             assert value.value == pytest.approx(true, rel=0.05)
             assert value.high - value.low < 0.2 * true
             inside.append(value.low <= true <= value.high)
@@ -109,10 +109,10 @@ def test_a_glass_transition_that_is_measured_comes_back(vehicle, natural_rubber)
     sbr = published("SBR")
     temps = np.arange(sbr.glass_transition - 11.0, 61.0, 5.0)
     steep = [fit_compound(sweep(sbr, temps, shared=0.02, seed=seed), vehicle) for seed in range(2)]
-    for shift, found, width in ((published("natural rubber"), natural_rubber, 0.1), *((sbr, each, 0.3) for each in steep)):
-        assert found.law == WLF
-        assert found.glass_is_seen
-        for value, true in zip(found.values.values(), (shift.glass_transition, *shift.wlf()), strict=True):
+    for shift, result, width in ((published("natural rubber"), natural_rubber, 0.1), *((sbr, item, 0.3) for item in steep)):
+        assert result.law == WLF
+        assert result.glass_is_seen
+        for value, true in zip(result.values.values(), (shift.glass_transition, *shift.wlf()), strict=True):
             assert value.low <= true <= value.high
             assert value.high - value.low < width * abs(true)
 
@@ -120,10 +120,10 @@ def test_a_glass_transition_that_is_measured_comes_back(vehicle, natural_rubber)
 def test_arrhenius_comes_back_as_such_with_its_energy(vehicle):
     energy = 60e3
     shift = Shift(energy / GAS_CONSTANT / np.log(10.0), ABSOLUTE_ZERO_DEGC, -100.0)
-    found = fit_compound(sweep(shift, np.arange(-40.0, 101.0, 7.0), about=-20.0), vehicle)
-    assert found.law == ARRHENIUS
-    assert found.energy.low <= energy <= found.energy.high
-    assert found.values["wlf_c2"].value == pytest.approx(found.values["glass_transition"].value + 50.0 - ABSOLUTE_ZERO_DEGC)
+    result = fit_compound(sweep(shift, np.arange(-40.0, 101.0, 7.0), about=-20.0), vehicle)
+    assert result.law == ARRHENIUS
+    assert result.energy.low <= energy <= result.energy.high
+    assert result.values["wlf_c2"].value == pytest.approx(result.values["glass_transition"].value + 50.0 - ABSOLUTE_ZERO_DEGC)
 
 
 def test_errors_of_isotherms_widen_the_intervals(vehicle):
@@ -140,11 +140,11 @@ def test_elasticity_rising_with_temperature_keeps_the_shift(vehicle):
     plain = sweep(shift, np.arange(-50.0, 96.0, 5.0))
     assert fit_compound(plain, vehicle).power is None
     factor = (plain.temp_degc - ABSOLUTE_ZERO_DEGC) / 300.0
-    found = fit_compound(replace(plain, storage=factor * plain.storage, loss=factor * plain.loss), vehicle)
-    assert found.power.low <= 1.0 <= found.power.high
-    assert max(found.with_power) < 0.5 * max(found.rms)
-    c1, c2 = replace(shift, glass_transition=found.shift.glass_transition).wlf()
-    for value, true in ((found.values["wlf_c1"], c1), (found.values["wlf_c2"], c2)):
+    result = fit_compound(replace(plain, storage=factor * plain.storage, loss=factor * plain.loss), vehicle)
+    assert result.power.low <= 1.0 <= result.power.high
+    assert max(result.with_power) < 0.5 * max(result.rms)
+    c1, c2 = replace(shift, glass_transition=result.shift.glass_transition).wlf()
+    for value, true in ((result.values["wlf_c1"], c1), (result.values["wlf_c2"], c2)):
         assert value.low <= true <= value.high
         assert value.value == pytest.approx(true, rel=0.05)
 
@@ -153,10 +153,10 @@ def test_the_master_curve_has_the_true_moduli_in_its_intervals(natural_rubber):
     shift, master = published("natural rubber"), natural_rubber.master
     degc = np.linspace(-85.0, 55.0, 29)
     true = np.log(np.column_stack(moduli(np.log10(master.at_frequency) + shift.log_shift(degc) - shift.log_shift(-23.15))))
-    found, std = np.log(np.column_stack(master.moduli(degc))), master.log_std(degc)
-    assert np.abs(found - true).max() < 0.05
-    inside = np.abs(found - true) < 1.96 * np.hypot(std, 0.005)  # errors of isotherms are shared, and documented
-    assert inside.mean() > 0.85
+    result, std = np.log(np.column_stack(master.moduli(degc))), master.log_std(degc)
+    assert np.abs(result - true).max() < 0.05
+    is_inside = np.abs(result - true) < 1.96 * np.hypot(std, 0.005)  # errors of isotherms are shared, and documented
+    assert is_inside.mean() > 0.85
     assert natural_rubber.rms == pytest.approx((0.0071, 0.0112), rel=0.3)
 
 
@@ -178,9 +178,9 @@ def test_a_prony_series_keeps_its_rms_between_the_rows(vehicle):
     master, prony, degc = fit.master, fit.prony, np.linspace(fit.master.low_degc, fit.master.high_degc, 1000)
     moved = fit.shift.log_shift(degc) - fit.shift.log_shift(prony.reference_degc)
     series = prony.moduli(master.at_frequency * 10.0**moved)
-    for found, curve, rms in zip(series, master.moduli(degc), prony.rms, strict=True):
-        assert np.sqrt(np.mean((found / curve - 1.0) ** 2)) < 1.05 * rms
-        assert np.abs(found / curve - 1.0).max() < 6.0 * rms
+    for result, curve, rms in zip(series, master.moduli(degc), prony.rms, strict=True):
+        assert np.sqrt(np.mean((result / curve - 1.0) ** 2)) < 1.05 * rms
+        assert np.abs(result / curve - 1.0).max() < 6.0 * rms
 
 
 @pytest.mark.parametrize("warmer", [0.0, 105.0])
@@ -189,26 +189,26 @@ def test_the_prony_file_alone_gives_the_moduli(vehicle, natural_rubber, warmer):
     data = natural_rubber.sweep
     fit = fit_compound(replace(data, temp_degc=data.temp_degc + warmer), vehicle) if warmer else natural_rubber
     text = prony_text(fit)
-    found = re.search(r"log10 a_T = -(\S+) \(T ([+-]) (\S+)\) / \((\S+) \+ T \2 \3\), T in degC, above (\S+) degC", text)
-    c1, c2, glass, reference = (float(found[i]) for i in (1, 4, 5, 3))
-    reference = -reference if found[2] == "+" else reference
+    result = re.search(r"log10 a_T = -(\S+) \(T ([+-]) (\S+)\) / \((\S+) \+ T \2 \3\), T in degC, above (\S+) degC", text)
+    c1, c2, glass, reference = (float(result[i]) for i in (1, 4, 5, 3))
+    reference = -reference if result[2] == "+" else reference
     rows = text[text.index("tau_s,") :].splitlines()
     tau, strength = np.genfromtxt(rows, delimiter=",", skip_header=1).T[:2]
     frequency, degc = (x.ravel() for x in np.meshgrid(FREQUENCIES, np.arange(glass, 60.0 + warmer, 10.0)))
-    away = degc - reference
-    x2 = (2.0 * np.pi * frequency * 10.0 ** (-c1 * away / (c2 + away)) * tau[1:, None]) ** 2
+    distance = degc - reference
+    x2 = (2.0 * np.pi * frequency * 10.0 ** (-c1 * distance / (c2 + distance)) * tau[1:, None]) ** 2
     series = strength[0] + strength[1:] @ (x2 / (1.0 + x2)), strength[1:] @ (np.sqrt(x2) / (1.0 + x2))
     curve = fit.master.moduli(fit.shift.equivalent_degc(frequency, degc, fit.master.at_frequency))
-    for found, expected, rms in zip(series, curve, fit.prony.rms, strict=True):
-        assert np.abs(1e6 * found / expected - 1.0).max() < 6.0 * rms
+    for result, expectation, rms in zip(series, curve, fit.prony.rms, strict=True):
+        assert np.abs(1e6 * result / expectation - 1.0).max() < 6.0 * rms
     assert f"at {reference:.6g} degC" in text
 
 
 def test_moduli_that_do_not_belong_together_have_no_prony_series(vehicle, natural_rubber):
     wrong = replace(natural_rubber.sweep, loss=2.0 * natural_rubber.sweep.loss)
-    found = fit_compound(wrong, vehicle)
-    assert max(found.rms) < 0.02  # a master curve each
-    assert max(found.prony.rms) > 0.2
+    result = fit_compound(wrong, vehicle)
+    assert max(result.rms) < 0.02  # a master curve each
+    assert max(result.prony.rms) > 0.2
 
 
 @pytest.mark.parametrize(
@@ -219,19 +219,19 @@ def test_moduli_that_do_not_belong_together_have_no_prony_series(vehicle, natura
     ],
 )  # fmt: skip
 def test_too_few_frequencies_or_isotherms_keep_the_shift(vehicle, frequencies, step, said):
-    found = fit_compound(sweep(published("SBR"), np.arange(-50.0, 96.0, step), frequencies), vehicle)
-    assert found.law == KEPT
-    assert said in found.why
-    assert found.values["wlf_c1"].value == vehicle.rubber.wlf_c1
-    assert found.values["wlf_c1"].low == vehicle.parameters["rubber.wlf_c1"].low
+    result = fit_compound(sweep(published("SBR"), np.arange(-50.0, 96.0, step), frequencies), vehicle)
+    assert result.law == KEPT
+    assert said in result.why
+    assert result.values["wlf_c1"].value == vehicle.rubber.wlf_c1
+    assert result.values["wlf_c1"].low == vehicle.parameters["rubber.wlf_c1"].low
 
 
 @pytest.mark.parametrize("step", [0.01, 0.04, 0.049, 0.06])
 @pytest.mark.parametrize("low", [15.0, -60.0])
 def test_rows_of_a_ramp_cover_it_evenly(vehicle, low, step):
     ramp = np.arange(low, 21.0, step)
-    one = SimpleNamespace(temp_degc=ramp, frequencies=[10.0])
-    rows = table_degc(SimpleNamespace(sweep=one, master=SimpleNamespace(low_degc=ramp[0], high_degc=ramp[-1])))
+    item = SimpleNamespace(temp_degc=ramp, frequencies=[10.0])
+    rows = table_degc(SimpleNamespace(sweep=item, master=SimpleNamespace(low_degc=ramp[0], high_degc=ramp[-1])))
     steps = np.diff([*rows, ramp[-1]])
     assert rows[0] == ramp[0]
     assert (steps[:-1] > ALIKE_K).all()
@@ -246,8 +246,8 @@ def test_the_written_vehicle_has_the_measured_moduli(vehicle, natural_rubber, tm
         (data.storage, model.storage_modulus, natural_rubber.rms[0]),
         (data.loss, model.loss_modulus, natural_rubber.rms[1]),
     ):
-        off = np.log(modulus(data.frequency, data.temp_degc) / measured)
-        assert np.sqrt((off**2).mean()) == pytest.approx(rms, rel=0.1)
+        deviation = np.log(modulus(data.frequency, data.temp_degc) / measured)
+        assert np.sqrt((deviation**2).mean()) == pytest.approx(rms, rel=0.1)
     for name, value in natural_rubber.values.items():
         q = written.parameters[f"rubber.{name}"]
         assert (q.value, q.low, q.high) == pytest.approx((value.value, value.low, value.high), rel=1e-5)
@@ -255,8 +255,8 @@ def test_the_written_vehicle_has_the_measured_moduli(vehicle, natural_rubber, tm
     assert written.rubber.density == vehicle.rubber.density
     assert written.name == "xgd24d_NR_7"
     assert "# Written by trackres compound fit from made.csv" in written.rubber_source.read_text()
-    again = write_compound(natural_rubber, written, files_of(tmp_path / "NR 7.csv", tmp_path / "again"))
-    assert again.source.read_text() == written.source.read_text()
+    repetition = write_compound(natural_rubber, written, files_of(tmp_path / "NR 7.csv", tmp_path / "again"))
+    assert repetition.source.read_text() == written.source.read_text()
 
 
 @pytest.mark.parametrize("of_thin", ["front", "rear"])
@@ -264,7 +264,7 @@ def test_the_need_is_that_of_all_kinds_of_track(of_thin):
     plain = load("xgd24d")
     ((name, track),) = plain.tracks.items()
     tracks = {name: track, "thin": replace(track, name="thin", belt=replace(track.belt, thickness=0.025))}
-    assemblies = tuple(replace(one, track="thin" if one.axle == of_thin else name) for one in plain.assemblies)
+    assemblies = tuple(replace(assembly, track="thin" if assembly.axle == of_thin else name) for assembly in plain.assemblies)
     need = need_of(replace(plain, tracks=tracks, assemblies=assemblies))
     assert need.fastest == need_of(replace(plain, tracks={name: tracks["thin"]})).fastest > need_of(plain).fastest
 
@@ -291,9 +291,9 @@ def test_an_interrupted_fit_leaves_the_old_vehicle_or_the_new(vehicle, natural_r
         with monkeypatch.context() as changed, suppress(KeyboardInterrupt):
             changed.setattr(Path, "replace", interrupted)
             write_compound(other, vehicle, files)
-        left = contents(files["vehicle"].parent), of_rubber(files)
+        remainders = contents(files["vehicle"].parent), of_rubber(files)
         if next(done) <= moves:  # there was no such move
             break
-        assert left == old, moves
-    assert left[1] != old[1]
+        assert remainders == old, moves
+    assert remainders[1] != old[1]
     assert moves == 4  # of the journal, and of rubber, series and vehicle

@@ -57,33 +57,33 @@ def sweep_of(name, folder):
 
 def of_parts(sweep):
     """For a part of the rows, without and with a rise beside the shift: pole [degC], and rms of the loss modulus elsewhere."""
-    found = []
+    results = []
     for most in PARTS_HZ:
         part, rest = sweep.some(sweep.frequency <= most), sweep.some(sweep.frequency > most)
-        at = part.frequencies[0]
-        without = fitted(part, FREE, at)
+        place = part.frequencies[0]
+        without = fitted(part, FREE, place)
         row = []
-        for shift in (without.shift, fitted(part, with_power(without), at).shift):
-            master = master_curve(part, shift, at)
-            equivalent = shift.equivalent_degc(rest.frequency, rest.temp_degc, at)
+        for shift in (without.shift, fitted(part, with_power(without), place).shift):
+            master = master_curve(part, shift, place)
+            equivalent = shift.equivalent_degc(rest.frequency, rest.temp_degc, place)
             known = (equivalent >= master.low_degc) & (equivalent <= master.high_degc)
-            off = np.log(master.moduli(equivalent[known])[1] / rest.loss[known])
-            row += [shift.pole, float(np.sqrt((off**2).mean()))]
-        found.append(row)
-    return np.array(found)
+            deviation = np.log(master.moduli(equivalent[known])[1] / rest.loss[known])
+            row += [shift.pole, float(np.sqrt((deviation**2).mean()))]
+        results.append(row)
+    return np.array(results)
 
 
 def test_published_shifts_come_back(tmp_path):
     inside = []
     for name in MOLAR_MASSES:
-        found = fit_compound(sweep_of(name, tmp_path), load("xgd24d"))
-        assert found.law == WLF
-        for value, published in zip(list(found.values.values())[1:], PUBLISHED.wlf(), strict=True):
+        result = fit_compound(sweep_of(name, tmp_path), load("xgd24d"))
+        assert result.law == WLF
+        for value, published in zip(list(result.values.values())[1:], PUBLISHED.wlf(), strict=True):
             inside.append(value.low <= published <= value.high)
             assert value.value == pytest.approx(published, rel=0.06)
-        assert found.power.low <= 1.0  # of rubber elasticity alone, less the density that falls
-        assert found.power.high >= 0.75
-        assert max(found.with_power) < 0.02
+        assert result.power.low <= 1.0  # of rubber elasticity alone, less the density that falls
+        assert result.power.high >= 0.75
+        assert max(result.with_power) < 0.02
     assert sum(inside) >= 10  # of 12, at 95 %
 
 

@@ -111,9 +111,9 @@ def test_every_form_is_the_same_sweep(tmp_path, form):
 @pytest.mark.parametrize("ends", ["\n", "\r\n"])
 def test_every_coding_and_line_end(tmp_path, coding, ends):
     form = FORMS["decimal commas, units below" if coding != "latin-1" else "MPa, commas"]
-    found = read(tmp_path, form.replace("\n", ends), coding)
-    same(found)
-    assert bool(found.notes) == (coding == "latin-1")
+    result = read(tmp_path, form.replace("\n", ends), coding)
+    same(result)
+    assert bool(result.notes) == (coding == "latin-1")
 
 
 def test_a_column_for_each_frequency(tmp_path):
@@ -125,10 +125,10 @@ def test_a_column_for_each_frequency(tmp_path):
 
 def test_blocks_with_their_names_again_and_rows_with_gaps(tmp_path):
     form = FORMS["decimal commas, units below"].splitlines()
-    again = [*form[:6], "", *form[1:3], *form[6:], "10;;;;"]
-    found = read(tmp_path, "\n".join(again))
-    same(found)
-    assert found.notes == ("1 rows with an empty cell were left out",)
+    repetitions = [*form[:6], "", *form[1:3], *form[6:], "10;;;;"]
+    result = read(tmp_path, "\n".join(repetitions))
+    same(result)
+    assert result.notes == ("1 rows with an empty cell were left out",)
 
 
 def test_a_frequency_may_be_given_beside(tmp_path):
@@ -191,8 +191,8 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_wrong_is_said_with_its_place(tmp_path, case):
-    content, said = BAD[case]
-    with pytest.raises(InputError, match=said) as error:
+    content, text_here = BAD[case]
+    with pytest.raises(InputError, match=text_here) as error:
         read(tmp_path, content)
     assert str(tmp_path / "sweep.csv") in str(error.value)
     assert str(error.value).isprintable()
@@ -211,9 +211,9 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path, case):
 def test_a_column_that_is_missing_is_named(tmp_path, head, missing, there):
     path = tmp_path / "sweep.csv"
     path.write_text("\n".join([head, *(",".join(str(10 * i + j) for j in range(head.count(",") + 1)) for i in range(9))]))
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as error_info:
         read_sweep(path)
-    told = str(refused.value).partition("missing: ")[2]
-    assert all(part in told for part in missing)
-    assert not any(part in told for part in there)
-    assert "line 1" in str(refused.value)
+    statement = str(error_info.value).partition("missing: ")[2]
+    assert all(part in statement for part in missing)
+    assert not any(part in statement for part in there)
+    assert "line 1" in str(error_info.value)

@@ -66,8 +66,8 @@ class Built:
         pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (*arrays, rows)]
         steps = self.library.drive_messages(self.state, ctypes.c_int64(len(arrays[0])), *pointers)
         assert steps >= 0
-        found = np.stack([rows[name][:steps].astype(float) for name in self.estimator.columns], axis=1)
-        return found, rows["level"][:steps]
+        result = np.stack([rows[name][:steps].astype(float) for name in self.estimator.columns], axis=1)
+        return result, rows["level"][:steps]
 
     def step(self, given, dt):
         """One call of `trackres_step` with inputs by name; returns its result and the outputs by name."""
@@ -119,10 +119,10 @@ def drive(estimator, hours, seed, faults=True):
     time = np.arange(steps) * STEP_NS + random.integers(0, STEP_NS // 4, steps)
     wanted = np.repeat(random.choice([0.0, 0.0, 0.2, 0.5, 0.9, 1.0, -0.15], steps // 400 + 1) * top, 400)[:steps]
     speed = np.empty(steps)
-    now, most = 0.0, min(1.0, 0.2 * top) * STEP_NS / SECOND_NS
+    time_now, most = 0.0, min(1.0, 0.2 * top) * STEP_NS / SECOND_NS
     for i, goal in enumerate(wanted.tolist()):
-        now += min(max(goal - now, -most), most)
-        speed[i] = now
+        time_now += min(max(goal - time_now, -most), most)
+        speed[i] = time_now
     speed += np.where(np.abs(speed) > 0.0, random.normal(0.0, 0.003 * top, steps), 0.0)
     weight = float(estimator.vehicle.nominal_loads().sum())
     slow = 0.5 + 0.5 * np.sin(time / SECOND_NS / 137.0)

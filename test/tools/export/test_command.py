@@ -81,11 +81,11 @@ def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
     with (own / "c.csv").open("w") as file:
         subprocess.run(["out/build/trackres_replay", "drive.csv"], cwd=own, check=True, stdout=file)
     tr.replay(own / "drive.csv", own / "mine.yaml", output=own / "replay.csv")
-    found, expected = read(own / "c.csv"), read(own / "replay.csv")
-    assert len(found["time_s"]) == len(time)
-    assert np.abs(expected["effects_nm"]).max() > 50.0
-    for name, column in expected.items():
-        np.testing.assert_allclose(found[name], column, rtol=EQUAL, atol=EQUAL, err_msg=name)
+    result, expectation = read(own / "c.csv"), read(own / "replay.csv")
+    assert len(result["time_s"]) == len(time)
+    assert np.abs(expectation["effects_nm"]).max() > 50.0
+    for name, column in expectation.items():
+        np.testing.assert_allclose(result[name], column, rtol=EQUAL, atol=EQUAL, err_msg=name)
 
 
 def test_an_export_belongs_until_something_changes(own, trackres):
@@ -96,13 +96,13 @@ def test_an_export_belongs_until_something_changes(own, trackres):
         "out/trackres.c": "trackres.c was changed after the export",
         "mine.yaml": "the vehicle file",
     }
-    for name, said in changes.items():
-        before = (own / name).read_text()
-        (own / name).write_text(before + ("# \n" if name[-1] != "c" else " "))
-        done = trackres("export", "--check", "out", "--json", cwd=own)
-        assert done.returncode == 1
-        assert any(said in line for line in json.loads(done.stdout)["differs"]), done.stdout
-        (own / name).write_text(before)
+    for name, text in changes.items():
+        result_before = (own / name).read_text()
+        (own / name).write_text(result_before + ("# \n" if name[-1] != "c" else " "))
+        outcome = trackres("export", "--check", "out", "--json", cwd=own)
+        assert outcome.returncode == 1
+        assert any(text in line for line in json.loads(outcome.stdout)["differs"]), outcome.stdout
+        (own / name).write_text(result_before)
     (own / "mine.yaml").rename(own / "moved.yaml")
     assert "give its path" in trackres("export", "--check", "out", cwd=own).stderr
     assert trackres("export", "--check", "out", "--vehicle", "moved.yaml", cwd=own).returncode == 0
@@ -112,9 +112,9 @@ def test_an_effect_that_c_cannot_say_is_refused_with_its_line(own, refused):
     text = EFFECT.replace("        return Terms(torque=p.torque", '        name = "a"\n        return Terms(torque=len(name)')
     (own / "guard.py").write_text(text)
     line = text.splitlines().index('        name = "a"') + 1
-    shown = refused("export", "c", "mine.yaml", "-o", "out", cwd=own)
-    assert f"guard.py:{line}: given" in shown
-    assert "own-effect.md" in shown
+    shown_text = refused("export", "c", "mine.yaml", "-o", "out", cwd=own)
+    assert f"guard.py:{line}: given" in shown_text
+    assert "own-effect.md" in shown_text
     assert not (own / "out").exists()
 
 
@@ -125,24 +125,24 @@ def test_the_export_begins_with_what_a_restarted_node_knows(own, trackres, name,
     session, learner = estimator.session(), Learner(estimator, ON)
     session.handle(at.SPEED, 0, 0, 1.0)
     s, numbers = learner.learned, list(learner.own)
-    for learned in (s.mean, s.applied):
-        learned[numbers] = random.uniform(0.2, 0.5, len(numbers)) * np.fmin(learner.prior.high[numbers], 0.1)
-        learned[at.OF_BELT] = 3.0 if estimator.assemblies else 0.0
+    for learned_values in (s.mean, s.applied):
+        learned_values[numbers] = random.uniform(0.2, 0.5, len(numbers)) * np.fmin(learner.prior.high[numbers], 0.1)
+        learned_values[at.OF_BELT] = 3.0 if estimator.assemblies else 0.0
     s.aim[:] = s.applied
     s.covariance *= 0.1
     save(session, own / "off", 0.0, learner_content(learner))
-    refused = trackres("export", "c", name, "-o", "out", "--state", "off", cwd=own)
-    assert "without active learned parameters" in refused.stderr
+    refusal = trackres("export", "c", name, "-o", "out", "--state", "off", cwd=own)
+    assert "without active learned parameters" in refusal.stderr
     s.fresh.better, s.lasting_nm, s.step_s, s.mean[STEP] = True, 250.0, 10.0, 250.0
     save(session, own / "on", 0.0, learner_content(learner))
-    exported = translated(Request(name, state=Path("on")))
-    again, live = Learner(estimator, ON), estimator.session()
-    continue_session(live, again, json.loads((own / "on").read_text())["learning"], off_s=0.0)
+    export_result = translated(Request(name, state=Path("on")))
+    repetition, live = Learner(estimator, ON), estimator.session()
+    continue_session(live, repetition, json.loads((own / "on").read_text())["learning"], off_s=0.0)
     for i in range(30):
         row = live.handle(at.SPEED, i * 10**8, i * 10**8, 0.0).row.tolist()
-        again.take(i * 10**8, row, live)
+        repetition.take(i * 10**8, row, live)
     first = slice(0, at.Learned.sensitivities.start)
-    begins = next(one.start for one in exported.parts.arrays if one.name == "carried_learned")
+    begins = next(array.start for array in export_result.parts.arrays if array.name == "carried_learned")
     assert begins[first] == pytest.approx(live.learned[first], rel=1e-3, abs=1e-6)
     assert live.learned[at.Learned.on] == 1.0
     assert live.learned[at.Learned.torque] == at.Learned(live.learned).departures[at.OF_BELT] == 0.0

@@ -42,27 +42,27 @@ def exported(tmp_path_factory):
         for i, (ns, v) in enumerate(zip(stamp, value[speeds].tolist(), strict=True))
     )
     (folder / "drive.csv").write_text("time_s,speed_mps,ambient_degc\n" + "\n".join(lines) + "\n")
-    expected = tr.replay(folder / "drive.csv", vehicle)
-    return folder, estimator, np.stack([expected[name] for name in estimator.columns], axis=1)
+    expectation = tr.replay(folder / "drive.csv", vehicle)
+    return folder, estimator, np.stack([expectation[name] for name in estimator.columns], axis=1)
 
 
 def build(folder, compiler, *flags):
     """The program that replays."""
     command = [compiler, *STRICT, *flags, "trackres.c", "main.c", "-o", f"replay_{compiler}", "-lm"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert not done.stderr
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    assert not process.stderr
     return f"./replay_{compiler}"
 
 
 def held(exported, *words, environment=None):
     """Run it, and hold its rows against those of a replay."""
-    folder, estimator, expected = exported
-    done = subprocess.run([*words, "drive.csv"], cwd=folder, capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr
-    rows = list(csv.DictReader(done.stdout.splitlines()))
-    found = np.array([[float(row[name] or "nan") for name in estimator.columns] for row in rows])
-    assert difference(found, expected).max() <= EQUAL
+    folder, estimator, expectation = exported
+    process = subprocess.run([*words, "drive.csv"], cwd=folder, capture_output=True, text=True, env=environment)
+    assert process.returncode == 0, process.stderr
+    rows = list(csv.DictReader(process.stdout.splitlines()))
+    result = np.array([[float(row[name] or "nan") for name in estimator.columns] for row in rows])
+    assert difference(result, expectation).max() <= EQUAL
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
@@ -103,8 +103,8 @@ def test_cppcheck_finds_nothing(exported):
     (folder / "checked.c").write_text(re.sub(r"(TR_LOSS\[\d+\] = \{ /\* .*? \*/).*?\};", r"\1 1.0};", text, flags=re.DOTALL))
     looked_for = "--enable=warning,style,performance,portability"
     command = ["cppcheck", "--std=c99", looked_for, "--error-exitcode=1", "--quiet", "checked.c", "main.c"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
 
 
 def test_the_same_file_gives_the_same_c(exported, tmp_path):

@@ -77,22 +77,22 @@ def test_fmpy_finds_nothing_wrong(model):
 
 def test_fmpy_drives_it_to_the_numbers_of_a_replay(model):
     time, speed = speeds(1500)
-    given = np.zeros(len(time), dtype=[("time", float), ("inputs.speed_mps", float), ("inputs.ambient_degc", float)])
-    given["time"], given["inputs.speed_mps"], given["inputs.ambient_degc"] = time, speed, 12.0
+    given_values = np.zeros(len(time), dtype=[("time", float), ("inputs.speed_mps", float), ("inputs.ambient_degc", float)])
+    given_values["time"], given_values["inputs.speed_mps"], given_values["inputs.ambient_degc"] = time, speed, 12.0
     vehicle = tr.load_vehicle(model.parent / "mine.yaml")
     names = [name for name in tr.Estimator(vehicle).columns if name != "reasons"]
     shown = [name.replace("/", ".") for name in names]
     stop = (len(time) - 1) * STEP_S
     result = fmpy.simulate_fmu(
-        str(model), input=given, stop_time=stop, output_interval=STEP_S, step_size=STEP_S, output=[*shown, "reasons"]
+        str(model), input=given_values, stop_time=stop, output_interval=STEP_S, step_size=STEP_S, output=[*shown, "reasons"]
     )
-    found = np.stack([result[name] for name in shown], axis=1)
+    result_here = np.stack([result[name] for name in shown], axis=1)
     # A step takes the inputs of its beginning to its end: the first speed counts twice.
     lines = [f"{t:.6f},{v!r},12.0" for t, v in zip(time, [float(speed[0]), *speed.tolist()], strict=False)]
     (model.parent / "drive.csv").write_text("time_s,speed_mps,ambient_degc\n" + "\n".join(lines) + "\n")
-    expected = tr.replay(model.parent / "drive.csv", vehicle)
-    assert difference(found, np.stack([expected[name] for name in names], axis=1)).max() <= EQUAL
-    assert (result["reasons"] == expected["reasons"]).all()
+    expectation = tr.replay(model.parent / "drive.csv", vehicle)
+    assert difference(result_here, np.stack([expectation[name] for name in names], axis=1)).max() <= EQUAL
+    assert (result["reasons"] == expectation["reasons"]).all()
 
 
 def drive(slave, first, count):
@@ -108,28 +108,28 @@ def drive(slave, first, count):
 
 def test_a_long_step_feeds_forward_what_short_steps_do(instance):
     instance.put("feedforward_rate", 2000.0)
-    state, found = instance.getFMUState(), []
+    state, result = instance.getFMUState(), []
     for step in (STEP_S, 2.0):
         instance.setFMUState(state)
         for i in range(round(20.0 / step)):
             instance.put("inputs.speed_mps", min(3.0, (i + 1) * step))
             instance.doStep(i * step, step)
             assert not instance.is_quantised()
-        found.append(instance.get("feedforward_torque_nm"))
-    assert found[0] > 100.0
-    assert found[1] == pytest.approx(found[0], rel=1e-3)
+        result.append(instance.get("feedforward_torque_nm"))
+    assert result[0] > 100.0
+    assert result[1] == pytest.approx(result[0], rel=1e-3)
     instance.freeFMUState(state)
 
 
 def test_a_call_moves_by_its_time_and_at_a_speed_by_20_ms_more(instance):
     rate, short = 1000.0, 0.005
     instance.put("feedforward_rate", rate)
-    moves, before = [], 0.0
+    moves, result_before = [], 0.0
     for i in range(200):
         instance.put("inputs.speed_mps", 2.0 + 0.01 * i if i % 9 == 0 else np.nan)
         instance.doStep(i * short, short)
-        moves.append(instance.get("feedforward_torque_nm") - before)
-        before += moves[-1]
+        moves.append(instance.get("feedforward_torque_nm") - result_before)
+        result_before += moves[-1]
     at_speed = np.arange(200) % 9 == 0
     assert np.max(np.array(moves)[at_speed]) == pytest.approx(rate * (short + STEP_S))
     assert np.max(np.array(moves)[~at_speed]) == pytest.approx(rate * short)
@@ -141,10 +141,10 @@ def test_a_step_that_is_no_time_changes_nothing(step, instance):
     state = instance.getFMUState()
     with pytest.raises(Exception, match="fmi3DoStep"):
         instance.doStep(100 * STEP_S, step)
-    after = instance.getFMUState()
-    assert bytes(instance.serializeFMUState(after)) == bytes(instance.serializeFMUState(state))
+    result_after = instance.getFMUState()
+    assert bytes(instance.serializeFMUState(result_after)) == bytes(instance.serializeFMUState(state))
     instance.freeFMUState(state)
-    instance.freeFMUState(after)
+    instance.freeFMUState(result_after)
 
 
 def test_a_state_that_was_kept_goes_on_as_before(instance):
@@ -154,11 +154,11 @@ def test_a_state_that_was_kept_goes_on_as_before(instance):
     once = drive(instance, 200, 100)
     instance.setFMUState(state)
     assert drive(instance, 200, 100) == once
-    again = instance.deserializeFMUState(packed)
-    instance.setFMUState(again)
+    repetition = instance.deserializeFMUState(packed)
+    instance.setFMUState(repetition)
     assert drive(instance, 200, 100) == once
     instance.freeFMUState(state)
-    instance.freeFMUState(again)
+    instance.freeFMUState(repetition)
 
 
 def test_a_damaged_state_is_refused_whatever_byte_differs(instance):
@@ -174,13 +174,13 @@ def test_a_damaged_state_is_refused_whatever_byte_differs(instance):
 @pytest.mark.parametrize("name", ["drag_area", "air_density"])
 def test_a_tuned_drag_is_that_of_effects_too(name, instance):
     drive(instance, 0, 100)
-    state, found = instance.getFMUState(), []
+    state, result = instance.getFMUState(), []
     for factor in (1.0, 1.5):
         instance.setFMUState(state)
         instance.put(name, factor * instance.get(name))
         instance.doStep(100 * STEP_S, STEP_S)
-        found.append([instance.get("wind_nm"), instance.get("effects_nm")])
-    (wind, effects), (more_wind, more_effects) = found
+        result.append([instance.get("wind_nm"), instance.get("effects_nm")])
+    (wind, effects), (more_wind, more_effects) = result
     assert more_wind == pytest.approx(1.5 * wind)
     assert more_effects - effects == pytest.approx(0.5 * (more_wind - wind))  # which is its share
     instance.freeFMUState(state)
@@ -188,7 +188,7 @@ def test_a_tuned_drag_is_that_of_effects_too(name, instance):
 
 def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
     drive(instance, 0, 100)
-    before = instance.get("resistance_torque_nm")
+    result_before = instance.get("resistance_torque_nm")
     state, std = instance.getFMUState(), instance.get("resistance_std_nm")
     instance.doStep(100 * STEP_S, STEP_S)
     plain = instance.get("resistance_torque_nm")
@@ -197,7 +197,7 @@ def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
     instance.doStep(100 * STEP_S, STEP_S)
     assert instance.get("resistance_torque_nm") - plain == pytest.approx(15.0, rel=1e-6)
     assert instance.get("resistance_std_nm") == pytest.approx(std, rel=1e-2)
-    assert before > 0.0
+    assert result_before > 0.0
     instance.freeFMUState(state)
 
 

@@ -48,23 +48,23 @@ class Vehicle:
         c = ["cc", "-std=c99", "-O1", "-ffp-contract=off", "-c", "trackres.c"]
         cpp = [COMPILER, "-std=c++17", "-O1", *STRICT, "-I.", f"-I{include}", "step.cpp", "trackres.o", "-o", "step", "-lm"]
         for command in (c, ["cc", "-std=c99", "-O1", "-ffp-contract=off", "trackres.c", "main.c", "-o", "replay", "-lm"], cpp):
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-            assert done.returncode == 0, done.stderr
+            process = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+            assert process.returncode == 0, process.stderr
 
     def added(self, speeds, enabled=None):
         """Torque to add, result of the step, and its level: a column each."""
         lines = "".join(f"{v!r} {PERIOD_S} {int(on)}\n" for v, on in zip(speeds, enabled or itertools.repeat(True), strict=False))
-        done = subprocess.run([self.folder / "step"], input=lines, capture_output=True, text=True, check=True)
-        return np.array([line.split() for line in done.stdout.splitlines()], dtype=float).T
+        process = subprocess.run([self.folder / "step"], input=lines, capture_output=True, text=True, check=True)
+        return np.array([line.split() for line in process.stdout.splitlines()], dtype=float).T
 
     def replayed(self, speeds):
         """Feed-forward of the replay program that comes with the export, at the same times."""
         rows = "".join(f"{PERIOD_S * (i + 1):.2f},{v!r}\n" for i, v in enumerate(speeds))
         (self.folder / "drive.csv").write_text("time_s,speed_mps\n" + rows)
         command = [self.folder / "replay", "drive.csv"]
-        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=True)
-        found = np.genfromtxt(done.stdout.splitlines(), delimiter=",", names=True)
-        return found["feedforward_torque_nm"]
+        process = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=True)
+        result = np.genfromtxt(process.stdout.splitlines(), delimiter=",", names=True)
+        return result["feedforward_torque_nm"]
 
 
 @pytest.fixture(scope="module")
@@ -88,12 +88,12 @@ def ramped(wanted):
 
 def test_it_adds_what_the_export_replays(vehicle):
     speeds = drive()
-    torque, given, _ = vehicle.added(speeds)
-    replayed = vehicle.replayed(speeds)
+    torque, given_values, _ = vehicle.added(speeds)
+    replay_result = vehicle.replayed(speeds)
     assert np.abs(torque).max() > 1000.0
-    assert np.abs(given - replayed).max() <= EQUAL * np.abs(replayed).max()
-    assert np.abs(torque - ramped(replayed)).max() <= EQUAL * np.abs(replayed).max()
-    assert (torque == replayed).mean() > 0.5
+    assert np.abs(given_values - replay_result).max() <= EQUAL * np.abs(replay_result).max()
+    assert np.abs(torque - ramped(replay_result)).max() <= EQUAL * np.abs(replay_result).max()
+    assert (torque == replay_result).mean() > 0.5
 
 
 def test_nothing_pushes_at_standstill(vehicle):
@@ -125,8 +125,8 @@ def test_without_a_speed_nothing_is_added_for_long(vehicle):
 @pytest.mark.parametrize("elapsed", [float("nan"), float("inf"), -5.0, -0.01])
 def test_while_the_step_refuses_its_time_the_torque_ends(vehicle, elapsed):
     lines = "".join([*["5.0 0.01 1\n"] * 300, *[f"5.0 {elapsed} 1\n"] * 200, *["5.0 0.01 1\n"] * 100])
-    done = subprocess.run([vehicle.folder / "step"], input=lines, capture_output=True, text=True, check=True)
-    torque = np.array([float(line.split()[0]) for line in done.stdout.splitlines()])
+    process = subprocess.run([vehicle.folder / "step"], input=lines, capture_output=True, text=True, check=True)
+    torque = np.array([float(line.split()[0]) for line in process.stdout.splitlines()])
     assert torque[299] > 1000.0
     assert torque[301] == torque[299]
     assert torque[499] == 0.0

@@ -68,22 +68,22 @@ def expression(random, depth):
 def effects(folder):
     """Each with up to as many expressions as it has terms."""
     random, most = Random(1), len(Terms._fields)
-    drawn = [expression(random, 3) for _ in range(most - 1)]
-    several = [("1.0", *SPECIAL), ("1.0", *drawn), *((one,) for one in FAILING)]
-    said = [", ".join(f"{name}={one}" for name, one in zip(Terms._fields, ones, strict=False)) for ones in several]
-    text = HEAD + "".join(EFFECT.format(number=number, said=one) for number, one in enumerate(said))
+    drawings = [expression(random, 3) for _ in range(most - 1)]
+    several = [("1.0", *SPECIAL), ("1.0", *drawings), *((item,) for item in FAILING)]
+    texts = [", ".join(f"{name}={item}" for name, item in zip(Terms._fields, ones, strict=False)) for ones in several]
+    text = HEAD + "".join(EFFECT.format(number=number, said=item) for number, item in enumerate(texts))
     (folder / "own.py").write_text(text)
-    found = catalogue(folder)
-    return [found[f"own_{number}"] for number in range(len(several))]
+    result = catalogue(folder)
+    return [result[f"own_{number}"] for number in range(len(several))]
 
 
 def answers(effect, at):
     """An effect's answer to some numbers by a function at an address."""
-    given = [np.array(numbers) for numbers in ([*at.facts, *at[1:]], Active(effect, effect.values()).numbers, Terms())]
+    given_valuess = [np.array(numbers) for numbers in ([*at.facts, *at[1:]], Active(effect, effect.values()).numbers, Terms())]
 
     def by(call):
-        call(*(numbers.ctypes.data for numbers in given))
-        return [math.nan] if math.isnan(given[2][0]) else given[2].tolist()
+        call(*(numbers.ctypes.data for numbers in given_valuess))
+        return [math.nan] if math.isnan(given_valuess[2][0]) else given_valuess[2].tolist()
 
     return by
 
@@ -93,7 +93,7 @@ def test_each_way_of_an_own_effect_gives_the_same_numbers(tmp_path, xgd24d, monk
     monkeypatch.setattr(constants, "check_own_effects", lambda vehicle: None)  # which refuses these
     own = effects(tmp_path)
     assert all(map(calls.is_compiled, own))
-    write(replace(xgd24d, effects=tuple(Active(one, one.values()) for one in own)), tmp_path)
+    write(replace(xgd24d, effects=tuple(Active(item, item.values()) for item in own)), tmp_path)
     with (tmp_path / "trackres.c").open("a") as file:
         file.write("void call(int64_t n, const double *x, const double *p, double *y);\n")
         file.write("void call(int64_t n, const double *x, const double *p, double *y)\n{\n    tr_call_effect(n, x, p, y);\n}\n")
@@ -103,9 +103,9 @@ def test_each_way_of_an_own_effect_gives_the_same_numbers(tmp_path, xgd24d, monk
     for number, effect in enumerate(own, 1):
         machine, python = (calls.C_FUNCTION(calls.number_of(effect, "terms", way)) for way in (True, False))
         for x, y, z in itertools.product(VALUES, repeat=3):
-            at = conditions(facts, **{**ALL_KNOWN, "speed": x, "accel": y, "heading": z})
-            by = answers(effect, at)
-            expected = by(machine)
+            conditions_of_x = conditions(facts, **{**ALL_KNOWN, "speed": x, "accel": y, "heading": z})
+            by = answers(effect, conditions_of_x)
+            expectation = by(machine)
             of_c = by(lambda *given, n=number: library.call(ctypes.c_int64(n), *map(ctypes.c_void_p, given)))
-            np.testing.assert_allclose(of_c, expected, rtol=1e-12, err_msg=f"{effect.name} in C at {x, y, z}")
-            np.testing.assert_allclose(by(python), expected, rtol=1e-12, err_msg=f"{effect.name} in Python at {x, y, z}")
+            np.testing.assert_allclose(of_c, expectation, rtol=1e-12, err_msg=f"{effect.name} in C at {x, y, z}")
+            np.testing.assert_allclose(by(python), expectation, rtol=1e-12, err_msg=f"{effect.name} in Python at {x, y, z}")

@@ -52,30 +52,30 @@ DRIVEN, SILENT = ["8.0", *["nan"] * 19] * 200, ["nan"] * 3000
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, repository):
     """The export of a vehicle with the page's controller, itself and in the program above."""
-    found = tmp_path_factory.mktemp("page")
-    write(tr.load_vehicle("xgd24d"), found)
+    result = tmp_path_factory.mktemp("page")
+    write(tr.load_vehicle("xgd24d"), result)
     page = (repository / "docs" / "export.md").read_text(encoding="utf-8")
-    (found / "controller.c").write_text(re.search(r'```c title="controller.c"\n(.*?)```', page, re.DOTALL)[1])
-    (found / "driven.c").write_text(PROGRAM)
+    (result / "controller.c").write_text(re.search(r'```c title="controller.c"\n(.*?)```', page, re.DOTALL)[1])
+    (result / "driven.c").write_text(PROGRAM)
     for name in ("controller", "driven"):
         command = ["cc", *STRICT, "-Wno-unused-function", f"{name}.c", "trackres.c", "-o", name, "-lm"]
-        done = subprocess.run(command, cwd=found, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-    return found
+        process = subprocess.run(command, cwd=result, capture_output=True, text=True)
+        assert process.returncode == 0, process.stderr
+    return result
 
 
 def driven(folder, words):
     """Added torque, feed-forward of the step, and its level: a column each."""
-    done = subprocess.run([folder / "driven"], input="\n".join(words), capture_output=True, text=True, check=True)
-    return np.array([line.split() for line in done.stdout.splitlines()], dtype=float).T
+    process = subprocess.run([folder / "driven"], input="\n".join(words), capture_output=True, text=True, check=True)
+    return np.array([line.split() for line in process.stdout.splitlines()], dtype=float).T
 
 
 def test_a_stale_speed_fades_the_added_torque_as_the_step_does(folder):
-    added, given, level = driven(folder, DRIVEN + SILENT)
+    added, given_values, level = driven(folder, DRIVEN + SILENT)
     assert added[len(DRIVEN) - 1] > 2000.0
     assert np.abs(np.diff(added, prepend=0.0)).max() <= RAMP_NM_PER_S * PERIOD_S + 1e-9
     faded = slice(len(DRIVEN), None)
-    assert added[faded] == pytest.approx(given[faded], abs=1e-9)
+    assert added[faded] == pytest.approx(given_values[faded], abs=1e-9)
     assert ((level[faded] == STALE) & (added[faded] > 500.0)).sum() > 500
     assert added[-1] == 0.0
 
@@ -92,8 +92,8 @@ def test_a_step_that_gives_nothing_ends_by_the_ramp_of_the_page(folder):
 
 
 def test_the_program_of_the_page_fades_while_its_sensor_rests(folder):
-    done = subprocess.run([folder / "controller"], capture_output=True, text=True, check=True)
-    added = [float(line.split()[2]) for line in done.stdout.splitlines()]
+    process = subprocess.run([folder / "controller"], capture_output=True, text=True, check=True)
+    added = [float(line.split()[2]) for line in process.stdout.splitlines()]
     assert len(added) == 4
     assert added[2] == 0.0
     assert min(added[0], added[1], added[3]) > 1000.0

@@ -90,10 +90,10 @@ class OutputFilter:
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """A vehicle whose C needs an enable, and its new state."""
-    built = Built(
+    build = Built(
         tr.load_vehicle("ztbus_hess19"), tmp_path_factory.mktemp("time"), Settings(enable_hold_s=HOLD_S, feedforward_rate=RATE)
     )
-    return built, bytes(built.state)
+    return build, bytes(build.state)
 
 
 TIMES = st.sampled_from(BAD + GOOD) | st.sampled_from((0.01, 0.02)) | st.floats(0.0, 2.0)
@@ -109,16 +109,16 @@ DRIVE = [(0.02, 5.0, 1.0)] * 60
 @example([(-5.0, 5.0, 0.0), (0.01, math.nan, math.nan), (WEEK, math.nan, math.nan), *[(0.02, 5.0, 1.0)] * 5])
 @example([(0.0, math.nan, 0.0), *[(1e-9, math.nan, math.nan)] * 10, *[(0.1, 5.0, math.nan)] * 4])
 def test_feedforward_holds_its_rules_in_the_time_passed(exported, calls):
-    built, built.state[:] = exported
-    filtered = OutputFilter(built.estimator.constants.number.feedforward_limit / FADE_S)
-    motion = built.array(built.library.drive_place_of_motion(), np.zeros(at.Motion.columns))
+    build, build.state[:] = exported
+    filtered = OutputFilter(build.estimator.constants.number.feedforward_limit / FADE_S)
+    motion = build.array(build.library.drive_place_of_motion(), np.zeros(at.Motion.columns))
     for dt, speed, enable in DRIVE + calls:
-        before, given_ = bytes(built.state), built.outputs.tobytes()
-        result, outputs = built.step({"speed_mps": speed, "enable": enable}, dt)
+        result_before, given_ = bytes(build.state), build.outputs.tobytes()
+        result, outputs = build.step({"speed_mps": speed, "enable": enable}, dt)
         if not 0.0 <= dt <= WEEK:
             assert result == BAD_TIME
-            assert bytes(built.state) == before
-            assert built.outputs.tobytes() == given_
+            assert bytes(build.state) == result_before
+            assert build.outputs.tobytes() == given_
             continue
         assert result in (STEPPED, WAITED)
         filtered.passed += Fraction(dt)
@@ -131,21 +131,21 @@ def test_feedforward_holds_its_rules_in_the_time_passed(exported, calls):
 
 
 def test_the_drive_of_the_laws_has_a_torque(exported):
-    built, built.state[:] = exported
+    build, build.state[:] = exported
     for dt, speed, enable in DRIVE:
-        _, outputs = built.step({"speed_mps": speed, "enable": enable}, dt)
+        _, outputs = build.step({"speed_mps": speed, "enable": enable}, dt)
     assert outputs["feedforward_torque_nm"] > 500.0
 
 
 def test_smallest_times_add_up_to_their_sum(exported):
-    built, built.state[:] = exported
+    build, build.state[:] = exported
     for dt, speed, enable in DRIVE:
-        built.step({"speed_mps": speed, "enable": enable}, dt)
-    clock = built.array(8, np.zeros(1, dtype=np.int64))
-    before = int(clock[0])
+        build.step({"speed_mps": speed, "enable": enable}, dt)
+    clock = build.array(8, np.zeros(1, dtype=np.int64))
+    result_before = int(clock[0])
     for _ in range(10_000):
-        built.step({}, 0.7e-9)
-    assert abs(int(clock[0]) - before - 7_000) <= 1
+        build.step({}, 0.7e-9)
+    assert abs(int(clock[0]) - result_before - 7_000) <= 1
 
 
 @pytest.mark.parametrize("dt", BAD)
@@ -161,36 +161,36 @@ def test_python_refuses_the_times_that_c_refuses(dt):
 
 @pytest.mark.parametrize("far", [2**62, -(2**62), 2**63 - 1, -(2**63)])
 def test_a_session_refuses_the_stamps_that_c_refuses(far, exported):
-    built, built.state[:] = exported
-    session = built.estimator.session()
+    build, build.state[:] = exported
+    session = build.estimator.session()
     for stamp, arrival in ((far, 0), (0, far)):
-        assert built.message(at.SPEED, stamp, arrival, 5.0) == BAD_TIME
+        assert build.message(at.SPEED, stamp, arrival, 5.0) == BAD_TIME
         with pytest.raises(InputError, match=r"stamp_ns|arrival_ns"):
             session.handle(at.SPEED, stamp, arrival, 5.0)
     near = far - 1 if far > 0 else far + 1
     if abs(near) < 2**62:
-        assert built.message(at.SPEED, near, near, 5.0) == STEPPED
+        assert build.message(at.SPEED, near, near, 5.0) == STEPPED
         assert session.handle(at.SPEED, near, near, 5.0) is not None
 
 
 @pytest.mark.parametrize("back_s", [0.001, 0.019, 0.1, 0.88, 5.0])
 @pytest.mark.parametrize("disabled_before", [True, False])
 def test_messages_of_a_clock_set_back_hold_nothing(back_s, disabled_before, exported):
-    built, built.state[:] = exported
+    build, build.state[:] = exported
     for i in range(60):
         for channel, value in ((at.ENABLE, 1.0), (at.SPEED, 5.0)):
-            built.message(channel, 20_000_000 * (i + 1), 20_000_000 * (i + 1), value)
-    last = before = built.outputs["feedforward_torque_nm"][0]
+            build.message(channel, 20_000_000 * (i + 1), 20_000_000 * (i + 1), value)
+    last = result_before = build.outputs["feedforward_torque_nm"][0]
     assert last > 500.0
-    now = 61 * 20_000_000
+    time_now = 61 * 20_000_000
     if disabled_before:
-        built.message(at.ENABLE, now, now, 0.0)
-    arrival, ticks = now - round(back_s * 1e9), round((FADE_S + AT_ONCE_S) / 0.01)
+        build.message(at.ENABLE, time_now, time_now, 0.0)
+    arrival, ticks = time_now - round(back_s * 1e9), round((FADE_S + AT_ONCE_S) / 0.01)
     for i in range(ticks):
-        now, arrival = now + 10_000_000, arrival + 10_000_000
-        built.message(at.ENABLE, now, arrival, 0.0)
-        last, before = built.outputs["feedforward_torque_nm"][0], last
-        assert last <= before
+        time_now, arrival = time_now + 10_000_000, arrival + 10_000_000
+        build.message(at.ENABLE, time_now, arrival, 0.0)
+        last, result_before = build.outputs["feedforward_torque_nm"][0], last
+        assert last <= result_before
         if i % 2 == 0:
-            built.message(at.SPEED, now, arrival, 5.0)
+            build.message(at.SPEED, time_now, arrival, 5.0)
     assert last == 0.0

@@ -34,21 +34,21 @@ ALL = Settings(feedforward_parts=("hysteresis", "bearing", "wind", "grade", "ine
 
 def held_against(vehicle, folder, hours, seed=1, settings=None, what=None):
     """Drive the export and a session; both, with the largest difference checked."""
-    built = Built(vehicle, folder, settings, what)
-    session = built.estimator.session()
+    build = Built(vehicle, folder, settings, what)
+    session = build.estimator.session()
     if what is not None:
         session.learned[:] = what
-    messages = drive(built.estimator, hours, seed)
-    expected = session.handle_block(*messages).rows
-    found, level = built.run(messages)
-    assert len(expected) > 100
-    assert difference(found, expected).max() <= EQUAL
-    reasons = expected[:, at.Results.reasons].astype(int)
-    assert (found[:, at.Results.reasons] == reasons).all()
+    messages = drive(build.estimator, hours, seed)
+    expectation = session.handle_block(*messages).rows
+    result, level = build.run(messages)
+    assert len(expectation) > 100
+    assert difference(result, expectation).max() <= EQUAL
+    reasons = expectation[:, at.Results.reasons].astype(int)
+    assert (result[:, at.Results.reasons] == reasons).all()
     assert (level == np.where(reasons & ~int(at.HARMLESS), 1, 0)).all()
-    counters = built.array(built.library.drive_place_of_counters(), session.memory.counters)
+    counters = build.array(build.library.drive_place_of_counters(), session.memory.counters)
     assert (counters == session.memory.counters).all()
-    return built, session
+    return build, session
 
 
 @pytest.mark.parametrize("name", VEHICLES)
@@ -91,27 +91,27 @@ def groups():
     by_kind = {}
     for effect in kinds:
         by_kind.setdefault((effect.only_of == "slides", effect.belt_only), []).append(effect)
-    return [group for of in by_kind.values() for group in (of[i : i + 5] for i in range(0, len(of), 5))]
+    return [group for item in by_kind.values() for group in (item[i : i + 5] for i in range(0, len(item), 5))]
 
 
 @pytest.mark.parametrize("effects", groups(), ids=lambda effects: "+".join(effect.name for effect in effects))
 def test_every_effect_of_the_catalogue_is_the_same(effects, tmp_path):
     vehicle = vehicle_for(effects)
-    built, session = held_against(vehicle, tmp_path, 0.15, settings=ALL)
+    build, session = held_against(vehicle, tmp_path, 0.15, settings=ALL)
     own = session.effects[FIRST_OWN:].reshape(-1, EACH)
     assert len(own) == len(vehicle.active)
-    assert built.estimator.constants.effects.shape[0] > len(vehicle.active)
+    assert build.estimator.constants.effects.shape[0] > len(vehicle.active)
 
 
 def test_every_empirical_effect_is_the_same(tmp_path):
     vehicle = tr.load_vehicle("agri3t")
     values = {"x1": 1.0, "x2": 2.0, "x3": 4.0, "y1": 20.0, "y2": -10.0, "y3": 30.0, "threshold": 1.5, "off": 1.2, "on": 1.8}
-    found = []
+    results = []
     for name in NAMES:
         effect = learned_effect(name, dict.fromkeys(("y1", "y2", "y3"), 0.0), vehicle.size)
         known = {q.name: values.get(q.name, q.start) if not q.is_fixed else q.start for q in effect.parameters}
-        found.append(Active(effect, known))
-    held_against(dataclasses.replace(vehicle, effects=tuple(found)), tmp_path, 0.1)
+        results.append(Active(effect, known))
+    held_against(dataclasses.replace(vehicle, effects=tuple(results)), tmp_path, 0.1)
 
 
 def learned_numbers():
@@ -136,44 +136,44 @@ def test_learned_drag_moves_effects_of_wind_in_both_alike(tmp_path):
 
 def test_rests_and_resumes_are_the_same(tmp_path):
     effects = [catalogue()[name] for name in ("roadwheel_tyres", "viscous_bearing", "vibration")]
-    built = Built(vehicle_for(effects), tmp_path / "c", ALL)
-    session = built.estimator.session()
-    for n, (off, ambient) in enumerate([(1800.0, -5.0), (40000.0, None), (0.0, 10.0)]):
-        messages = list(drive(built.estimator, 0.05, n, faults=n == 1))
+    build = Built(vehicle_for(effects), tmp_path / "c", ALL)
+    session = build.estimator.session()
+    for n, (deviation, ambient) in enumerate([(1800.0, -5.0), (40000.0, None), (0.0, 10.0)]):
+        messages = list(drive(build.estimator, 0.05, n, faults=n == 1))
         messages[1], messages[2] = messages[1] + n * 90000 * SECOND_NS, messages[2] + n * 90000 * SECOND_NS
         half = len(messages[0]) // 2
         for part in (slice(None, half), slice(half, None)):
             block = [array[part] for array in messages]
-            expected = session.handle_block(*block).rows
-            found, _ = built.run(block)
-            assert difference(found, expected).max() <= EQUAL
+            expectation = session.handle_block(*block).rows
+            result, _ = build.run(block)
+            assert difference(result, expectation).max() <= EQUAL
             save(session, tmp_path / "state", 0.0)
-            session = resume(built.estimator, tmp_path / "state")
-            copy = bytes(built.state)  # as a controller keeps it
-            built.library.trackres_init(built.state)
-            built.state[:] = copy
+            session = resume(build.estimator, tmp_path / "state")
+            copy = bytes(build.state)  # as a controller keeps it
+            build.library.trackres_init(build.state)
+            build.state[:] = copy
         save(session, tmp_path / "state", 0.0)
-        session, _ = after_time_off(built.estimator, tmp_path / "state", off, ambient)
-        built.rest(np.nan if ambient is None else ambient, off)
+        session, _ = after_time_off(build.estimator, tmp_path / "state", deviation, ambient)
+        build.rest(np.nan if ambient is None else ambient, deviation)
 
 
 def test_between_two_speeds_the_feedforward_goes_on_as_live(tmp_path):
-    built = Built(tr.load_vehicle("ztbus_hess19"), tmp_path)
-    session, k = built.estimator.session(), built.estimator.constants
+    build = Built(tr.load_vehicle("ztbus_hess19"), tmp_path)
+    session, k = build.estimator.session(), build.estimator.constants
     shown = []
     for tick in range(7000):  # 4 s of speeds at 50 Hz in a loop of 1 kHz, then silence
         speed = 5.0 + 0.001 * tick if tick % 20 == 0 and tick < 4000 else np.nan
-        now = int(tick * 1_000_000)
-        result, outputs = built.step({"speed_mps": speed}, 0.001 if tick else 0.0)
+        time_now = int(tick * 1_000_000)
+        result, outputs = build.step({"speed_mps": speed}, 0.001 if tick else 0.0)
         if np.isfinite(speed):
-            estimate = session.handle(at.SPEED, now, now, speed)
+            estimate = session.handle(at.SPEED, time_now, time_now, speed)
             assert result == 1
             assert outputs["resistance_torque_nm"] == estimate.resistance_torque_nm
         else:
             assert result == 0
-        expected = step.feedforward_now(k, session.memory, session.motion, now)
-        assert outputs["feedforward_torque_nm"] == pytest.approx(expected, rel=EQUAL)
-        assert (outputs["level"] == 3) == (now - session.memory.times[at.SPEED, at.Times.last_arrival] > 500_000_000)
+        expectation = step.feedforward_now(k, session.memory, session.motion, time_now)
+        assert outputs["feedforward_torque_nm"] == pytest.approx(expectation, rel=EQUAL)
+        assert (outputs["level"] == 3) == (time_now - session.memory.times[at.SPEED, at.Times.last_arrival] > 500_000_000)
         shown.append(outputs["feedforward_torque_nm"])
     assert max(shown) > 100.0
     assert shown[-1] == 0.0
@@ -187,41 +187,41 @@ def stops_and_disables(seed, ticks):
         return np.concatenate([np.full(random.integers(5, 60), random.choice(values)) for _ in range(ticks // 5)])[:ticks]
 
     driving = 6.0 + 2.0 * np.sin(np.arange(ticks) / 150.0)
-    sent, every = random.random(ticks) < 0.8, random.choice([1, 2, 5])
+    sent_message, every = random.random(ticks) < 0.8, random.choice([1, 2, 5])
     speed = np.where(stretches(0.0, 1.0, 1.0, 1.0) > 0.0, driving, 0.0)
-    there = (stretches(0.0, 1.0, 1.0, 1.0) > 0.0) & sent & (np.arange(ticks) % every == 0)
-    return np.where(there, speed, np.nan), np.where(sent, stretches(0.0, 1.0, 1.0, 1.0, np.nan), np.nan)
+    there = (stretches(0.0, 1.0, 1.0, 1.0) > 0.0) & sent_message & (np.arange(ticks) % every == 0)
+    return np.where(there, speed, np.nan), np.where(sent_message, stretches(0.0, 1.0, 1.0, 1.0, np.nan), np.nan)
 
 
 @pytest.fixture(scope="module")
 def enabled(tmp_path_factory):
     """An export that needs an enable, and its new state."""
     settings = Settings(enable_hold_s=0.3, feedforward_rate=5000.0)
-    built = Built(tr.load_vehicle("ztbus_hess19"), tmp_path_factory.mktemp("enabled"), settings)
-    return built, bytes(built.state)
+    build = Built(tr.load_vehicle("ztbus_hess19"), tmp_path_factory.mktemp("enabled"), settings)
+    return build, bytes(build.state)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_stopped_or_disabled_c_pushes_no_more_than_live(enabled, seed):
-    built, built.state[:] = enabled
-    session, k = built.estimator.session(), built.estimator.constants
+    build, build.state[:] = enabled
+    session, k = build.estimator.session(), build.estimator.constants
     clock = NodeClock(None, False, lambda: 0, None)
     clock.offset_ns = 0
     live = FeedforwardFilter(session, clock)
     tick_ns = round(FEEDFORWARD_STEP_S * SECOND_NS)
     shown, guarded = [], set()
-    for now, speed, enable in zip(itertools.count(tick_ns, tick_ns), *stops_and_disables(seed, 1500), strict=False):
-        result, outputs = built.step({"speed_mps": speed, "enable": enable}, FEEDFORWARD_STEP_S)
+    for time_now, speed, enable in zip(itertools.count(tick_ns, tick_ns), *stops_and_disables(seed, 1500), strict=False):
+        result, outputs = build.step({"speed_mps": speed, "enable": enable}, FEEDFORWARD_STEP_S)
         if np.isfinite(enable):
-            session.handle(at.ENABLE, now, now, enable)
-        estimate = session.handle(at.SPEED, now, now, speed) if np.isfinite(speed) else None
+            session.handle(at.ENABLE, time_now, time_now, enable)
+        estimate = session.handle(at.SPEED, time_now, time_now, speed) if np.isfinite(speed) else None
         assert result == (estimate is not None)
         if estimate is not None:
             assert outputs["feedforward_torque_nm"] == pytest.approx(estimate.feedforward_torque_nm, rel=EQUAL)
-            live.take(now, 0)
-        course = live.course(now)
+            live.take(time_now, 0)
+        course = live.course(time_now)
         assert int(outputs["reasons"]) & course.stop_reason == course.stop_reason
-        shown.append((float(outputs["feedforward_torque_nm"]), live.move(course) if np.isfinite(live.age_s(now)) else 0.0))
+        shown.append((float(outputs["feedforward_torque_nm"]), live.move(course) if np.isfinite(live.age_s(time_now)) else 0.0))
         guarded.add(course.stop_reason)
     of_c, of_live = np.abs(shown).T
     a_tick_later = (k.number.feedforward_rate + rate_towards(k.number, 0.0)) * FEEDFORWARD_STEP_S
@@ -247,15 +247,15 @@ def test_slopes_and_torques_by_place_are_the_same(tmp_path):
                  np.full((len(turn), 2), 0.1 * size), np.full(len(turn), 3))
         for kind, size in ((SLOPE, 0.03), (TORQUE, 400.0))
     ]  # fmt: skip
-    built = Built(dataclasses.replace(vehicle, route=tuple(maps)), tmp_path)
-    session = built.estimator.session()
+    build = Built(dataclasses.replace(vehicle, route=tuple(maps)), tmp_path)
+    session = build.estimator.session()
     time = START_NS + np.arange(36000) * 50_000_000
     speed = np.clip(8.0 + 7.0 * np.sin(np.arange(36000) / 900.0), 0.0, None)
     turn = np.cumsum(speed) * 0.05 / ROUND_M
     latitude, longitude = around(np.where(np.arange(36000) < 30000, turn, turn[30000]))  # the receiver repeats its last one
     fixes = np.flatnonzero((np.arange(36000) % 20 == 0) & (np.arange(36000) % 9000 < 8000))
     parts = [
-        (built.estimator.channels.index(name), rows, values[rows])
+        (build.estimator.channels.index(name), rows, values[rows])
         for name, rows, values in (
             ("latitude", fixes, latitude),
             ("longitude", fixes, longitude),
@@ -264,33 +264,33 @@ def test_slopes_and_torques_by_place_are_the_same(tmp_path):
     ]
     channel = np.concatenate([np.full(len(rows), c, dtype=np.int16) for c, rows, _ in parts])
     stamp, value = time[np.concatenate([rows for _, rows, _ in parts])], np.concatenate([values for *_, values in parts])
-    stamp = np.where(channel == built.estimator.channels.index("longitude"), stamp + 5_000_000, stamp)
+    stamp = np.where(channel == build.estimator.channels.index("longitude"), stamp + 5_000_000, stamp)
     order = np.lexsort((channel == 0, stamp))
     messages = channel[order], stamp[order], stamp[order], value[order]
-    expected = session.handle_block(*messages).rows
-    found, _ = built.run(messages)
-    assert np.abs(expected[:, at.Results.grade_nm]).max() > 1000.0
+    expectation = session.handle_block(*messages).rows
+    result, _ = build.run(messages)
+    assert np.abs(expectation[:, at.Results.grade_nm]).max() > 1000.0
     seen = session.reason_counts()
     assert at.Reason.PLACE_UNKNOWN in seen
     assert seen[at.Reason.PLACE_UNKNOWN] < 20000
-    assert difference(found, expected).max() <= EQUAL
+    assert difference(result, expectation).max() <= EQUAL
 
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     """An export, and its state after a minute of driving at 50 Hz."""
-    built = Built(tr.load_vehicle("agri3t"), tmp_path_factory.mktemp("one"))
+    build = Built(tr.load_vehicle("agri3t"), tmp_path_factory.mktemp("one"))
     for i in range(3000):
-        built.step({"speed_mps": min(5.0, 0.01 * i), "ambient_degc": 15.0}, 0.02)
-    return built, bytes(built.state)
+        build.step({"speed_mps": min(5.0, 0.01 * i), "ambient_degc": 15.0}, 0.02)
+    return build, bytes(build.state)
 
 
 @pytest.fixture
 def driven(one):
     """That export, in that state."""
-    built, state = one
-    built.state[:] = state
-    return built
+    build, state = one
+    build.state[:] = state
+    return build
 
 
 ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30)
@@ -315,54 +315,59 @@ def test_messages_of_a_clock_that_went_back_make_the_speed_old(driven):
 
 
 def test_each_call_writes_all_outputs(driven):
-    for given, dt in (({"speed_mps": 5.0}, 0.02), ({}, 0.02), ({"speed_mps": np.inf}, 0.02), ({"ambient_degc": 15.0}, 0.0)):
-        before, written = bytes(driven.state), []
+    for given_values, dt in (
+        ({"speed_mps": 5.0}, 0.02),
+        ({}, 0.02),
+        ({"speed_mps": np.inf}, 0.02),
+        ({"ambient_degc": 15.0}, 0.0),
+    ):
+        result_before, written = bytes(driven.state), []
         for byte in (0x00, 0xAA):
-            driven.state[:] = before
+            driven.state[:] = result_before
             driven.outputs.view(np.uint8)[:] = byte
-            written.append(driven.step(given, dt)[1].tobytes())
+            written.append(driven.step(given_values, dt)[1].tobytes())
         assert written[0] == written[1]
 
 
 @pytest.mark.parametrize("far", [2**62, 2**63 - 1, -(2**62), -(2**63)])
 def test_a_time_too_far_changes_nothing(far, driven):
-    before = bytes(driven.state)
+    result_before = bytes(driven.state)
     for stamp, arrival in ((far, 0), (0, far), (far, far)):
         assert driven.message(0, stamp, arrival, 5.0) == -2
-    assert bytes(driven.state) == before
+    assert bytes(driven.state) == result_before
 
 
 def test_a_sum_of_times_too_far_changes_nothing(driven):
     driven.message(at.AMBIENT, 0, 2**62 - SECOND_NS, 15.0)
     assert driven.step({}, 0.9)[0] == 0
-    before = bytes(driven.state)
+    result_before = bytes(driven.state)
     assert driven.step({"speed_mps": 5.0}, 0.2)[0] == -2
-    assert bytes(driven.state) == before
+    assert bytes(driven.state) == result_before
 
 
 def test_float_is_as_near_as_the_page_says(tmp_path):
     vehicle = tr.load_vehicle("agri3t")
-    built = Built(vehicle, tmp_path, single=True)
-    messages = drive(built.estimator, 0.3, 1, faults=False)
-    expected = built.estimator.session().handle_block(*messages).rows
-    found, _ = built.run(messages)
-    off = difference(found, expected)
-    names = built.estimator.columns
-    assert off[names.index("belt_degc/left")] < 1e-3
-    torque = expected[:, at.Results.resistance_torque_nm]
-    assert np.abs(found[:, at.Results.resistance_torque_nm] - torque).max() < 1e-3 * np.abs(torque).max()
+    build = Built(vehicle, tmp_path, single=True)
+    messages = drive(build.estimator, 0.3, 1, faults=False)
+    expectation = build.estimator.session().handle_block(*messages).rows
+    result, _ = build.run(messages)
+    deviation = difference(result, expectation)
+    names = build.estimator.columns
+    assert deviation[names.index("belt_degc/left")] < 1e-3
+    torque = expectation[:, at.Results.resistance_torque_nm]
+    assert np.abs(result[:, at.Results.resistance_torque_nm] - torque).max() < 1e-3 * np.abs(torque).max()
 
 
 def test_float_loses_no_small_step_of_a_belt_or_an_effect(tmp_path):
     effect, vehicle = catalogue()["warmup"], tr.load_vehicle("agri3t", thermal="core_surface")
     vehicle = dataclasses.replace(vehicle, effects=(Active(effect, effect.for_size(vehicle.size, False).values()),))
-    built = Built(vehicle, tmp_path, single=True)
+    build = Built(vehicle, tmp_path, single=True)
     stamp = np.arange(40_000) * 1_000_000  # 1 kHz
     messages = np.zeros(len(stamp), dtype=np.int16), stamp, stamp, np.full(len(stamp), 4.0)
-    expected, (found, _) = built.estimator.session().handle_block(*messages).rows, built.run(messages)
+    expectation, (result, _) = build.estimator.session().handle_block(*messages).rows, build.run(messages)
     for name in ("belt_degc/left", "effects_nm"):
-        column = built.estimator.columns.index(name)
-        assert np.ptp(expected[:, column]) > 0.5
-        assert np.abs(found[:, column] - expected[:, column]).max() < 1e-4
-    std = expected[:, at.Results.resistance_std_nm]
-    assert (np.abs(found[:, at.Results.resistance_std_nm] - std) <= 2e-3 * std).all()
+        column = build.estimator.columns.index(name)
+        assert np.ptp(expectation[:, column]) > 0.5
+        assert np.abs(result[:, column] - expectation[:, column]).max() < 1e-4
+    std = expectation[:, at.Results.resistance_std_nm]
+    assert (np.abs(result[:, at.Results.resistance_std_nm] - std) <= 2e-3 * std).all()

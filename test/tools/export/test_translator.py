@@ -38,16 +38,16 @@ def branches(a, b, out):
     low, high = (a, b) if a <= b else (b, a)
     a, b = b, a
     out[0], out[1] = low - high, a * 2 - b
-    found = 0.0
+    result = 0.0
     for i in range(5, -3, -2):
         if i == b:
             continue
         if i * 3 == a:
             break
-        found += STEPS[i % 3] * i
+        result += STEPS[i % 3] * i
     else:
-        found += 100.0
-    out[2] = found
+        result += 100.0
+    out[2] = result
     count = 0
     while count < 4 and not ((low > 0 and high < 10) or count == 3):
         count += 1
@@ -55,13 +55,13 @@ def branches(a, b, out):
 
 
 def views(a, b, out):
-    whole = out[0:2]
-    whole[0], whole[1] = float(a), float(b)
-    whole[0], whole[1] = whole[1], whole[0]
-    out[0], whole[0] = whole[1], out[0]
+    total = out[0:2]
+    total[0], total[1] = float(a), float(b)
+    total[0], total[1] = total[1], total[0]
+    out[0], total[0] = total[1], out[0]
     for step in (1.5, 2.5):
-        out[2] += step * whole[0]
-    out[3] = max(whole[0], math.nan, 1.0) + min(math.inf, whole[1]) if a != b else -(a**2) + 2.0**b
+        out[2] += step * total[0]
+    out[3] = max(total[0], math.nan, 1.0) + min(math.inf, total[1]) if a != b else -(a**2) + 2.0**b
 
 
 class Numbered(Row):
@@ -133,10 +133,10 @@ def compiled(tmp_path_factory):
     functions = translator.text_of_functions(ones)
     head = "#include <math.h>\n#include <stdint.h>\n#include <stdbool.h>\n"
     entries = ""
-    for one in ones:
-        given = ", ".join([*(name for name, _ in one.given), *["&failed"] * one.has_failure])
-        entries += f"bool run_{one.function.__name__}(int64_t a, int64_t b, double *out)\n"
-        entries += f"{{ bool failed = false; {one.name}({given}); return failed; }}\n"
+    for item in ones:
+        given_values = ", ".join([*(name for name, _ in item.given), *["&failed"] * item.has_failure])
+        entries += f"bool run_{item.function.__name__}(int64_t a, int64_t b, double *out)\n"
+        entries += f"{{ bool failed = false; {item.name}({given_values}); return failed; }}\n"
     own = used_helpers(translator, functions)
     text = head + own + translator.text_of_structs(functions) + translator.text_of_tables() + functions + entries
     (folder / "all.c").write_text(text)
@@ -148,13 +148,13 @@ def compiled(tmp_path_factory):
 @pytest.mark.parametrize("function", FUNCTIONS)
 @given(a=some.integers(-40, 40), b=some.integers(-40, 40).filter(lambda b: b not in (0, 3, -3)))
 def test_c_does_what_python_does(compiled, function, a, b):
-    expected, found = np.zeros(4), np.zeros(4)
-    pointer = found.ctypes.data_as(ctypes.c_void_p)
+    expectation, result = np.zeros(4), np.zeros(4)
+    pointer = result.ctypes.data_as(ctypes.c_void_p)
     failed = getattr(compiled, f"run_{function.__name__}")(ctypes.c_int64(a), ctypes.c_int64(b), pointer) & 1
     with pytest.raises(IndexError) if failed else nullcontext():
-        function(a, b, expected)
+        function(a, b, expectation)
     if not failed:
-        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_array_equal(result, expectation)
 
 
 def of_text(x):
@@ -162,8 +162,8 @@ def of_text(x):
 
 
 def of_list(x):
-    found = [x, 2.0]
-    return found[0]
+    results = [x, 2.0]
+    return results[0]
 
 
 def of_two_kinds(x):
@@ -245,6 +245,6 @@ def test_a_refusal_names_only_functions_that_are_allowed(name):
     def call(x):
         return x
 
-    given = ", ".join(["x"] * SAME_IN_C.get(name, 1))
-    translator.add_text(call, f"def call(x):\n    return 1.0 * math.{name}({given})")
+    given_values = ", ".join(["x"] * SAME_IN_C.get(name, 1))
+    translator.add_text(call, f"def call(x):\n    return 1.0 * math.{name}({given_values})")
     assert translator.instance(call, [REAL]).returns == REAL

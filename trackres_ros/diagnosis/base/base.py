@@ -133,7 +133,7 @@ class Base(ABC):
         acting_effects = Acting.of([*self._own_effects(values), *effects], self.facts)
         step_effects = tuple(
             (active.effect, *active.numbers)
-            for active in (*acting_effects.stepped, *acting_effects.slopes, *acting_effects.torques)
+            for active in (*acting_effects.step_effects, *acting_effects.slopes, *acting_effects.torques)
         )
         key = (*sessions, *values.values(), acting_effects.sensors.speed_factor, *step_effects)
         if key not in self._last:
@@ -143,7 +143,9 @@ class Base(ABC):
         predictions = []
         for i, (session, (simulation, belt, skin)) in enumerate(zip(sessions, self._last[key], strict=True)):
             drive = acting_effects.with_watched(simulation, i)
-            predictions.append(Predicted(self._shown(values) * acting_effects.sensed(drive, session), drive, belt, skin))
+            predictions.append(
+                Predicted(self._shown_value(values) * acting_effects.sensor_torque(drive, session), drive, belt, skin)
+            )
         return predictions
 
     def share_limits(self, _: Sequence[DriveSession]) -> tuple[float, float] | None:
@@ -160,7 +162,7 @@ class Base(ABC):
         """Step through sessions: torque [Nm], belt and surface temperature [degC] of each, shape (3, n)."""
         raise NotImplementedError
 
-    def _shown(self, _: Values) -> float:
+    def _shown_value(self, _: Values) -> float:
         """Torque of a session over the sensed one."""
         return 1.0
 
@@ -191,9 +193,9 @@ class Base(ABC):
 class Acting:
     """Effects sorted: those of every step, those with their own series, slopes and torques by place, and those of sensors."""
 
-    stepped: tuple[Active, ...]
+    step_effects: tuple[Active, ...]
     table: EffectTable
-    watched: tuple[Active, ...]
+    watched_effects: tuple[Active, ...]
     slopes: tuple[Active, ...]
     torques: tuple[Active, ...]
     sensors: Terms
@@ -230,9 +232,9 @@ class Acting:
 
     def with_watched(self, torque: Array, session: int) -> Array:
         """Torque of session `number` plus the effects with their own series [Nm]."""
-        return _with_series(torque, self.watched, session)
+        return _with_series(torque, self.watched_effects, session)
 
-    def sensed(self, torque: Array, session: DriveSession) -> Array:
+    def sensor_torque(self, torque: Array, session: DriveSession) -> Array:
         """Torque as the sensor shows it [Nm]."""
         terms = self.sensors
         reading = terms.sensor_gain * torque + terms.sensor_offset
@@ -246,7 +248,7 @@ class Acting:
 
     def check(self, omissions: Array, session: DriveSession, facts: VehicleConstants) -> None:
         """Raise the error of a user effect that was omitted in a step, although all its inputs are known there."""
-        user_effects = [active for active in self.stepped if active.effect.source is not None]
+        user_effects = [active for active in self.step_effects if active.effect.source is not None]
         if not user_effects or not omissions.any():
             return
         for i in np.flatnonzero(omissions)[:MOST_CHECKED]:

@@ -33,7 +33,7 @@ def instrument(base: Base) -> tuple[Effect, ...]:
         (TorqueOffset(), offset, offset * MOST_OFFSET_NM / OFFSET_NM),
     )
     return tuple(
-        narrowed(effect, std, largest_value) for effect, std, largest_value in limits if effect.name not in base.includes
+        narrow_prior(effect, std, largest_value) for effect, std, largest_value in limits if effect.name not in base.includes
     )
 
 
@@ -42,7 +42,7 @@ def usual_offset(base: Base) -> float:
     return OFFSET_NM * base.facts.weight * base.facts.radius / REFERENCE_NM
 
 
-def narrowed(effect: Effect, std: float, largest_value: float) -> Effect:
+def narrow_prior(effect: Effect, std: float, largest_value: float) -> Effect:
     """An effect whose parameters get this prior standard deviation and bound, in its unit, around no effect."""
     narrow_effect = copy.copy(effect)
     narrow_effect.parameters = tuple(

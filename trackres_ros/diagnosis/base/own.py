@@ -116,9 +116,9 @@ class OwnBase(Base):
         return self.model.effects
 
     def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting_effects: Acting) -> list[Array]:
-        scratch, memory = new_effect_scratch(self.facts), new_memory(len(acting_effects.stepped))
+        scratch, memory = new_effect_scratch(self.facts), new_memory(len(acting_effects.step_effects))
         results = []
-        for i, (session, gap) in enumerate(with_unseen(sessions)):
+        for i, (session, is_unrecorded) in enumerate(with_unseen(sessions)):
             distance = float(memory[DISTANCE])
             if i > 0 and np.isfinite(session.gap):
                 rest_own(*acting_effects.table, memory, scratch, float(session.ambient[0]), session.gap)
@@ -127,7 +127,7 @@ class OwnBase(Base):
                 if session.first_drive:
                     memory[DISTANCE] = distance = 0.0
             true_session = replace(session, speed=acting_effects.speed(session), accel=acting_effects.accel(session))
-            own_torque = self._own(true_session, values) + acting_effects.torque_by_place(session, i) * np.sign(
+            own_torque = self._own_torque(true_session, values) + acting_effects.torque_by_place(session, i) * np.sign(
                 true_session.speed
             )
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
@@ -142,13 +142,13 @@ class OwnBase(Base):
             )
             step_own(acting_effects.table, scratch, memory, own_torque, *series, torque, outcome)
             acting_effects.check(outcome == UNUSABLE, session, self.facts)
-            if gap:
+            if is_unrecorded:
                 memory[DISTANCE] = distance
             else:
                 results.append(np.stack([torque, *np.full((2, len(session)), np.nan)]))
         return results
 
-    def _own(self, session: DriveSession, values: Values) -> Array:
+    def _own_torque(self, session: DriveSession, values: Values) -> Array:
         """Result of the user's function; an `InputError` if it fails, or is not a finite number for each step."""
         try:
             torque = np.array(self.model.torque(_handed_out(session), dict(values)))

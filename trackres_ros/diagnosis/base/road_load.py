@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Values
-from trackres_ros.diagnosis.base.simulated import FileBase, simulated
+from trackres_ros.diagnosis.base.simulated import FileBase, simulate_sessions
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.delay import Delay
@@ -72,7 +72,7 @@ class RoadBase(FileBase):
         chain = (Delay.name, *(effect.name for effect, *_ in built_in(v)), *([TORQUE_OFFSET] if TORQUE_OFFSET in v else []))
         self.includes = (*chain, *effects_refitted, *(active.effect.name for active in self._active))
 
-    def _shown(self, values: Values) -> float:
+    def _shown_value(self, values: Values) -> float:
         return values["torque_scale"] / self.torque_scale
 
     def _own_effects(self, values: Values) -> Sequence[Active]:
@@ -92,7 +92,9 @@ class RoadBase(FileBase):
         empty_weight = values["mass"] * GRAVITY
         sessions_with_load = [s if "load" in s.given else replace(s, weight=empty_weight + s.payload) for s in sessions]
         facts = self.facts._replace(weight=empty_weight, drag_area=values["drag_area"])
-        return simulated(self._constants._replace(number=number), np.ones(1), 0, facts, sessions_with_load, acting_effects)
+        return simulate_sessions(
+            self._constants._replace(number=number), np.ones(1), 0, facts, sessions_with_load, acting_effects
+        )
 
     def write(self, path: Path, file_changes: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""

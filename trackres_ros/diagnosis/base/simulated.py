@@ -54,7 +54,7 @@ class FileBase(Base):
         return base
 
 
-def simulated(
+def simulate_sessions(
     k: Constants,
     count: Array,
     belts: int,
@@ -72,13 +72,13 @@ def simulated(
     state = State(
         np.empty((belts, 2, at.BELT_COLUMNS)),
         np.empty(at.Motion.columns),
-        new_memory(len(acting_effects.stepped)),
+        new_memory(len(acting_effects.step_effects)),
         np.zeros(at.Learned.columns),
     )
     constants, carried_arrays = COMPILED.bound(k).given, COMPILED.bound(state).given
     scratch = COMPILED.bound(new_scratch(facts, 0, 0)).given
     results: list[Array] = []
-    for i, (session, gap) in enumerate(with_unseen(sessions)):
+    for i, (session, is_unrecorded) in enumerate(with_unseen(sessions)):
         ambient, distance = float(session.ambient[0]), float(state.effects[DISTANCE])
         if i == 0 or not np.isfinite(session.gap):
             COMPILED.start_belts(constants, carried_arrays, ambient, 0.0)
@@ -104,7 +104,7 @@ def simulated(
         )
         COMPILED.predict_series(constants, carried_arrays, scratch, count, series, rows)
         acting_effects.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
-        if gap:
+        if is_unrecorded:
             state.effects[DISTANCE] = distance
         else:
             results.append(np.ascontiguousarray(rows[:, [PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN]].T))

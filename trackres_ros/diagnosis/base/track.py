@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Values
-from trackres_ros.diagnosis.base.simulated import FileBase, simulated
+from trackres_ros.diagnosis.base.simulated import FileBase, simulate_sessions
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator import columns as at
@@ -122,7 +122,7 @@ class TrackBase(FileBase):
         k, belts = self._constants_with(values, acting_effects, self._loads(sessions)), len(self._firsts)
         cooling, by_speed = (values[FILM] * factors for factors in (self.facts.cooling, self.facts.cooling_by_speed))
         facts = self.facts._replace(drag_area=k.number.drag_area, cooling=cooling, cooling_by_speed=by_speed)
-        return simulated(k, self._count, belts, facts, sessions, acting_effects)
+        return simulate_sessions(k, self._count, belts, facts, sessions, acting_effects)
 
     def _loads(self, sessions: Sequence[DriveSession]) -> slice:
         """Columns of the loss table between which the belts are loaded, with one more on either side."""
@@ -133,7 +133,7 @@ class TrackBase(FileBase):
         first_node, last = np.clip([nodes.min(), nodes.max()], 0, self._constants.loss.shape[2] - 2).astype(int).tolist()
         return slice(max(first_node - 1, 0), last + 3)
 
-    def _scaled(self, loss: float, loads: slice) -> Array:
+    def _scaled_table(self, loss: float, loads: slice) -> Array:
         """Loss table for a multiple of the file's loss modulus, nan at other loads; cached, because a fit step reuses a few."""
         if loss == 1.0:
             return self._constants.loss
@@ -161,7 +161,7 @@ class TrackBase(FileBase):
     def _constants_with(self, values: Values, acting_effects: Acting, loads: slice) -> Constants:
         """Constants of the step with other parameter values, for some columns of the loss table."""
         k, vehicle = self._constants, self.vehicle
-        resistance = parting_resistance(acting_effects.stepped, self.facts)
+        resistance = parting_resistance(acting_effects.step_effects, self.facts)
         number = k.number._replace(
             bearing_friction=values[BEARING],
             drag_area=values[DRAG] * vehicle.chassis.frontal_area,
@@ -182,7 +182,7 @@ class TrackBase(FileBase):
         return k._replace(
             number=number,
             assembly=assembly,
-            loss=self._scaled(loss, loads),
+            loss=self._scaled_table(loss, loads),
             drive=loss * k.drive,
         )
 

@@ -44,7 +44,7 @@ VARIABLES = (
 BY_NAME = {variable.name: variable for variable in VARIABLES}
 
 
-def varying(sessions: Sequence[DriveSession], predictions: Sequence[Predicted]) -> dict[str, Array]:
+def varying_series(sessions: Sequence[DriveSession], predictions: Sequence[Predicted]) -> dict[str, Array]:
     """Series along all sessions of each variable that is fully known and varies."""
     all_series = {v.name: np.concatenate([v.of(s, p) for s, p in zip(sessions, predictions, strict=True)]) for v in VARIABLES}
     return {

@@ -48,9 +48,9 @@ class StreetGraph:
     first: NDArray[np.int64]
     second: NDArray[np.int64]
     sign: Array  # 1 where a rise along one is a rise along the other, else -1
-    away: Array  # distance between them [m]
+    distances: Array  # distance between them [m]
     count: int  # of places
-    closed: sparse.csr_matrix  # (loops, places): times slopes, the rise round each closed loop [m], which is zero
+    closed_loops: sparse.csr_matrix  # (loops, places): times slopes, the rise round each closed loop [m], which is zero
 
     @classmethod
     def of(cls, pairs: Mapping[tuple[int, int], float], table: Array, tracks: Sequence[Matched]) -> StreetGraph:
@@ -69,14 +69,14 @@ class StreetGraph:
             np.concatenate([2 * self.first, 2 * self.first + 1]),
             np.concatenate([2 * self.second + is_reversed, 2 * self.second + 1 - is_reversed]),
             np.ones(2 * len(self.sign)),
-            np.tile(self.away, 2),
+            np.tile(self.distances, 2),
             2 * self.count,
             sparse.csr_matrix((0, 2 * self.count)),  # a torque has a mean
         )
 
     def precision(self, length_m: float, size: float) -> sparse.csc_matrix:
         """Prior precision of the values, for a correlation length and a standard deviation."""
-        stiffness = 1.0 / self.away
+        stiffness = 1.0 / self.distances
         i, j, n = self.first, self.second, self.count
         rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
         laplace = sparse.coo_matrix(
@@ -299,7 +299,7 @@ def _base_gain(rows: WhitenedRows, base_offset: Array) -> tuple[float, float]:
 
 def _place_values(rows: WhitenedRows, streets: StreetGraph, base_offset: Array, length_m: float, size: float) -> PlaceValues:
     """Values with this prior. Loops close where the base is free: else a wrong base has a mean slope as its only way out."""
-    closed_loops = streets.closed if len(base_offset) else streets.closed[:0]
+    closed_loops = streets.closed_loops if len(base_offset) else streets.closed_loops[:0]
     loops, count = closed_loops.shape[0], len(base_offset)
     prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(count)])
     closed_loops = sparse.hstack([closed_loops, sparse.csr_matrix((loops, count))])

@@ -128,7 +128,7 @@ def _spells(current: Fit, last: Fit) -> Term | None:
         return None
     if chain.level < chain.rest:
         probability = 1.0 - probability
-        chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
+        chain = replace(chain, level=chain.rest, rest=chain.level, come_rate=chain.go_rate, go_rate=chain.come_rate)
     shape, forecast, cost = _shape(current, chain, residuals)
     text = "a torque that is there for a while and gone for a while"
     term = _fit_pattern(current, SPELLS, text, shape, chain.level - chain.rest, cost, forecast)
@@ -160,7 +160,7 @@ def expected_there(b: Blocks, chain: Chain) -> Array:
     levels, probability = (chain.rest, chain.level), chain.share
     forecast = np.empty(len(b.mean))
     for i, (mean, variance) in enumerate(zip(b.mean.tolist(), (chain.noise**2 / b.count).tolist(), strict=True)):
-        probability = chain.share if b.first[i] else predict_presence(probability, chain.comes, chain.goes)
+        probability = chain.share if b.first[i] else predict_presence(probability, chain.come_rate, chain.go_rate)
         forecast[i] = probability
         probability = update_presence(probability, mean, levels, variance)
     return forecast
@@ -396,7 +396,7 @@ def spells_to_watch(term: Term, final_fit: Fit, model_torques: Sequence[Array], 
     probability = spell_probability(spell_blocks, chain)
     b = _blocks_over(final_fit, model_torques, sensor_scale)
     level, rest, noise = spell_levels(b, probability)
-    spells = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _block_noise(noise, final_fit))
+    spells = Spells(level, rest, BLOCK_S / chain.go_rate, BLOCK_S / chain.come_rate, _block_noise(noise, final_fit))
     count = int(beginnings(b, probability).sum())
     return _disturbance(
         spells,

@@ -51,13 +51,13 @@ def scanned_forms(fit: Fit, levels: Levels, series: Mapping[int, list[Array]]) -
             gain, threshold = scan.best(partial(shapes, kind, x, (low, high)), grid)
             if gain > 0.0:
                 forms.append(
-                    (Corner(code, kind, low, threshold, high), scan.along(shapes(kind, x, (low, high), np.array([threshold]))))
+                    (Corner(code, kind, low, threshold, high), scan.project(shapes(kind, x, (low, high), np.array([threshold]))))
                 )
         if code in LATCHED:
             gain, off_value, on_value = scan.best_latch(x, grid)
             if gain > 0.0:
                 states = [latched_states(values, np.array([off_value]), np.array([on_value])) for values in x]
-                forms.append((Latch(code, low, off_value, on_value, high), scan.along(states)))
+                forms.append((Latch(code, low, off_value, on_value, high), scan.project(states)))
     return forms
 
 
@@ -75,7 +75,7 @@ def clock_forms(fit: Fit, levels: Levels) -> SizedForms:
             thresholds = grid if kind != FADE else np.geomspace(max(grid[0], 0.01 * high), high, GRID)
             gain, threshold = scan.best(partial(shapes, kind, x, (low, high)), thresholds)
             if gain > 0.0:
-                rows = scan.along(shapes(kind, x, (low, high), np.array([threshold])))
+                rows = scan.project(shapes(kind, x, (low, high), np.array([threshold])))
                 size = facts.weight * facts.radius
                 forms.append((ClockTerm(variable, kind, threshold, (low, high), np.split(rows, ends), size), rows))
     return forms
@@ -142,7 +142,7 @@ class _Scan:
         is_inside = (share >= FEWEST_BEYOND) & (share <= 1.0 - FEWEST_BEYOND) & (thresholds > low) & (thresholds < high)
         return thresholds[is_inside], low, high
 
-    def along(self, columns: Sequence[Array]) -> Array:
+    def project(self, columns: Sequence[Array]) -> Array:
         """A single column as a torque against travel, all sessions concatenated, shape (n,)."""
         return np.concatenate([c[:, 0] * d for c, d in zip(columns, self._direction, strict=True)])
 
@@ -227,7 +227,7 @@ def series(code: int, fit: Fit) -> list[Array]:
     return values
 
 
-def driven(code: int, fit: Fit) -> Array:
+def driving_series(code: int, fit: Fit) -> Array:
     """Values of the variable at compared samples; empty if it is not always known, or too imprecise."""
     values = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
     is_known = np.isfinite(values).all() and (code not in (learned.ACCELERATION, learned.DRIVING_TORQUE) or _resolved(fit))
@@ -278,14 +278,14 @@ def variable_codes(fit: Fit) -> list[int]:
     torque, which includes that inertia, needs a small error.
     """
     measured = all("accel" in s.given for s in fit.problem.sessions)
-    return [code for code in KNOTS if varies(driven(code, fit)) and (code != learned.ACCELERATION or measured)]
+    return [code for code in KNOTS if varies(driving_series(code, fit)) and (code != learned.ACCELERATION or measured)]
 
 
 def candidates(fit: Fit) -> dict[str, EmpiricalEffect]:
     """All forms with knots of their own here, by their names."""
     facts = fit.problem.base.facts
     forms: list[EmpiricalEffect] = []
-    x = {code: driven(code, fit) for code in learned.VARIABLES}
+    x = {code: driving_series(code, fit) for code in learned.VARIABLES}
     codes = variable_codes(fit)
     forms += [Curve(code, knots(code, x[code], KNOTS[code])) for code in codes]
     if learned.DRIVING_TORQUE in codes:

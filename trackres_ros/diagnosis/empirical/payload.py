@@ -106,28 +106,35 @@ class _Normal:
     """Normal equations of the masses of all stretches, with the other values eliminated; and the session of each."""
 
     matrix: Array  # (stretches, stretches)
-    right: Array  # (stretches,)
+    right_side: Array  # (stretches,)
     session: Indices  # (stretches,)
 
-    def solved(self, std: float, correlation: float, mean: float) -> _Solution:
+    def solve(self, std: float, correlation: float, mean: float) -> _Solution:
         """Most likely masses, given the standard deviations of payload and mean [kg], and the correlation."""
-        count = np.arange(len(self.right))
+        count = np.arange(len(self.right_side))
         is_same = np.equal.outer(self.session, self.session)
         prior = mean**2 + std**2 * is_same * correlation ** np.abs(np.subtract.outer(count, count))
         growth = np.eye(len(count)) + prior @ self.matrix
         covariance = np.linalg.solve(growth, prior)
-        masses = covariance @ self.right
-        pulls = self.right - self.matrix @ masses  # of the samples, against those of the prior
+        masses = covariance @ self.right_side
+        pulls = self.right_side - self.matrix @ masses  # of the samples, against those of the prior
         cost = 0.5 * float(np.linalg.slogdet(growth)[1])
-        evidence = 0.5 * float(self.right @ masses) - cost
+        evidence = 0.5 * float(self.right_side @ masses) - cost
         stds = np.sqrt(np.diag(covariance))
         determined_count = float((self.matrix * covariance).sum())
         mean_payload, total_cost = mean**2 * float(pulls.sum()), cost + 0.5 * float(masses @ pulls)
         return _Solution(
-            std, correlation, evidence, total_cost, mean_payload, determined_count, self._split(masses), self._split(stds)
+            std,
+            correlation,
+            evidence,
+            total_cost,
+            mean_payload,
+            determined_count,
+            self._split_rows(masses),
+            self._split_rows(stds),
         )
 
-    def _split(self, series: Array) -> list[Array]:
+    def _split_rows(self, series: Array) -> list[Array]:
         return np.split(series, np.flatnonzero(np.diff(self.session)) + 1)
 
 
@@ -143,7 +150,7 @@ class _Solution:
     evidence: float
     cost: float
     mean: float
-    settled: float
+    settled_sum: float
     masses: list[Array]
     stds: list[Array]
 
@@ -228,12 +235,12 @@ class _Samples:
         self._columns = [
             sparse.hstack([x, z]).tocsr() for x, z in zip(by_stretch(torques_per_mass, numbers), joint.columns, strict=True)
         ]
-        self._whole = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
+        self._full_residuals = [r + x for r, x in zip(residuals, joint.adds, strict=True)]
 
     def _equations(
         self, masks: Sequence[Mask], remainder: Sequence[Array], noise: Noise
     ) -> tuple[_Normal, _OtherValues, float, int]:
-        rows = WhitenedRows.of(self._columns, self._whole, masks, noise)
+        rows = WhitenedRows.of(self._columns, self._full_residuals, masks, noise)
         weights = noise.weights(WhitenedRows.of(self._columns, remainder, masks, noise).white)
         return *_normal(rows, weights, self._session, self._joint), len(rows.white)
 
@@ -243,21 +250,21 @@ class _Samples:
         for _ in range(TURNS):  # with the payload in it, the noise would be as large and hide the payload
             normal, other_sum, settled_sum, count = self._equations(masks, remainder, noise)
             solutions = (
-                normal.solved(size * self._mass, correlation, MEAN * self._mass) for size in SIZES for correlation in ALIKE
+                normal.solve(size * self._mass, correlation, MEAN * self._mass) for size in SIZES for correlation in ALIKE
             )
             best_solution = max(solutions, key=lambda solution: solution.evidence)
             values = np.concatenate(best_solution.masses)
             values = np.concatenate([values, other_sum(values)])
-            remainder = [r - x @ values for r, x in zip(self._whole, self._columns, strict=True)]
+            remainder = [r - x @ values for r, x in zip(self._full_residuals, self._columns, strict=True)]
             noise = estimate_noise(remainder, masks)
             # Fitting so many values makes the residual smaller than the noise.
-            shrinks = math.sqrt(max(1.0 - (best_solution.settled + settled_sum) / count, LEAST_LEFT))
+            shrinks = math.sqrt(max(1.0 - (best_solution.settled_sum + settled_sum) / count, LEAST_LEFT))
             noise = replace(noise, scale=noise.scale / shrinks)
         return best_solution, noise, remainder
 
     def masses(self, masks: Sequence[Mask], solution: _Solution, noise: Noise, remainder: Sequence[Array]) -> list[Array]:
         """Masses of the stretches of each session from fewer samples, their scatter and the noise known [kg]."""
-        return self._equations(masks, remainder, noise)[0].solved(solution.std, solution.alike, MEAN * self._mass).masses
+        return self._equations(masks, remainder, noise)[0].solve(solution.std, solution.alike, MEAN * self._mass).masses
 
 
 def halves(number: Indices, mask: Mask) -> Indices:

@@ -57,7 +57,7 @@ class _Piece:
     rows: slice
     edges: Array
     white: Array
-    valid: NDArray[np.bool_]
+    is_valid: NDArray[np.bool_]
 
 
 def find_wave(fit: Fit) -> Wave | None:
@@ -71,7 +71,7 @@ def find_wave(fit: Fit) -> Wave | None:
     scale = max(1.0, float(np.median(gains)) / float(gammainccinv(len(pieces), 0.5)))
     per_metre, gain = max(
         (
-            (float(waves[i]), sum(_fitted(fit, p, float(waves[i]))[1] for p in pieces))
+            (float(waves[i]), sum(_fit_wave(fit, p, float(waves[i]))[1] for p in pieces))
             for i in np.argsort(gains)[-NEARLY_LARGEST:]
         ),
         key=lambda pair: pair[1],
@@ -111,12 +111,12 @@ def _mean_wave(edges: Array, per_metre: float) -> NDArray[np.complex128]:
     return np.asarray(middles * np.sinc(angles / (2.0 * math.pi)))
 
 
-def _fitted(fit: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
+def _fit_wave(fit: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
     """Complex size of the wave in a piece [Nm], and the gain in log-likelihood."""
-    noise, wave, e = fit.noise, _mean_wave(piece.edges, per_metre), piece.white[piece.valid]
+    noise, wave, e = fit.noise, _mean_wave(piece.edges, per_metre), piece.white[piece.is_valid]
     mask = np.ones(len(wave), dtype=bool)
     parts = [np.nan_to_num(whitened(part, mask, noise.phi) / noise.std) for part in (wave.real, -wave.imag)]
-    design, weight = np.stack(parts, axis=1)[piece.valid], noise.weights(e)
+    design, weight = np.stack(parts, axis=1)[piece.is_valid], noise.weights(e)
     normal = (design * weight[:, np.newaxis]).T @ design + 1e-9 * np.eye(2)
     right_side = design.T @ (weight * e)
     size = np.linalg.solve(normal, right_side)
@@ -127,14 +127,14 @@ def _gains(fit: Fit, piece: _Piece, waves: Array) -> Array:
     """Gains of many waves, for a steady speed over the lags of the whitening; `_fitted` is exact."""
     noise = fit.noise
     weighted_residual = (
-        np.where(piece.valid, noise.weights(np.nan_to_num(piece.white)) * np.nan_to_num(piece.white), 0.0) / noise.std
+        np.where(piece.is_valid, noise.weights(np.nan_to_num(piece.white)) * np.nan_to_num(piece.white), 0.0) / noise.std
     )
     adjoint = weighted_residual.copy()  # of the whitening
     for lag, coefficient in enumerate(noise.phi, start=1):
         adjoint[:-lag] -= coefficient * weighted_residual[lag:]
     middle, lengths = 0.5 * (piece.edges[1:] + piece.edges[:-1]), np.diff(piece.edges)
     rows = np.flatnonzero((lengths > 0.0) | (adjoint != 0.0))
-    middle, lengths, adjoint, is_valid = middle[rows], lengths[rows], adjoint[rows], piece.valid[rows]
+    middle, lengths, adjoint, is_valid = middle[rows], lengths[rows], adjoint[rows], piece.is_valid[rows]
     offsets = (waves[1] - waves[0]) * np.arange(WAVES_AT_ONCE)[:, np.newaxis]  # the same from the first wave of each block
     rotations, half_rotations = np.exp(2j * math.pi * offsets * middle), np.exp(1j * math.pi * offsets * lengths)
     gains = []
@@ -156,13 +156,13 @@ def _power_share(phi: Array, cosine: Array) -> Array:
 
 
 def _wave(fit: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
-    sizes = [_fitted(fit, piece, per_metre)[0] for piece in pieces]
+    sizes = [_fit_wave(fit, piece, per_metre)[0] for piece in pieces]
     shape = [np.zeros(len(s)) for s in fit.problem.sessions]
     for piece, size in zip(pieces, sizes, strict=True):
         wave = _mean_wave(piece.edges, per_metre)
         course = np.exp(1j * np.angle(size)) * wave
         shape[piece.session][piece.rows] = course.real
-    weights = [piece.valid.sum() for piece in pieces]
+    weights = [piece.is_valid.sum() for piece in pieces]
     return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), len(pieces), tuple(shape))
 
 
@@ -215,7 +215,7 @@ class Place:
     begin_m: float  # of its range, from the start of a lap
     end_m: float  # beyond the end of the lap if it crosses that
     passes: int  # on the fitted laps
-    folded: bool  # whether a recording has consecutive laps
+    is_folded: bool  # whether a recording has consecutive laps
     cost: float  # of length and places, in log-likelihood
     course: tuple[Array, ...]  # place in the lap at each sample of each session [m]
     shape: tuple[Array, ...]  # torque there, with mean 1 in its range
@@ -314,15 +314,15 @@ def find_place(
     longest_m, directions = max(float(np.abs(d).max()) for d in distances), [_direction(d) for d in distances]
     laps = _laps(longest_m, len(distances))
     first_bins = _whitened(means, masks_known, directions, estimate_noise(means, masks_known, SHORT_ROOT))
-    first_folding = _best(first_bins, laps, first_bins)
-    remainder = [m - x for m, x in zip(means, _expected(means, masks_known, directions, first_folding), strict=True)]
+    first_folding = _best_folding(first_bins, laps, first_bins)
+    remainder = [m - x for m, x in zip(means, _expected_torques(means, masks_known, directions, first_folding), strict=True)]
     noise = estimate_noise(remainder, masks_known)
     bins = _whitened(means, masks_known, directions, noise)
-    best_folding = _best(bins, laps, _whitened(remainder, masks_known, directions, noise))
+    best_folding = _best_folding(bins, laps, _whitened(remainder, masks_known, directions, noise))
     search_cost = math.log(len(laps) * len(WIDTHS) * len(PRIORS))
     if best_folding.evidence < search_cost + SURE or not _shows_on_others(bins, best_folding):
         return None
-    place_torques = _expected(means, masks_known, directions, best_folding)
+    place_torques = _expected_torques(means, masks_known, directions, best_folding)
     remainder = [r - x[_bins_of(d)] for r, d, x in zip(residuals, distances, place_torques, strict=True)]
     is_folded, rows = best_folding.lap_m < longest_m, _Rows.of(distances, residuals, remainder, masks, loads)
     place = _place(best_folding.lap_m, is_folded, search_cost, rows)
@@ -347,7 +347,7 @@ def _middles(means: Array) -> Array:
     return np.asarray((np.arange(len(means)) + 0.5) * BIN_M, dtype=np.float64)
 
 
-def _best(bins: _Bins, laps: Array, remainder: _Bins) -> _Folding:
+def _best_folding(bins: _Bins, laps: Array, remainder: _Bins) -> _Folding:
     """The most likely folding; the `remainder` shows the gain by chance for a noise that is not quite white."""
     foldings = []
     for width in WIDTHS:
@@ -371,7 +371,9 @@ def _best(bins: _Bins, laps: Array, remainder: _Bins) -> _Folding:
     return max(foldings, key=lambda folding: folding.evidence)
 
 
-def _expected(means: Sequence[Array], masks_known: Sequence[Mask], directions: Sequence[float], folding: _Folding) -> list[Array]:
+def _expected_torques(
+    means: Sequence[Array], masks_known: Sequence[Mask], directions: Sequence[float], folding: _Folding
+) -> list[Array]:
     """Mean of each place over its passes, at each bin."""
     places = [folding.places(way * _middles(m)) for m, way in zip(means, directions, strict=True)]
     count = places[0][1]

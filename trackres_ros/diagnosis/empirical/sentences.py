@@ -101,8 +101,8 @@ def describe_form(term: Term, noun: str) -> Term:
         "rises" if y[i] > y[previous_point] else "falls"
         for previous_point, i in zip((begin, *other_points), other_points, strict=False)
     ]
-    ends = [f"to {_signed(y[i])} at {knots[i]}" for i in other_points]
-    first_sentence = f"The extra torque {ways[0]} from {_signed(y[begin])} at {knots[begin]} of {variable.text} {ends[0]}"
+    ends = [f"to {_signed_text(y[i])} at {knots[i]}" for i in other_points]
+    first_sentence = f"The extra torque {ways[0]} from {_signed_text(y[begin])} at {knots[begin]} of {variable.text} {ends[0]}"
     rest_text = " and ".join(f"{way} {end}" for way, end in zip(ways[1:], ends[1:], strict=True))
     return replace(
         term,
@@ -143,17 +143,17 @@ def _describe_threshold(term: Term, effect: Corner | Latch, noun: str) -> Term:
     if isinstance(effect, Latch):
         form, mechanisms = "latch", LATCH_MECHANISMS[effect.variable]
         text = (
-            f"The {noun} needs {_more(level)} from when the {variable.text} rises above {text_at('on')} until it falls below "
-            f"{text_at('off')}"
+            f"The {noun} needs {_more_text(level)} from when the {variable.text} rises above {text_at('on')} until it falls "
+            f"below {text_at('off')}"
         )
     elif effect.kind == learned.STEP:
         form = "step"
-        text = f"The {noun} needs {_more(level)} with the {variable.text} above {text_at('threshold')} than below"
+        text = f"The {noun} needs {_more_text(level)} with the {variable.text} above {text_at('threshold')} than below"
     else:
         form, (side, end) = "hinge", ("below", "x1") if effect.kind == learned.BELOW else ("above", "x2")
         text = (
             f"With the {variable.text} {side} {text_at('threshold')} the {noun} needs increasingly "
-            f"{_more_or_less(level)}, {_more(level)} at {text_at(end)}"
+            f"{_more_or_less(level)}, {_more_text(level)} at {text_at(end)}"
         )
     return replace(
         term,
@@ -186,7 +186,7 @@ def _describe_gain(term: Term, effect: SidedGain) -> Term:
 def describe_spells(term: Term, chain: Chain, level: float, lengths_s: Array, begin_text: str, noun: str) -> Term:
     """Describe spells of this size [Nm]: their number, the duration of each [s], and the common event at their start."""
     low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [chain.mean_s], (0.1, 0.9)))
-    first_sentence = f"For {low} to {high} s at a time, the {noun} needs {_more(level)} than the model"
+    first_sentence = f"For {low} to {high} s at a time, the {noun} needs {_more_text(level)} than the model"
     second = f"That happens {len(lengths_s)} times in these recordings{begin_text}"
     sentences = (first_sentence, second)
     return replace(term, form="spells", sentences=sentences, mechanisms=SPELL_MECHANISMS, size_nm=abs(level), memory=chain.mean_s)
@@ -219,14 +219,14 @@ def describe_clock(term: Term, effect: ClockTerm, level: float, noun: str) -> Te
     sentences: tuple[str, ...]
     if effect.kind == FADE:
         fade_text = f"That fades {clock_text} with a constant of {text_at(effect.threshold)}"
-        sentences = (f"At first the {noun} needs {_more(level)}", fade_text)
+        sentences = (f"At first the {noun} needs {_more_text(level)}", fade_text)
     elif effect.kind == learned.STEP:
-        sentences = (f"From {text_at(effect.threshold)} {clock_text} on, the {noun} needs {_more(level)} than before",)
+        sentences = (f"From {text_at(effect.threshold)} {clock_text} on, the {noun} needs {_more_text(level)} than before",)
     else:
         order, end = ("before", low) if effect.kind == learned.BELOW else ("after", high)
         text = (
             f"{order.capitalize()} {text_at(effect.threshold)} {clock_text} the {noun} needs increasingly "
-            f"{_more_or_less(level)}, {_more(level)} at {text_at(end)}"
+            f"{_more_or_less(level)}, {_more_text(level)} at {text_at(end)}"
         )
         sentences = (text,)
     size = abs(level)
@@ -237,9 +237,9 @@ def describe_clock(term: Term, effect: ClockTerm, level: float, noun: str) -> Te
 
 def describe_place(term: Term, level: float, place: Place, noun: str) -> Term:
     """Describe a torque of this size [Nm] at the same place on each pass."""
-    route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
+    route = f"each lap of {figures(place.lap_m, 4)} m" if place.is_folded else "the route of each recording"
     range_text = f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}"
-    first_sentence = f"{range_text}, the {noun} needs {_more(level)} than the model"
+    first_sentence = f"{range_text}, the {noun} needs {_more_text(level)} than the model"
     return replace(
         term,
         form="place",
@@ -248,7 +248,7 @@ def describe_place(term: Term, level: float, place: Place, noun: str) -> Term:
         size_nm=abs(level),
         variable="place on the route",
         unit="m",
-        period_m=place.lap_m if place.folded else None,
+        period_m=place.lap_m if place.is_folded else None,
     )
 
 
@@ -259,7 +259,9 @@ def describe_payload(term: Term, level: float, payload: Payload, noun: str) -> T
     masses, seconds = np.array([s.mass for s in stretches]), np.array([s.end_s - s.begin_s for s in stretches])
     low, high = np.quantile(np.repeat(masses, np.maximum(1, np.round(seconds)).astype(int)), (0.05, 0.95))
     typical_std = float(np.median([s.std for s in stretches]))
-    first_sentence = f"The {noun} weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model"
+    first_sentence = (
+        f"The {noun} weighs between {_more_text(float(low), 'kg')} and {_more_text(float(high), 'kg')} than in the model"
+    )
     detail = f"{len(stretches)} stretches, each with a standard deviation of about {figures(typical_std)} kg"
     return replace(
         term,
@@ -278,7 +280,7 @@ def describe_route(term: Term, size: float, lower_end: float, upper_end: float, 
     is_tied = abs(route.slope_gain) <= SURE_OF_KIND
     streets = f"On {figures(0.001 * route.metres)} km of streets"
     sentences = (
-        f"{streets}, the {noun} needs between {_more(lower_end)} and {_more(upper_end)} than the model, by the place",
+        f"{streets}, the {noun} needs between {_more_text(lower_end)} and {_more_text(upper_end)} than the model, by the place",
         f"The repeated streets have {route.passes} passes (median)",
         *(("To identify a slope, drive them in the other direction too, or with another load",) if is_tied else ()),
     )
@@ -297,7 +299,9 @@ def describe_route(term: Term, size: float, lower_end: float, upper_end: float, 
 def recordings_term(final_fit: Fit, levels: Array) -> Term:
     """A different level [Nm] in each recording, as a live estimate follows it; nan if a recording is not compared."""
     low, high, noun = float(np.nanmin(levels)), float(np.nanmax(levels)), final_fit.problem.base.noun
-    first_sentence = f"From recording to recording the {noun} needs between {_more(low)} and {_more(high)} than the model"
+    first_sentence = (
+        f"From recording to recording the {noun} needs between {_more_text(low)} and {_more_text(high)} than the model"
+    )
     return replace(
         _live_term("recordings", final_fit),
         sentences=(first_sentence, "Within each recording it hardly changes"),
@@ -324,7 +328,7 @@ def possible_in(term: Term, noun: str) -> Term:
     return replace(term, mechanisms=parts or ANY_MACHINE)
 
 
-def _more(difference: float, unit: str = "Nm") -> str:
+def _more_text(difference: float, unit: str = "Nm") -> str:
     return f"{figures(abs(difference))} {unit} {_more_or_less(difference)}"
 
 
@@ -332,5 +336,5 @@ def _more_or_less(difference: float) -> str:
     return "more" if difference > 0.0 else "less"
 
 
-def _signed(torque: float) -> str:
+def _signed_text(torque: float) -> str:
     return f"{'+' if torque > 0.0 else ''}{figures(torque)} Nm"

@@ -50,23 +50,23 @@ class Chain:
 
     level: float
     rest: float  # level without a spell: the fit's mean includes both
-    comes: float
-    goes: float
+    come_rate: float
+    go_rate: float
     noise: float
 
     def for_blocks(self, seconds: float) -> Chain:
         """The same for blocks of another length, shorter than its spells."""
-        return replace(self, comes=self.comes * seconds / BLOCK_S, goes=self.goes * seconds / BLOCK_S)
+        return replace(self, come_rate=self.come_rate * seconds / BLOCK_S, go_rate=self.go_rate * seconds / BLOCK_S)
 
     @property
     def mean_s(self) -> float:
         """Mean duration of a spell [s]."""
-        return BLOCK_S / self.goes
+        return BLOCK_S / self.go_rate
 
     @property
     def share(self) -> float:
         """Share of time in a spell."""
-        return self.comes / (self.comes + self.goes)
+        return self.come_rate / (self.come_rate + self.go_rate)
 
 
 def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float, seconds: float = BLOCK_S) -> Blocks:
@@ -126,7 +126,7 @@ def gain_over_drift(b: Blocks, chain: Chain, probability: Array) -> float:
 def path_cost(b: Blocks, chain: Chain, probability: Array) -> float:
     """Cost of the spells' transitions: their negative log-probability under the Markov chain."""
     is_spell = probability > 0.5
-    step = ((1.0 - chain.comes, chain.comes), (chain.goes, 1.0 - chain.goes))
+    step = ((1.0 - chain.come_rate, chain.come_rate), (chain.go_rate, 1.0 - chain.go_rate))
     start = (1.0 - chain.share, chain.share)
     steps = [
         start[state] if is_first else step[state_before][state]
@@ -150,11 +150,11 @@ def _forward_backward(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
     likelihoods = [np.exp(x - top) for x in logs]
     n = len(b.mean)
     forward, backward, scales = np.empty((n, 2)), np.ones((n, 2)), np.empty(n)
-    _pass(likelihoods[0], likelihoods[1], b.first, chain.comes, chain.goes, chain.share, forward, backward, scales)
+    _pass(likelihoods[0], likelihoods[1], b.first, chain.come_rate, chain.go_rate, chain.share, forward, backward, scales)
     probability = forward * backward
     probability /= probability.sum(axis=1, keepdims=True)
     inner_blocks = np.flatnonzero(~b.first)
-    step = np.array([[1.0 - chain.comes, chain.comes], [chain.goes, 1.0 - chain.goes]])
+    step = np.array([[1.0 - chain.come_rate, chain.come_rate], [chain.go_rate, 1.0 - chain.go_rate]])
     next_weights = (
         np.stack([likelihoods[0][inner_blocks], likelihoods[1][inner_blocks]], axis=1)
         * backward[inner_blocks]
@@ -237,12 +237,12 @@ def find_drifting_level(b: Blocks) -> tuple[DriftingLevel, float]:
 def expected_level(b: Blocks, w: DriftingLevel) -> tuple[Array, Array]:
     """Forecast of each block's mean from the blocks before it [Nm], and its variance."""
     level, spread = np.empty(len(b.mean)), np.empty(len(b.mean))
-    _follow(b.mean, w.noise**2 / b.count, b.first, math.exp(-BLOCK_S / w.seconds), w.size, level, spread)
+    _follow_level(b.mean, w.noise**2 / b.count, b.first, math.exp(-BLOCK_S / w.seconds), w.size, level, spread)
     return level, spread
 
 
 @entry
-def _follow(mean: Array, noise: Array, is_first: Mask, keep: float, size: float, levels: Array, spread: Array) -> None:
+def _follow_level(mean: Array, noise: Array, is_first: Mask, keep: float, size: float, levels: Array, spread: Array) -> None:
     level, variance = 0.0, size * size
     for i in range(len(mean)):
         if is_first[i]:

@@ -18,25 +18,25 @@ from trackres_ros.diagnosis.findings.wording import (
     LEFT_OUT,
     NO_NAME,
     Possible,
+    capitalise,
     confirmed_terms,
-    differs,
+    describe_difference,
     doubts,
     file_is_off,
     is_small,
-    joined,
+    join_sentences,
+    list_possible,
     look_for,
     may_be,
     mean_error,
-    moved,
+    moved_text,
     only_later,
-    possible,
     range_of,
-    rejected,
-    short,
+    rejected_sentences,
+    short_text,
     slow,
     taken_from,
     unexplained,
-    upper,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import SensorFinding
@@ -164,14 +164,14 @@ class Findings:
     def listed(self) -> Possible:
         """Unconfirmed possibilities, without those that the hold-out laps reject."""
         rejected_names = {t.name for t in self.unconfirmed if t.grade == REFUTED}
-        return possible(
+        return list_possible(
             self.unsure, self.sure, {name: share for name, share in self.shares.items() if name not in rejected_names}
         )
 
     @property
     def after(self) -> list[str]:
         """Sentences that end each verdict."""
-        return [self.sensor, *doubts(self.unsure), *rejected(self.unconfirmed)]
+        return [self.sensor, *doubts(self.unsure), *rejected_sentences(self.unconfirmed)]
 
     @property
     def rest(self) -> list[str]:
@@ -197,7 +197,7 @@ def judge(f: Findings) -> Verdict:
     the location and size of the difference; suspected terms are only listed. What the warnings say of sensors is in each verdict:
     first where no physics is missing, else last.
     """
-    verdict, warnings = _by_terms(f), joined([s.says for s in f.sensors])
+    verdict, warnings = _by_terms(f), join_sentences([s.statement for s in f.sensors])
     parts = (warnings, verdict.sentence) if verdict.status == "none" else (verdict.sentence, warnings)
     return replace(verdict, sentence=" ".join(filter(None, parts)))
 
@@ -218,7 +218,7 @@ def _by_terms(f: Findings) -> Verdict:
             mean_error(improvement.before, improvement.after),
             taken_from(drift),
         ]
-        return Verdict("described", CONFIRMED, joined([*lines, may_be(f.listed, is_addition=True), *f.after]), f.listed)
+        return Verdict("described", CONFIRMED, join_sentences([*lines, may_be(f.listed, is_addition=True), *f.after]), f.listed)
     return _unexplained(f) or _nothing_missing(f)
 
 
@@ -228,13 +228,13 @@ def _confirmed(f: Findings) -> Verdict:
     term_sum = np.concatenate([sum(x) for x in zip(*(t.adds for t in f.sure), strict=True)])
     explained_torque = float(np.percentile(np.abs(term_sum), 95.0))  # where they act, which may be minutes of an hour
     if max((abs(b.mean_residual) for b in f.left), default=0.0) > LEFT_SHARE * explained_torque:
-        names, sight = " and ".join(map(short, f.sure)), unexplained(f.left, f.base.noun)
+        names, sight = " and ".join(map(short_text, f.sure)), unexplained(f.left, f.base.noun)
         partial_text = f"{names} would explain a part of it, but the remaining error is too large to confirm that"
-        return Verdict("unexplained", SUSPECTED, joined([sight, partial_text, *tail]), f.listed, sight)
+        return Verdict("unexplained", SUSPECTED, join_sentences([sight, partial_text, *tail]), f.listed, sight)
     named_terms = [t for t in f.sure if t.is_named]
     status = "described" if not named_terms else "named" if all(len(t.members) <= 1 for t in named_terms) else "one_of"
     lines = [*confirmed_terms(f.sure, f.held_out, f.listed, f.sensors), *tail, *f.rest]
-    return Verdict(status, CONFIRMED, joined(lines), f.listed)
+    return Verdict(status, CONFIRMED, join_sentences(lines), f.listed)
 
 
 def _far_from_file(f: Findings) -> Verdict:
@@ -246,7 +246,7 @@ def _far_from_file(f: Findings) -> Verdict:
     if f.unusable:
         error_text = f"No command would accept a file with them: {f.unusable}"
     lines = [lead_sentence, *rest_sentences, error_text, may_be(f.listed), *f.after]
-    return Verdict("unexplained", SUSPECTED, joined(lines), f.listed, lead_sentence)
+    return Verdict("unexplained", SUSPECTED, join_sentences(lines), f.listed, lead_sentence)
 
 
 def _unexplained(f: Findings) -> Verdict | None:
@@ -259,16 +259,21 @@ def _unexplained(f: Findings) -> Verdict | None:
     elif f.has_slow_residual:
         lead_sentence, *rest_sentences = slow(f.left_over)
     elif large_terms:
-        lead_sentence, *rest_sentences = [differs(large_terms[0])]
+        lead_sentence, *rest_sentences = [describe_difference(large_terms[0])]
     else:
         return None
-    hint = f"{upper(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
+    hint = f"{capitalise(f.hint)} would explain a part of it, but is not confirmed" if f.hint and not f.listed else ""
     hint_text = NO_NAME if f.left and not f.listed and not hint else hint
     grades = {t.grade for t in (*f.unconfirmed, *f.unsure)}
     grade = REFUTED if grades == {REFUTED} else SUSPECTED
     lines = [lead_sentence, *rest_sentences, hint_text, may_be(f.listed), *f.after, f.worth_of_refit]
     return Verdict(
-        "unexplained", grade, joined(lines), f.listed, lead_sentence, slow=not f.left and not f.later and f.has_slow_residual
+        "unexplained",
+        grade,
+        join_sentences(lines),
+        f.listed,
+        lead_sentence,
+        slow=not f.left and not f.later and f.has_slow_residual,
     )
 
 
@@ -282,7 +287,9 @@ def _nothing_missing(f: Findings) -> Verdict:
     refit = held_out.of_refit
     error_text = mean_error(refit.before, refit.after)
     if refit.grade == CONFIRMED and refit.after < (1.0 - LEAST_GAIN) * refit.before:
-        lead_sentence = f"{upper(LEFT_OUT)} confirm no missing physics" if possible_effects else f"{negation} physics is missing"
+        lead_sentence = (
+            f"{capitalise(LEFT_OUT)} confirm no missing physics" if possible_effects else f"{negation} physics is missing"
+        )
         change_sentences = [
             f"{lead_sentence}, but values of the {f.base.file} were off",
             *(c.text for c in value_changes[:MOST_CHANGED]),
@@ -292,19 +299,19 @@ def _nothing_missing(f: Findings) -> Verdict:
                 lead_sentence,
                 f"No value of the {f.base.file} is surely off, but a re-fit of all of them predicts better",
             ]
-        text = joined([*change_sentences, error_text, *tail])
+        text = join_sentences([*change_sentences, error_text, *tail])
         return Verdict("none", CONFIRMED, text, possible_effects, changed=tuple(value_changes))
     if out_of_range:
-        values = ", ".join(moved(q, value) for q, value in out_of_range)
+        values = ", ".join(moved_text(q, value) for q, value in out_of_range)
         judgement = "reject" if refit.grade == REFUTED else "do not confirm"
         lines = [f"{negation} physics is missing", f"A re-fit would move parameters of the {f.base.file}: {values}"]
         grade = REFUTED if refit.grade == REFUTED else SUSPECTED
         return Verdict(
-            "none", grade, joined([*lines, f"The hold-out laps {judgement} that", error_text, *tail]), possible_effects
+            "none", grade, join_sentences([*lines, f"The hold-out laps {judgement} that", error_text, *tail]), possible_effects
         )
     nominal, re_fitted = figures(refit.before), figures(refit.after)
     lines = [
         f"{negation} mismatch beyond noise" + (" and an error of the torque sensor" if f.sensor else ""),
         f"The mean error on hold-out laps is {nominal} Nm with the {f.base.file} and {re_fitted} Nm re-fitted",
     ]
-    return Verdict("none", CONFIRMED, joined([*lines, *tail]), possible_effects)
+    return Verdict("none", CONFIRMED, join_sentences([*lines, *tail]), possible_effects)

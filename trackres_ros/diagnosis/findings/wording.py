@@ -39,12 +39,12 @@ FORMS = {
 Possible = tuple[tuple[str, float | None], ...]
 
 
-def joined(sentences: Sequence[str]) -> str:
+def join_sentences(sentences: Sequence[str]) -> str:
     """Sentences one after the other, with a capital unless a name comes first; empty ones are dropped."""
-    return " ".join(f"{(upper(s) if s.startswith(('a ', 'an ')) else s).rstrip('.')}." for s in sentences if s)
+    return " ".join(f"{(capitalise(s) if s.startswith(('a ', 'an ')) else s).rstrip('.')}." for s in sentences if s)
 
 
-def upper(text: str) -> str:
+def capitalise(text: str) -> str:
     """A text with a capital first letter."""
     return f"{text[:1].upper()}{text[1:]}"
 
@@ -74,25 +74,25 @@ def confirmed_terms(
         *(line for t in large_terms for line in _term_sentences(t, possible_effects, sensors)),
         error_text,
         *sources,
-        *(f"{short(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
+        *(f"{short_text(t)} is confirmed but small: {figures(max(g, 0.0), 2)} Nm less error on {LEFT_OUT}" for t, g in gains),
     ]
 
 
 def taken_from(t: Term) -> str:
     """Source of an unpredictable term in the error on hold-out laps; empty for a predictable one."""
     source = t.held_out_from
-    return f"The feed-forward leaves out {short(t)}; this error includes it, taken from {source}" if source else ""
+    return f"The feed-forward leaves out {short_text(t)}; this error includes it, taken from {source}" if source else ""
 
 
 def _term_sentences(t: Term, possible_effects: Possible, sensors: Sequence[SensorFinding]) -> list[str]:
     """Sentences of one term: place and size, cause, values."""
     if not t.is_named:
-        name_text = f"{upper(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
+        name_text = f"{capitalise(t.instead)} would explain it too, but {LEFT_OUT} do not decide for it" if t.instead else NO_NAME
         return [t.sentence, inseparable(t.variable, t.alike), name_text, look_for(t.mechanisms)]
     members = t.members
     if len(members) > 1:
         names_by_weight = sorted(members, key=lambda name: -t.weights[name])
-        options = either([f"{name} ({_percent(t.weights[name])})" for name in names_by_weight])
+        options = alternatives_text([f"{name} ({_percent(t.weights[name])})" for name in names_by_weight])
         sensor = "The torque cannot tell them apart, but a second sensor is for"
         sensor_effects = [f"{sensor} {s.effect}" for s in sensors if s.effect in members]
         return [seen(t), f"The cause is {options}", *(sensor_effects or ["These recordings cannot tell them apart"])]
@@ -100,7 +100,7 @@ def _term_sentences(t: Term, possible_effects: Possible, sensors: Sequence[Senso
     location = t.location
     has_variable = location is not None and location.variable in f"{t.place} {t.seen}"
     similar_text = inseparable(location.variable, location.alike) if location is not None and has_variable else ""
-    return [seen(t), similar_text, f"The cause is {t.name}", upper(t.effect.text), values, _rival(t, possible_effects)]
+    return [seen(t), similar_text, f"The cause is {t.name}", capitalise(t.effect.text), values, _rival(t, possible_effects)]
 
 
 def inseparable(variable: str, similar_variables: Sequence[str]) -> str:
@@ -114,10 +114,10 @@ def inseparable(variable: str, similar_variables: Sequence[str]) -> str:
 
 def seen(t: Term) -> str:
     """Location and size of the difference in the measured torque."""
-    return upper(f"{t.place}, {t.seen}" if t.place else t.seen)
+    return capitalise(f"{t.place}, {t.seen}" if t.place else t.seen)
 
 
-def differs(t: Term) -> str:
+def describe_difference(t: Term) -> str:
     """The difference that a term explains, without naming it."""
     if t.is_named:
         return seen(t)
@@ -134,15 +134,15 @@ def look_for(mechanisms: Sequence[str]) -> str:
     return text
 
 
-def either(options: Sequence[str]) -> str:
+def alternatives_text(options: Sequence[str]) -> str:
     """Options in a sentence: ``a``, ``a or b``, ``a, b or c``."""
     return f"{', '.join(options[:-1])} or {options[-1]}" if len(options) > 1 else options[0]
 
 
-def short(t: Term) -> str:
+def short_text(t: Term) -> str:
     """A term in a few words."""
     if t.is_named:
-        return either(list(t.members)) if len(t.members) > 1 else t.name
+        return alternatives_text(list(t.members)) if len(t.members) > 1 else t.name
     qualifiers = " ".join(filter(None, (f"of the {t.variable}" if t.variable and t.form not in FORMS else "", t.gate)))
     return f"{form_words(t)} {qualifiers}".strip()
 
@@ -182,7 +182,7 @@ def assumed_sensor(instrument: Sequence[Active], held_out: HeldOut, fit: str) ->
     )
 
 
-def possible(unsure_terms: Sequence[Term], confirmed_terms: Sequence[Term], shares: Mapping[str, float]) -> Possible:
+def list_possible(unsure_terms: Sequence[Term], confirmed_terms: Sequence[Term], shares: Mapping[str, float]) -> Possible:
     """Possible unconfirmed causes, with probabilities, the most likely first and `NONE_OF_THESE` last.
 
     Without probabilities over whole explanations, those within each suspected class are given, and none for a single name.
@@ -199,7 +199,7 @@ def possible(unsure_terms: Sequence[Term], confirmed_terms: Sequence[Term], shar
         if t.is_named and len(t.members) > 1:
             causes.update((name, t.weights[name]) for name in t.members)
         else:
-            causes[short(t)] = None
+            causes[short_text(t)] = None
     return tuple(causes.items())[:MOST_LISTED]
 
 
@@ -217,13 +217,13 @@ def doubts(unsure_terms: Sequence[Term]) -> list[str]:
     sentences = []
     if small_terms:
         most_text = figures(max(abs(t.improvement.before - t.improvement.after) for t in small_terms), 1)
-        names = either([t.name for t in small_terms[:MOST_LISTED]])
-        sentences.append(f"{upper(LEFT_OUT)} do not confirm {names}: their mean error changes by {most_text} Nm at most")
+        names = alternatives_text([t.name for t in small_terms[:MOST_LISTED]])
+        sentences.append(f"{capitalise(LEFT_OUT)} do not confirm {names}: their mean error changes by {most_text} Nm at most")
     for t in (t for t in unsure_terms if t not in small_terms):
         i = t.improvement
         gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
         error = f"from {figures(i.before)} to {figures(i.after)} Nm"
-        denial = f"{upper(LEFT_OUT)} do not confirm {t.name}: their mean error"
+        denial = f"{capitalise(LEFT_OUT)} do not confirm {t.name}: their mean error"
         if t.fault:
             sentences.append(f"{t.name} {t.fault}")
         elif i.less_likely:
@@ -238,11 +238,11 @@ def _hardly_gains(t: Term) -> bool:
     return abs(i.before - i.after) < SMALL_SHARE * i.before
 
 
-def rejected(terms: Sequence[Term]) -> list[str]:
+def rejected_sentences(terms: Sequence[Term]) -> list[str]:
     """Terms rejected or not confirmed on laps left out in turn, and terms that displace a value of the file."""
     return [
         *(
-            f"{upper(LEFT_OUT)} reject {t.name}: it raises their mean error from {figures(t.improvement.before)} to "
+            f"{capitalise(LEFT_OUT)} reject {t.name}: it raises their mean error from {figures(t.improvement.before)} to "
             f"{figures(t.improvement.after)} Nm"
             for t in terms
             if t.grade == REFUTED and not t.displaces
@@ -252,7 +252,7 @@ def rejected(terms: Sequence[Term]) -> list[str]:
     ]
 
 
-def moved(q: BaseParameter, value: float) -> str:
+def moved_text(q: BaseParameter, value: float) -> str:
     """A parameter of the base with its old and new value."""
     unit = "" if q.unit == "1" else f" {q.unit}"
     return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
@@ -289,10 +289,10 @@ def _rival(t: Term, possible_effects: Possible) -> str:
         return ""
     if t.level - next_best.level < LEAST_AHEAD:
         if not next_best.is_name:
-            return f"{upper(next_best.name)} fits as well, but is a form: it bends to the data"
+            return f"{capitalise(next_best.name)} fits as well, but is a form: it bends to the data"
         rank_text = f"predicts {LEFT_OUT} significantly worse" if next_best.name in t.worse else ""
-        return f"{upper(next_best.name)} fits as well, but {rank_text or why_not(next_best)}"
-    return f"The next best explanation, {next_best.name}, is {likelier(t, next_best)} times less likely"
+        return f"{capitalise(next_best.name)} fits as well, but {rank_text or why_not(next_best)}"
+    return f"The next best explanation, {next_best.name}, is {likelier_text(t, next_best)} times less likely"
 
 
 def why_not(candidate: Term) -> str:
@@ -300,7 +300,7 @@ def why_not(candidate: Term) -> str:
     return f"it {candidate.fault}" if candidate.fault else NOT_CONFIRMED
 
 
-def likelier(term: Term, rival: Term) -> str:
+def likelier_text(term: Term, rival: Term) -> str:
     """Likelihood ratio of two terms on the laps left out, as text."""
     times = math.exp(min(term.level - rival.level, MOST_CERTAIN))
     return f"{times:.0f}" if times < 1000.0 else "over a thousand"

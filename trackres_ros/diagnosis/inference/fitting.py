@@ -28,7 +28,7 @@ from trackres_ros.effects.effect import Active, Effect
 TURNS = 4  # of the values that stay at a bound
 
 
-def bounded(matrix: Array, right_side: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
+def solve_bounded(matrix: Array, right_side: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Solution of a positive definite system within bounds, and which values are free: one that hits a bound stays there.
 
     Clipping the free solution instead would leave the others where they fit values outside the bounds.

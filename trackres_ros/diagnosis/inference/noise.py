@@ -52,13 +52,13 @@ class Noise:
 
     def weights(self, white: Array) -> Array:
         """Weights of residuals over `std`: about 1 on average, smaller for outliers."""
-        return (self.degrees + 3.0) / (self.degrees + self._squared(white))
+        return (self.degrees + 3.0) / (self.degrees + self._squares(white))
 
     def deviance_root(self, white: Array) -> Array:
         """Signed root of twice the fall of the log-density from its peak, of residuals over `std`: its least squares are the
         maximum likelihood.
         """
-        return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squared(white) / self.degrees))
+        return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squares(white) / self.degrees))
 
     def deviance_slope(self, white: Array) -> Array:
         """Derivative of `deviance_root`."""
@@ -76,7 +76,7 @@ class Noise:
             gammaln(half_degrees + 0.5) - gammaln(half_degrees) - 0.5 * np.log(np.pi * self.degrees) - np.log(self.scale)
         )
 
-    def _squared(self, white: Array) -> Array:
+    def _squares(self, white: Array) -> Array:
         return np.asarray((white * (self.std / self.scale)) ** 2)
 
 
@@ -114,7 +114,7 @@ def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_ro
     initial = _initial_noises(x, y, largest_root)
 
     def most_likely(order: int, degrees: float) -> Noise:
-        return improved(x[:, :order], y, replace(initial[order], degrees=degrees), TURNS, largest_root)
+        return improve_noise(x[:, :order], y, replace(initial[order], degrees=degrees), TURNS, largest_root)
 
     def criterion(noise: Noise) -> float:
         order = len(noise.phi)
@@ -124,7 +124,7 @@ def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_ro
     return max((*(most_likely(order, best_noise.degrees) for order in range(MOST_LAGS)), best_noise), key=criterion)
 
 
-def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
+def improve_noise(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
     """Improve coefficients and scale in turn, by expectation-maximisation; order and tails stay.
 
     x are past values, nearest first, shape (n, lags), and y is the series, shape (n,).
@@ -160,10 +160,10 @@ def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Arr
     if not x.shape[1]:
         return np.empty(0)
     weighted_columns = x.T * weight
-    return _stable(solved(weighted_columns @ x, weighted_columns @ y, 1e-9), largest_root)
+    return _make_stable(solve_normal(weighted_columns @ x, weighted_columns @ y, 1e-9), largest_root)
 
 
-def solved(normal: Array, right_side: Array, ridge: float) -> Array:
+def solve_normal(normal: Array, right_side: Array, ridge: float) -> Array:
     """Solution of normal equations, with a small part of their trace added on their diagonal, in place; the shortest one where
     nothing determines it.
     """
@@ -178,7 +178,7 @@ def solved(normal: Array, right_side: Array, ridge: float) -> Array:
         return np.asarray(np.linalg.lstsq(normal, right_side, rcond=None)[0])
 
 
-def _stable(phi: Array, largest_root: float) -> Array:
+def _make_stable(phi: Array, largest_root: float) -> Array:
     """Shrink an autoregression until its largest root is within the limit."""
     reach = 0.0
     for x in reversed(phi.tolist()):

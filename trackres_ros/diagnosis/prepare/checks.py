@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.sampling import ordered
+from trackres_ros.diagnosis.prepare.sampling import sort_samples
 from trackres_ros.diagnosis.prepare.session import (
     SLOWEST_MPS,
     SLOWEST_SHARE,
@@ -29,11 +29,10 @@ from trackres_ros.diagnosis.prepare.session import (
 )
 from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.errors import InputError, MissingExtraError, one_line
-from trackres_ros.estimator.constants import PLAUSIBLE
 from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.choosing import torque_remedy
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import ROLES, UNITS, Conversion, base_role
+from trackres_ros.recording.roles import PLAUSIBLE, ROLES, UNITS, Conversion, base_role
 from trackres_ros.recording.samples import Series
 from trackres_ros.recording.topics_files import line_to_write
 from trackres_ros.text import some_of
@@ -67,10 +66,10 @@ class Course:
     @classmethod
     def of(cls, recording: Recording, roles: Sequence[str]) -> Course:
         """The course of a recording that has these roles, the speed first."""
-        times, speed = ordered(recording.series["speed"], recording.start_ns)
+        times, speed = sort_samples(recording.series["speed"], recording.start_ns)
         values = [speed / SAME_MPS]
         for role in roles[1:]:
-            torque_times, torque = ordered(recording.series[role], recording.start_ns)
+            torque_times, torque = sort_samples(recording.series[role], recording.start_ns)
             values.append(np.concatenate(([np.nan], torque))[np.searchsorted(torque_times, times, side="right")] / SAME_NM)
         keys = _keys(np.array(values))
         order = np.argsort(keys, kind="stable")
@@ -369,7 +368,7 @@ def speed_off(errors: Mapping[str, float]) -> SensorFinding:
     )
 
 
-def pooled(notes: Sequence[str]) -> list[str]:
+def pool_notes(notes: Sequence[str]) -> list[str]:
     """Notes with one finding for all recordings whose speed is off to the same side."""
     errors: dict[bool, dict[str, float]] = {}
     for note in notes:

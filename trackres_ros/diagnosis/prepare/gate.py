@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.prepare.checks import (
     duration_s,
     each_usable,
     nothing_left,
-    pooled,
+    pool_notes,
     refuse_overlaps,
     refuse_repeated,
 )
@@ -37,10 +37,10 @@ from trackres_ros.diagnosis.prepare.resample import (
     QUICK,
     STEADY,
     motor_brakes_alone,
-    near,
     resample,
     smoothed_motion,
     step_for,
+    widen,
 )
 from trackres_ros.diagnosis.prepare.session import (
     ALWAYS_KNOWN,
@@ -90,7 +90,7 @@ class Gated:
     """Recordings that passed the checks."""
 
     sessions: tuple[DriveSession, ...]  # one for each used recording, of one step, cut into laps
-    excluded: Mapping[str, int]  # time [s], by reason
+    exclusions: Mapping[str, int]  # time [s], by reason
     notes: tuple[str, ...]  # assumptions, one sentence each
 
     @property
@@ -134,7 +134,7 @@ def gate(
         drives_checked = each_usable(drives_checked, partial(_long_enough, settings=settings), refusals)
     if not drives_checked:
         raise nothing_left(refusals)
-    exclusions = sum((drive.excluded for drive in drives_checked), Counter[str]())
+    exclusions = sum((drive.exclusions for drive in drives_checked), Counter[str]())
     unused_recordings = [r for r in recordings if r.name in {refusal.name for refusal in refusals}]
     exclusions[UNUSED] = sum(int(duration_s(r.series)) for r in unused_recordings)
     notes: list[str] = [*(WarningNote(f"{refusal.name}: not used: {refusal.reason}") for refusal in refusals), *overlaps]
@@ -146,7 +146,7 @@ def gate(
     if step > STEP_S:
         notes.append(f"samples are sparse, so torques are compared as means over {step:.0f} s")
     sessions = _in_sequence(drives_checked, [r for r in unused_recordings if _drove(r)], notes, settings.has_belt)
-    return Gated(tuple(sessions), {reason: n for reason, n in exclusions.items() if n}, tuple(pooled(notes)))
+    return Gated(tuple(sessions), {reason: n for reason, n in exclusions.items() if n}, tuple(pool_notes(notes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +167,8 @@ class _Resampled(_Admitted):
     """The recording on an even grid, and its excluded time."""
 
     session: DriveSession
-    unknown: Mapping[str, Mask]
-    excluded: Counter[str]
+    gaps: Mapping[str, Mask]
+    exclusions: Counter[str]
 
     @property
     def compared_s(self) -> float:
@@ -227,9 +227,9 @@ def _resample_drive(drive: _Admitted, step: float, settings: GateSettings) -> _R
 
 def _check_drive(drive: _Resampled, settings: GateSettings, motor_braking: float) -> _Resampled:
     """The session with its mask of comparable samples, and a slope from its altitude."""
-    session = replace(drive.session, used=usable(drive.session, drive.unknown, settings, drive.excluded, motor_braking))
+    session = replace(drive.session, used=usable_steps(drive.session, drive.gaps, settings, drive.exclusions, motor_braking))
     if "brake" in session.given:
-        drive.notes.append(_brake_note(session, drive.unknown[BRAKES_ON], settings))
+        drive.notes.append(_brake_note(session, drive.gaps[BRAKES_ON], settings))
     session, note = with_slope(session)
     drive.notes.extend([note] if note else [])
     return replace(drive, session=session)
@@ -238,7 +238,7 @@ def _check_drive(drive: _Resampled, settings: GateSettings, motor_braking: float
 def _long_enough(drive: _Resampled, settings: GateSettings) -> _Resampled:
     shortest_s = SHORTEST_MOVING_S * drive.session.pace
     if drive.compared_s < shortest_s:
-        exclusion_text = ", ".join(f"{n} s {reason}" for reason, n in drive.excluded.items() if n)
+        exclusion_text = ", ".join(f"{n} s {reason}" for reason, n in drive.exclusions.items() if n)
         noun = "driving" if settings.is_vehicle else "motion"
         statement = f"{drive.compared_s:.3g} s of {noun} with a torque; not used: {exclusion_text or 'nothing'}"
         suffix = "" if settings.is_vehicle else " in all recordings together"
@@ -312,7 +312,7 @@ def _standing_time(recording: Recording) -> float:
 
 def _motor_brakes_alone(drives: Sequence[_Resampled], settings: GateSettings, notes: list[str]) -> float:
     """Torque down to which the motor brakes alone [Nm]; adds the result to the notes."""
-    compared_steps = [~is_slow(drive.session, settings) & ~np.any(list(drive.unknown.values()), axis=0) for drive in drives]
+    compared_steps = [~is_slow(drive.session, settings) & ~np.any(list(drive.gaps.values()), axis=0) for drive in drives]
     motor_braking = motor_brakes_alone([drive.session for drive in drives], compared_steps)
     if motor_braking < 0.0:
         notes.append(
@@ -337,7 +337,7 @@ def in_order(recordings: Sequence[Recording]) -> list[Recording]:
     return sorted(recordings, key=lambda r: (r.start_ns, digests(r), r.name))
 
 
-def usable(
+def usable_steps(
     session: DriveSession, gaps: Mapping[str, Mask], settings: GateSettings, exclusions: Counter[str], motor_braking: float
 ) -> Mask:
     """Steps with a comparable torque; `exclusions` receives the seconds of the others, each under its first reason.
@@ -349,11 +349,11 @@ def usable(
     torque = session.torque * session.ahead
     is_braking = (session.accel * session.ahead < BRAKING_MPS2) & (torque <= 0.0)
     if settings.friction_brakes:  # applied with a braking torque, and for a moment after it
-        is_braking = near(torque < motor_braking if motor_braking < 0.0 else torque <= 0.0)
+        is_braking = widen(torque < motor_braking if motor_braking < 0.0 else torque <= 0.0)
     if "brake" in session.given or settings.friction_brakes is None:  # all braking except the torque is known
         is_braking = np.zeros(len(session), dtype=bool)
     is_crawling = is_slow(session, settings)
-    is_stuck = _stuck(session.torque, session.step, ~is_crawling, LONGEST_STUCK_S * session.pace)
+    is_stuck = _stuck_steps(session.torque, session.step, ~is_crawling, LONGEST_STUCK_S * session.pace)
     for reason, mask in (
         *((reason, mask) for reason, mask in gaps.items() if reason != BRAKES_ON),
         (f"slower than {settings.slowest:g} m/s", is_crawling),
@@ -371,7 +371,7 @@ def is_slow(session: DriveSession, settings: GateSettings) -> Mask:
     return np.asarray(np.abs(session.speed) < settings.slowest)
 
 
-def _stuck(torque: Array, step: float, is_moving: Mask, longest_s: float) -> Mask:
+def _stuck_steps(torque: Array, step: float, is_moving: Mask, longest_s: float) -> Mask:
     """Steps with a constant torque, but for rounding, while moving."""
     changes = np.flatnonzero(~(np.abs(np.diff(torque, prepend=np.nan)) <= SAME_SHARE * np.abs(torque).max()))
     lengths = np.diff(np.append(changes, len(torque)))
@@ -390,7 +390,7 @@ def on_route(gate_result: Gated, route: Sequence[RouteMap], acting_effects: Sequ
         for i, session in enumerate(sessions):
             if "position" not in session.given or (route_map.kind == SLOPE and "grade" in session.given):
                 continue
-            values = _along(session, route_map)
+            values = _values_along(session, route_map)
             is_known = np.isfinite(values)
             notes.append(f"{session.name}: {100.0 * is_known.mean():.0f} % of it is on the route with known {route_map.kind}s")
             if is_known.mean() <= MOST_UNKNOWN:
@@ -428,7 +428,7 @@ def with_fewer_steps(gate_result: Gated, sessions: Sequence[DriveSession], reaso
     """The same sessions with fewer compared steps; their time is excluded for a reason."""
     seconds_before, seconds_after = (sum(s.used.sum() * s.step for s in group) for group in (gate_result.sessions, sessions))
     lost_seconds = {reason: round(seconds_before - seconds_after)} if seconds_before > seconds_after else {}
-    return replace(gate_result, sessions=tuple(sessions), excluded={**gate_result.excluded, **lost_seconds})
+    return replace(gate_result, sessions=tuple(sessions), exclusions={**gate_result.exclusions, **lost_seconds})
 
 
 def way_of(session: DriveSession) -> Way:
@@ -439,7 +439,7 @@ def way_of(session: DriveSession) -> Way:
     return Way(session.latitude, session.longitude, np.cumsum(distance_steps) - 0.5 * distance_steps)
 
 
-def _along(session: DriveSession, route: RouteMap) -> Array:
+def _values_along(session: DriveSession, route: RouteMap) -> Array:
     """Means over each step of the values learned in the direction of travel, a slope along the heading; nan where unknown."""
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))

@@ -16,14 +16,14 @@ from trackres_ros.diagnosis.prepare.checks import EARLIEST_CLOCK_S, check_compar
 from trackres_ros.diagnosis.prepare.sampling import (
     LONGEST_HOLD_S,
     any_from,
-    carried,
+    carry_value,
     filled_steps,
-    held,
     held_while_sent,
+    hold_value,
     means,
     middles,
-    ordered,
     read_off,
+    sort_samples,
     steps_without_value,
 )
 from trackres_ros.diagnosis.prepare.session import (
@@ -65,7 +65,7 @@ class Turning(NamedTuple):
     made_of: str
 
 
-def turning(
+def turn_rates(
     series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest_mps: float, track_width: float | None
 ) -> Turning | None:
     """Yaw rate [rad/s] from the heading, else the sides' wheel speeds, else positions; None if none suffices.
@@ -74,7 +74,7 @@ def turning(
     Positions give a direction above `slowest_mps` [m/s]. `track_width` is the distance of left from right wheels [m].
     """
     if "heading" in series and np.isfinite(series["heading"].value).sum() > 1:
-        return Turning(_angle_rate(*ordered(series["heading"], start), edges), "heading")
+        return Turning(_angle_rate(*sort_samples(series["heading"], start), edges), "heading")
     sides = [_side(series, side, start, edges) for side in SIDES]
     if track_width is not None and sides[0] is not None and sides[1] is not None:
         return Turning((sides[1] - sides[0]) / track_width, f"wheel speeds of both sides, {track_width:g} m apart")
@@ -96,7 +96,9 @@ def _side(series: Mapping[str, Series], side: str, start: int, edges: Array) -> 
     """Mean wheel speed of one side over each step; None without any."""
     roles = [role for role in series if role.startswith("wheel_speed/") and side in role.partition("/")[2].split("_")]
     values = [
-        Cumulative.of(*ordered(series[r], start)).means(edges[:-1], edges[1] - edges[0]) for r in roles if _has_samples(series[r])
+        Cumulative.of(*sort_samples(series[r], start)).means(edges[:-1], edges[1] - edges[0])
+        for r in roles
+        if _has_samples(series[r])
     ]
     return np.asarray(np.mean(values, axis=0)) if values else None
 
@@ -107,7 +109,7 @@ def _has_samples(series: Series) -> bool:
 
 def _path_turn(series: Mapping[str, Series], start: int, edges: Array, speed: Array, slowest_mps: float) -> Array | None:
     """Turn of the path from before a step to after it; nan at near standstill, or between forward and reverse."""
-    (times, north), (east_times, east) = (ordered(series[role], start) for role in ("latitude", "longitude"))
+    (times, north), (east_times, east) = (sort_samples(series[role], start) for role in ("latitude", "longitude"))
     if len(times) < FEWEST_MOVING or len(east_times) < FEWEST_MOVING:
         return None
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -148,7 +150,7 @@ def motor_brakes_alone(sessions: Sequence[DriveSession], compared_steps: Sequenc
     session with known speed and torque.
     """
     torque, columns = (np.concatenate(rows) for rows in zip(*map(_rows, sessions, compared_steps), strict=True))
-    drives = np.concatenate([~near(s.torque * s.ahead <= 0.0)[m] for s, m in zip(sessions, compared_steps, strict=True)])
+    drives = np.concatenate([~widen(s.torque * s.ahead <= 0.0)[m] for s, m in zip(sessions, compared_steps, strict=True)])
     if drives.sum() < FEWEST_DRIVING:
         return 0.0
     values = robust_least_squares(columns[drives], torque[drives])
@@ -170,7 +172,7 @@ def motor_brakes_alone(sessions: Sequence[DriveSession], compared_steps: Sequenc
     return motor_braking
 
 
-def near(steps: Mask) -> Mask:
+def widen(steps: Mask) -> Mask:
     """Steps and their neighbours."""
     return np.asarray(np.convolve(steps, np.ones(3), mode="same") > 0)
 
@@ -237,7 +239,7 @@ def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float)
     products, squares, count = 0.0, 0.0, 0
     for recording in recordings:
         times, speed = (
-            ordered(recording.series["speed"], recording.start_ns) if "speed" in recording.series else (np.empty(0),) * 2
+            sort_samples(recording.series["speed"], recording.start_ns) if "speed" in recording.series else (np.empty(0),) * 2
         )
         if len(times) > LEAST_SAMPLES and 3.0 * step < times[-1] < step * len(times):
             edges = np.arange(0.0, times[-1], step)
@@ -272,23 +274,23 @@ class _Grid:
         return np.full(self.count, np.nan)
 
     @property
-    def nowhere(self) -> Mask:
+    def no_steps(self) -> Mask:
         return np.zeros(self.count, dtype=bool)
 
-    def has(self, role: str) -> bool:
+    def has_role(self, role: str) -> bool:
         return role in self.series and bool(np.isfinite(self.series[role].value).any())
 
     def samples(self, role: str) -> tuple[Array, Array]:
-        return ordered(self.series[role], self.start) if role in self.series else (np.empty(0), np.empty(0))
+        return sort_samples(self.series[role], self.start) if role in self.series else (np.empty(0), np.empty(0))
 
-    def known(self, role: str, values: Array) -> Array:
+    def set_default(self, role: str, values: Array) -> Array:
         """The values; the role is given if any is known."""
         if np.isfinite(values).any():
             self.given.add(role)
         return values
 
-    def held(self, role: str, default: float) -> Array:
-        return held(*self.samples(role), self.edges, default)
+    def held_values(self, role: str, default: float) -> Array:
+        return hold_value(*self.samples(role), self.edges, default)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +302,7 @@ class _Speed:
     times: Array
     raw: Array
     mean: Array
-    known: Mask
+    set_default: Mask
     accel: Array
     accel_noise: float
     by_way: Array | None
@@ -322,19 +324,19 @@ def resample(
     """
     series = recording.series
     check_compared(recording, shortest_s)
-    edges = np.arange(0.0, ordered(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
+    edges = np.arange(0.0, sort_samples(series["speed"], recording.start_ns)[0][-1] + 1e-9, step)
     notes += check_units(recording, settings)
     grid = _Grid(recording.name, recording.bindings, series, recording.start_ns, edges, step, settings, notes, set())
-    grid.given.update(role for role in CHANNELS if grid.has(role))
+    grid.given.update(role for role in CHANNELS if grid.has_role(role))
     speed, (torques, torque, torque_known, torque_noise) = _speed(grid), _torque(grid)
     weight, payload, passengers = _load(grid)
     latitude, longitude, altitude = _place(grid)
     belts = [held_while_sent(*grid.samples(role), edges) for role in series if role.partition("/")[0] == "belt"]
-    belt = grid.known("belt", np.mean(belts, axis=0) if belts else grid.nan)
+    belt = grid.set_default("belt", np.mean(belts, axis=0) if belts else grid.nan)
     steering_angle = _steering(grid)
-    yaw_rate, heading = _turning(grid, speed)
+    yaw_rate, heading = _turn_rates(grid, speed)
     no_slope = _slope(grid)
-    brake_steps = _braked(grid, recording.bindings.get("brake", TopicBinding()))
+    brake_steps = _brake_steps(grid, recording.bindings.get("brake", TopicBinding()))
     session = DriveSession(
         name=recording.name,
         step=step,
@@ -342,17 +344,17 @@ def resample(
         speed=speed.mean,
         accel=speed.accel,
         weight=weight,
-        ambient=grid.held("ambient", settings.ambient),
-        grade=grid.held("grade", 0.0) if "grade" in grid.given else np.zeros(grid.count),
+        ambient=grid.held_values("ambient", settings.ambient),
+        grade=grid.held_values("grade", 0.0) if "grade" in grid.given else np.zeros(grid.count),
         yaw_rate=yaw_rate,
         heading=heading,
-        distance=np.cumsum(_driven(speed.mean, speed.by_way)) * step,
+        distance=np.cumsum(_signed_speed(speed.mean, speed.by_way)) * step,
         torque=torque,
         belt=belt,
-        used=~grid.nowhere,
+        used=~grid.no_steps,
         block=np.zeros(grid.count, dtype=np.int64),
         given=frozenset(grid.given),
-        computed=frozenset(c for c in COMPUTED if not grid.has(c) and c in {*grid.given, "accel"}),
+        computed=frozenset(c for c in COMPUTED if not grid.has_role(c) and c in {*grid.given, "accel"}),
         torque_course=_course(torques),
         accel_noise=speed.accel_noise,
         torque_noise=torque_noise,
@@ -371,7 +373,7 @@ def resample(
     scale = pace(step)
     samples = [(times / scale, value) for times, value in ((speed.times, speed.raw), *torques)]
     return session, {
-        "no speed": ~speed.known,
+        "no speed": ~speed.set_default,
         "no torque": ~torque_known,
         **filled_steps(samples[0], samples[1:], edges / scale, settings.slowest),
         "slope not known": no_slope,
@@ -385,8 +387,8 @@ def _speed(grid: _Grid) -> _Speed:
     motion = smoothed_motion(times, raw, grid.edges, grid.step, grid.settings.slowest)
     mean, is_known = means(times, raw, grid.edges)
     accel, accel_noise = np.diff(motion.speed) / grid.step, motion.change_std / grid.step
-    by_way = np.diff(np.interp(grid.edges, *grid.samples("distance"))) / grid.step if grid.has("distance") else None
-    measured = grid.held("accel", np.nan) if grid.has("accel") else None
+    by_way = np.diff(np.interp(grid.edges, *grid.samples("distance"))) / grid.step if grid.has_role("distance") else None
+    measured = grid.held_values("accel", np.nan) if grid.has_role("accel") else None
     grid.notes.extend(check_speed_unit(grid.name, grid.bindings, mean, accel, measured, by_way))
     if measured is not None:
         mean_accel, is_measured = means(*grid.samples("accel"), grid.edges)
@@ -437,10 +439,10 @@ def _live_filter(accel: Array, noise: float, jerk: float) -> LiveFilter | None:
 
 def _torque(grid: _Grid) -> tuple[list[tuple[Array, Array]], Array, Mask, float]:
     """The true torque, or the sum of its parts: samples of each, means of the sum, steps with a known value, and its noise."""
-    roles = [role for role in grid.series if role.partition("/")[0] == "torque" and grid.has(role)]
+    roles = [role for role in grid.series if role.partition("/")[0] == "torque" and grid.has_role(role)]
     readings = [grid.samples(role) for role in (["torque"] if "torque" in roles else roles)]
     samples = [(times, value / grid.settings.torque_scale) for times, value in readings]
-    torque, is_known, noise = np.zeros(grid.count), ~grid.nowhere, 0.0
+    torque, is_known, noise = np.zeros(grid.count), ~grid.no_steps, 0.0
     for part_samples in samples:
         part, part_known = means(*part_samples, grid.edges)
         torque, is_known = torque + part, is_known & part_known
@@ -452,11 +454,11 @@ def _load(grid: _Grid) -> tuple[Array, Array, Array]:
     """Weight of the whole vehicle, from its load or from loads of axles and assemblies; where unknown, the vehicle file's with
     counted passengers. The weight of passengers where no load is recorded [N], and their number.
     """
-    passengers = grid.known("passengers", carried(*grid.samples("passengers"), grid.edges))
+    passengers = grid.set_default("passengers", carry_value(*grid.samples("passengers"), grid.edges))
     kg_each, nominal = grid.settings.passenger_kg, grid.settings.weight
     payload = np.nan_to_num(passengers) * kg_each * GRAVITY
     weight = nominal + payload
-    if loads := {r: grid.held(r, np.nan) for r in grid.series if base_role(r) == "load" and grid.has(r)}:
+    if loads := {r: grid.held_values(r, np.nan) for r in grid.series if base_role(r) == "load" and grid.has_role(r)}:
         grid.given.add("load")
         total = grid.settings.total_load(loads, payload)
         weight = np.where(np.isfinite(total) & (total > 0.1 * nominal), total, weight)
@@ -475,8 +477,8 @@ def _load(grid: _Grid) -> tuple[Array, Array, Array]:
 def _place(grid: _Grid) -> tuple[Array, Array, Array]:
     """Latitude and longitude [rad], and altitude [m]."""
     latitude, longitude = _position(grid.series, grid.start, grid.edges)
-    altitude = grid.known("altitude", read_off(*grid.samples("altitude"), grid.edges))
-    return grid.known("position", latitude), longitude, altitude
+    altitude = grid.set_default("altitude", read_off(*grid.samples("altitude"), grid.edges))
+    return grid.set_default("position", latitude), longitude, altitude
 
 
 def _steering(grid: _Grid) -> Array:
@@ -488,16 +490,16 @@ def _steering(grid: _Grid) -> Array:
     return np.where(is_known, angle, np.nan)
 
 
-def _turning(grid: _Grid, speed: _Speed) -> tuple[Array, Array]:
+def _turn_rates(grid: _Grid, speed: _Speed) -> tuple[Array, Array]:
     """Yaw rate and heading, measured or derived."""
     series, edges, settings = grid.series, grid.edges, grid.settings
-    heading, yaw_rate = grid.held("heading", np.nan), grid.nan
+    heading, yaw_rate = grid.held_values("heading", np.nan), grid.nan
     if "yaw_rate" in grid.given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
         grid.given.remove("yaw_rate")  # a gyroscope is never exactly still
         grid.notes.append(WarningNote(f"{grid.name}: yaw_rate never changes; treated as not recorded"))
     if "yaw_rate" in grid.given:
         yaw_rate = means(*grid.samples("yaw_rate"), edges)[0]
-    elif turn := turning(series, grid.start, edges, speed.mean, settings.slowest, settings.track_width):
+    elif turn := turn_rates(series, grid.start, edges, speed.mean, settings.slowest, settings.track_width):
         known_turns = np.isfinite(turn.yaw_rate)
         if known_turns.mean() > 1.0 - MOST_UNKNOWN:
             yaw_rate = np.interp(edges[:-1], edges[:-1][known_turns], turn.yaw_rate[known_turns])
@@ -512,18 +514,18 @@ def _turning(grid: _Grid, speed: _Speed) -> tuple[Array, Array]:
 
 def _slope(grid: _Grid) -> Mask:
     """Steps without a slope; if these are the majority, the slope is treated as not recorded."""
-    gaps = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in grid.given else grid.nowhere
+    gaps = steps_without_value(grid.samples("grade")[0], grid.edges) if "grade" in grid.given else grid.no_steps
     if gaps.mean() > MOST_UNKNOWN:
         text = f"{grid.name}: the slope is unknown for {100.0 * gaps.mean():.0f} % of the time; treated as not recorded"
         grid.notes.append(WarningNote(text))
         grid.given.remove("grade")
-        return grid.nowhere
+        return grid.no_steps
     return gaps
 
 
-def _braked(grid: _Grid, binding: TopicBinding) -> Mask:
-    if not grid.has("brake"):
-        return grid.nowhere
+def _brake_steps(grid: _Grid, binding: TopicBinding) -> Mask:
+    if not grid.has_role("brake"):
+        return grid.no_steps
     grid.given.add("brake")
     value = grid.series["brake"].value
     threshold = binding.brakes_from(value[np.isfinite(value)])
@@ -533,7 +535,7 @@ def _braked(grid: _Grid, binding: TopicBinding) -> Mask:
     return any_from(*grid.samples("brake"), grid.edges, threshold)
 
 
-def _driven(speed: Array, by_way: Array | None) -> Array:
+def _signed_speed(speed: Array, by_way: Array | None) -> Array:
     """Distance per time in each step [m/s]: from the odometer if it agrees with the speed."""
     by_speed = np.abs(np.nan_to_num(speed))
     if by_way is None:
@@ -553,7 +555,7 @@ def _position(series: Mapping[str, Series], start: int, edges: Array) -> tuple[A
     if not set(POSITION) <= series.keys():
         return np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
     fixes = [replace(s, value=np.where(s.value == 0.0, np.nan, s.value)) for s in (series[role] for role in POSITION)]
-    north, east = (ordered(s, start) for s in fixes)
+    north, east = (sort_samples(s, start) for s in fixes)
     latitude, longitude = read_off(*north, edges), read_off(*east, edges, angle=True)
     is_known = np.isfinite(longitude) & (np.abs(latitude) <= 0.5 * np.pi)
     return np.where(is_known, latitude, np.nan), np.where(is_known, longitude, np.nan)

@@ -37,7 +37,7 @@ def filled_steps(speed: Samples, torques: Sequence[Samples], edges: Array, slowe
     usual. A last value was repeated where both stay constant far longer than usual, above the speed `slowest_mps`
     [m/s].
     """
-    of_speed, *of_torques = (_straight(samples, edges) for samples in (speed, *torques))
+    of_speed, *of_torques = (_straight_steps(samples, edges) for samples in (speed, *torques))
     any_torque, long_torque = (np.any(masks, axis=0) for masks in zip(*of_torques, strict=True))
     is_moving = np.abs(np.interp(edges[:-1], *speed)) > slowest_mps
     constant_steps = [_constant(samples, edges) for samples in (speed, *torques)]
@@ -47,7 +47,7 @@ def filled_steps(speed: Samples, torques: Sequence[Samples], edges: Array, slowe
     }
 
 
-def _straight(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
+def _straight_steps(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
     """Steps in which a series is a rising or falling straight line, and those in which it is so far longer than usual."""
     times, value = samples
     largest_error = EXACT * max(float(np.percentile(np.abs(value), 99.0)), 1e-12)
@@ -62,7 +62,7 @@ def _straight(samples: Samples, edges: Array) -> tuple[Mask, Mask]:
         is_filled = (
             (count >= FEWEST_FILLED) & (times[end] - times[first_rows] >= SHORTEST_FILLED_S) & (rise > LEAST_RISE * tolerance)
         )
-        for mask, rows in zip(masks, (is_filled, is_filled & (count >= UNUSUAL * _usual(count[rise > 0.0]))), strict=True):
+        for mask, rows in zip(masks, (is_filled, is_filled & (count >= UNUSUAL * _usual_count(count[rise > 0.0]))), strict=True):
             mask |= _steps_within(times[first_rows[rows]], times[end[rows]], edges)
     return masks[0], masks[1]
 
@@ -73,11 +73,13 @@ def _constant(samples: Samples, edges: Array) -> Mask:
     first_rows = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
     last = np.append(first_rows[1:], len(value)) - 1
     count = last - first_rows
-    is_long = (count >= max(FEWEST_FILLED, UNUSUAL * _usual(count + 1))) & (times[last] - times[first_rows] >= SHORTEST_FILLED_S)
+    is_long = (count >= max(FEWEST_FILLED, UNUSUAL * _usual_count(count + 1))) & (
+        times[last] - times[first_rows] >= SHORTEST_FILLED_S
+    )
     return _steps_within(times[first_rows[is_long]], times[last[is_long]], edges)
 
 
-def _usual(counts: Indices) -> float:
+def _usual_count(counts: Indices) -> float:
     """Weighted median run length: half of the samples are in runs up to it."""
     if not len(counts):
         return np.inf
@@ -133,7 +135,7 @@ TEMPERATURE_HOLD_S = (10.0, 120.0)  # least and most: a belt changes by some kel
 SLOWEST_SPACING = 3.0  # usual spacings without a sample: a gap, for receivers at one sample in a second or in five
 
 
-def ordered(series: Series, start: int) -> tuple[Array, Array]:
+def sort_samples(series: Series, start: int) -> tuple[Array, Array]:
     """Times [s] and finite values, by stamp; of equal stamps the first."""
     is_finite = np.isfinite(series.value)
     stamps, index = np.unique(series.stamp_ns[is_finite], return_index=True)
@@ -151,7 +153,7 @@ def means(times: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
     return Cumulative.of(times, value).means(edges[:-1], step), is_known
 
 
-def held(times: Array, value: Array, edges: Array, default: float) -> Array:
+def hold_value(times: Array, value: Array, edges: Array, default: float) -> Array:
     """The last value before the middle of each step; before the first sample, the first value."""
     if not len(times):
         return np.full(len(edges) - 1, default)
@@ -170,7 +172,7 @@ def held_while_sent(times: Array, value: Array, edges: Array) -> Array:
     return np.where(is_silent, np.nan, value[last])
 
 
-def carried(times: Array, value: Array, edges: Array) -> Array:
+def carry_value(times: Array, value: Array, edges: Array) -> Array:
     """The last value before the middle of each step; nan before the first."""
     return np.concatenate(([np.nan], value))[np.searchsorted(times, middles(edges), side="right")]
 

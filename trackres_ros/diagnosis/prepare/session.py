@@ -42,7 +42,7 @@ class Cumulative:
 
     times: Array
     integral: Array
-    _asked: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
+    _cache: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, times: Array, value: Array) -> Cumulative:
@@ -58,12 +58,12 @@ class Cumulative:
     def later_means(self, begin: Array, step: float, delay: float) -> Array:
         """The same, some time `delay` [s]; cached for the last few, as most derivatives of a fit keep the delay."""
         key = len(begin), float(begin[0]), step, delay
-        result = self._asked.get(key)
+        result = self._cache.get(key)
         if result is None:
             result = self.means(begin + delay, step)
-            if len(self._asked) >= MOST_KEPT:
-                self._asked.clear()
-            self._asked[key] = result
+            if len(self._cache) >= MOST_KEPT:
+                self._cache.clear()
+            self._cache[key] = result
         return result
 
 
@@ -307,14 +307,14 @@ class SensorFinding(WarningNote):
         The error as an effect of the catalogue, with the value of its first parameter; empty where there is none.
     """
 
-    says: str
+    statement: str
     effect: str
     value: float
 
     def __new__(cls, text: str, statement: str, effect: str = "", value: float = 0.0) -> SensorFinding:
         """A string with attributes."""
         finding = super().__new__(cls, text)
-        finding.says, finding.effect, finding.value = statement, effect, value
+        finding.statement, finding.effect, finding.value = statement, effect, value
         return finding
 
 
@@ -325,7 +325,7 @@ PIECES, SHORTEST_PIECE_S, LONGEST_PIECE_S = 20, 60.0, 300.0
 FEWEST_DRIVES = 8
 
 
-def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
+def split_laps(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
     """Choose the hold-out blocks: the last ones, or `held_out`.
 
     That is the number of the last sessions (of several) or blocks, or the names of recordings, or of laps as in a report

@@ -80,7 +80,7 @@ def smooth_speed(sample_times: Array, speeds: Array, times: Array, longest_gap_s
     sample_times, speeds = sample_times[is_new], speeds[is_new]
     step = rounding_step(speeds)
     grid = _Grid.of(sample_times, speeds, times, longest_gap_s)
-    if grid.kept.sum() < FEWEST:
+    if grid.is_kept.sum() < FEWEST:
         return None
     jerk, noise = _most_likely(grid, step)
     constant_jerk = np.full(len(grid.times), jerk)
@@ -101,17 +101,17 @@ def smooth_speed(sample_times: Array, speeds: Array, times: Array, longest_gap_s
         states, variances = grid.run(local_jerk, noise)
     rest = at_rest(sample_times, speeds)
     values = speeds.copy()
-    values[grid.kept] = states[grid.sample, 0]
+    values[grid.is_kept] = states[grid.sample, 0]
     values[rest] = 0.0
     speed = np.interp(times, sample_times, values)
-    speed[grid.within] = states[~grid.sample, 0]
+    speed[grid.is_within] = states[~grid.sample, 0]
     next_index = np.clip(np.searchsorted(sample_times, times, side="right"), 1, len(sample_times) - 1)
     variance = np.where(rest[next_index] & rest[next_index - 1], 0.0, np.nan)
     accel = variance.copy()
-    variance[grid.within], accel[grid.within] = states[~grid.sample, 2], states[~grid.sample, 1]
+    variance[grid.is_within], accel[grid.is_within] = states[~grid.sample, 2], states[~grid.sample, 1]
     change = variance[1:] + variance[:-1]
     joint = np.full(len(times), np.nan)
-    joint[grid.within] = variances[~grid.sample]
+    joint[grid.is_within] = variances[~grid.sample]
     change = np.where(np.isfinite(joint[:-1]), joint[:-1], change)
     return SmoothedSpeed(speed, accel, np.sqrt(np.maximum(change, 0.0)), jerk, noise, step)
 
@@ -161,9 +161,9 @@ class _Grid:
     times: Array
     speeds: Array
     sample: Mask  # a sample, else a requested time
-    begins: Mask
-    kept: Mask  # kept samples among all
-    within: Mask  # requested times inside, among all
+    is_begin: Mask
+    is_kept: Mask  # kept samples among all
+    is_within: Mask  # requested times inside, among all
 
     @classmethod
     def of(cls, sample_times: Array, speeds: Array, times: Array, longest_gap_s: float) -> _Grid:
@@ -187,8 +187,8 @@ class _Grid:
         """Smoothed states, and variances of changes to the next requested time."""
         states, variances = np.empty((len(self.times), 5)), np.full(len(self.times), np.nan)
         turns = np.empty(len(self.times), dtype=bool)
-        filter_forward(self.times, self.speeds, self.sample, self.begins, jerk, noise, states, turns)
-        smooth_backward(self.times, ~self.sample, self.begins, jerk, turns, states, variances)
+        filter_forward(self.times, self.speeds, self.sample, self.is_begin, jerk, noise, states, turns)
+        smooth_backward(self.times, ~self.sample, self.is_begin, jerk, turns, states, variances)
         return states, variances
 
     def squared_jerks(self, states: Array) -> Array:
@@ -204,7 +204,7 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
     """Density of the jerk, and standard deviation of the noise including rounding."""
     piece = np.arange(len(grid.times)) // PIECE
     is_used = piece % (1 + piece[-1] // MOST_PIECES) == 0
-    is_begin = (grid.begins | np.append(True, np.diff(piece) > 0))[is_used]
+    is_begin = (grid.is_begin | np.append(True, np.diff(piece) > 0))[is_used]
     times, speeds, sample = grid.times[is_used], grid.speeds[is_used], _spaced_samples(grid)[is_used]
     states, turns = np.empty((len(times), 5)), np.empty(len(times), dtype=bool)
 
@@ -385,7 +385,7 @@ def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
     The measured torque must also fit significantly better with these slopes than without.
     """
     result, text = slope_of_altitude(session)
-    return (result, text) if result is session else confirmed(session, result, text, "torque", "Nm", torque_errors(result))
+    return (result, text) if result is session else confirm_slope(session, result, text, "torque", "Nm", torque_errors(result))
 
 
 def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
@@ -415,7 +415,7 @@ def slope_of_altitude(session: DriveSession) -> tuple[DriveSession, str]:
     return result, f"{where} gives a slope {text}"
 
 
-def confirmed(
+def confirm_slope(
     session: DriveSession,
     session_with_slope: DriveSession,
     text: str,

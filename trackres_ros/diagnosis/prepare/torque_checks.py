@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.checks import Refusal, each_usable
-from trackres_ros.diagnosis.prepare.sampling import means, ordered
+from trackres_ros.diagnosis.prepare.sampling import means, sort_samples
 from trackres_ros.diagnosis.prepare.session import (
     SLOWEST_MPS,
     STEP_S,
@@ -62,11 +62,13 @@ def aligned_clock(session: DriveSession, model_torque: Array) -> tuple[DriveSess
     if session.used.sum() < FEWEST_COMPARED:
         return session, ""
     shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
-    used_by_shift = {s: _shifted(session.used, -s, filler=False) & session.used for s in shifts}
+    used_by_shift = {s: _shift_series(session.used, -s, filler=False) & session.used for s in shifts}
     first_half = np.cumsum(session.used) <= 0.5 * session.used.sum()
 
     def correlations(part: Mask) -> list[float]:
-        return [_correlation(_shifted(session.torque, -s), model_torque, session.speed, used_by_shift[s] & part) for s in shifts]
+        return [
+            _correlation(_shift_series(session.torque, -s), model_torque, session.speed, used_by_shift[s] & part) for s in shifts
+        ]
 
     all_correlations = correlations(session.used)
     best_index = int(np.argmax(all_correlations))
@@ -78,7 +80,7 @@ def aligned_clock(session: DriveSession, model_torque: Array) -> tuple[DriveSess
     course = session.torque_course and Cumulative(
         session.torque_course.times - shift * session.step, session.torque_course.integral
     )
-    new_session = replace(session, torque=_shifted(session.torque, -shift), used=used_by_shift[shift], torque_course=course)
+    new_session = replace(session, torque=_shift_series(session.torque, -shift), used=used_by_shift[shift], torque_course=course)
     return new_session, f"{session.name}: the torque's clock differs from the speed's by {shift * session.step:+g} s; corrected"
 
 
@@ -107,8 +109,8 @@ def check_torque(
     notes = _sign_notes(where, (m, e, v), inertia, sessions, settings)
     low, high = HEALTHY[0] * settings.torque_share[0], HEALTHY[1] * settings.torque_share[1]
     allowed = "the torque of the whole vehicle at its sprockets, in Nm" if settings.is_vehicle else "the torque of the model"
-    if not (inertia.least <= high and inertia.most >= low):
-        share = float(np.sqrt(inertia.least * inertia.most))
+    if not (inertia.lower_share <= high and inertia.upper_share >= low):
+        share = float(np.sqrt(inertia.lower_share * inertia.upper_share))
         statement = f"about {share:.2g} times the expected torque, by the speed's changes"
         if inertia.correlation >= SURE:
             raise InputError(where, statement, allowed, _remedy(share, sessions, settings))
@@ -176,8 +178,8 @@ class _Inertia:
     The lower bound assumes an exact inertia, the upper bound an exact torque.
     """
 
-    least: float
-    most: float
+    lower_share: float
+    upper_share: float
     correlation: float
 
 
@@ -275,7 +277,7 @@ def _correlation(a: Array, b: Array, speed: Array, used_steps: Mask) -> float:
     )
 
 
-def _shifted(series: NDArray[Any], steps: int, filler: Any = None) -> NDArray[Any]:
+def _shift_series(series: NDArray[Any], steps: int, filler: Any = None) -> NDArray[Any]:
     """The series shifted by steps, earlier if negative; where that is unknown, it repeats the edge, or has the given value."""
     if steps == 0:
         return series
@@ -298,7 +300,7 @@ class _Offset(NamedTuple):
     """How far the clock of a role is ahead of the speed's [s], and whether the logging times confirm it."""
 
     seconds: int
-    logged: bool
+    log_offset: bool
 
 
 def at_sprockets(recording: Recording, settings: GateSettings) -> Recording:
@@ -312,7 +314,7 @@ def at_sprockets(recording: Recording, settings: GateSettings) -> Recording:
     gears = settings.gears
     if gears is None:
         raise no_gears(f"{recording.name}: {motor[0]}", settings.has_belt)
-    times, speed = ordered(recording.series["speed"], recording.start_ns)
+    times, speed = sort_samples(recording.series["speed"], recording.start_ns)
     series, bindings = dict(recording.series), dict(recording.bindings)
     for role in motor:
         samples = series[role]
@@ -339,11 +341,11 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     for role in ("speed", *torques):
         _refuse_set_back(f"{recording.name}: {role}", series[role], has_several)
     start = recording.start_ns
-    times, speed = ordered(series["speed"], start)
+    times, speed = sort_samples(series["speed"], start)
     notes = _pauses(recording.name, times)
     shifts: set[int] = set()
     for role in (*torques, *(role for role in series if role not in torques and role != "speed")):
-        samples = ordered(series[role], start)
+        samples = sort_samples(series[role], start)
         if (
             base_role(role) in NO_COURSE
             or len(samples[0]) < 2
@@ -358,7 +360,7 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
         if offset is not None and role in torques and _goes_better((times, speed), samples, offset.seconds, where, statement):
             shifts.add(offset.seconds)
             evidence = "it then correlates with the speed"
-        elif offset is not None and role not in torques and offset.logged:
+        elif offset is not None and role not in torques and offset.log_offset:
             evidence = "by the log time"
         elif (
             offset is not None
@@ -438,7 +440,7 @@ def _ahead_ns(series: Series) -> float:
 
 def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], seconds: int, where: str, statement: str) -> bool:
     """Whether a torque fits the speed better after the shift, not without it; an `InputError` if it fits neither way."""
-    present_share, new_share = (_explained(speed, (torque[0] - offset, torque[1])) for offset in (0, seconds))
+    present_share, new_share = (_explained_share(speed, (torque[0] - offset, torque[1])) for offset in (0, seconds))
     if new_share >= SURE and new_share >= present_share + CLEARLY_BETTER:
         return True
     if present_share >= SURE:
@@ -451,7 +453,7 @@ def _goes_better(speed: tuple[Array, Array], torque: tuple[Array, Array], second
     )
 
 
-def _explained(speed: tuple[Array, Array], torque: tuple[Array, Array]) -> float:
+def _explained_share(speed: tuple[Array, Array], torque: tuple[Array, Array]) -> float:
     """Correlation of a torque with the fitted torque of speed and acceleration; 0 with too few common samples."""
     edges = np.arange(speed[0][0], speed[0][-1], STEP_S)
     v, is_known = means(*speed, edges)

@@ -13,10 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.base.variables import BY_NAME, varying_series
 from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
 from trackres_ros.diagnosis.empirical.term import FOLLOWED, Route, Term
-from trackres_ros.diagnosis.findings.wording import LEAST_AHEAD, LEFT_OUT, joined, likelier, rejected, why_not
+from trackres_ros.diagnosis.findings.wording import (
+    LEAST_AHEAD,
+    LEFT_OUT,
+    join_sentences,
+    likelier_text,
+    rejected_sentences,
+    why_not,
+)
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.held_out import REFUTED, SUSPECTED, Improvement
@@ -48,9 +55,8 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "routes": routes,
         **{
             grade: [
-                {"name": t.name, "heldout": _improvement(t.improvement), "grade": t.grade, "why": joined(rejected([t]))}
-                for t in d.unconfirmed
-                if t.grade == grade
+                {"name": t.name, "heldout": _improvement(t.improvement), "grade": t.grade, "why": join_sentences(sentences)}
+                for t, sentences in ((t, rejected_sentences([t])) for t in d.unconfirmed if t.grade == grade)
             ]
             for grade in (SUSPECTED, REFUTED)
         },
@@ -64,7 +70,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         },
         "heldout": _held_out(d),
         "not_visible": [{"name": n.name, "why": n.why} for n in d.alone.separability.of_names.not_visible],
-        "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.excluded.items()],
+        "rejected": [{"reason": reason, "samples": seconds} for reason, seconds in d.gated.exclusions.items()],
         "advice": [asdict(advice) for advice in d.advice],
         "candidates": _candidates(d),
         "residual_by_regime": {
@@ -81,7 +87,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "notes": d.gated.notes,
         "warnings": d.gated.warnings,
         "sensors": [
-            {"effect": s.effect or None, "value": s.value if s.effect else None, "text": s.says} for s in d.gated.sensors
+            {"effect": s.effect or None, "value": s.value if s.effect else None, "text": s.statement} for s in d.gated.sensors
         ],
         "inputs": inputs(d),
         "kept": written_names,
@@ -199,7 +205,7 @@ def why(c: Term, cost: float, choice: Term | None = None) -> str:
             return f"fits as well as {choice.name}, but is a form: it bends to the data"
         on_laps = f"{LEFT_OUT} decide for {choice.name}" if c.name in choice.worse else why_not(c)
         return f"fits as well as {choice.name}, but {on_laps}"
-    return f"{likelier(choice, c)} times less likely than {choice.name}"
+    return f"{likelier_text(choice, c)} times less likely than {choice.name}"
 
 
 def _effect(t: Term) -> dict[str, Any]:
@@ -327,7 +333,7 @@ def inputs(d: Diagnosis) -> dict[str, Any]:
             }
         )
     series = {"torque": np.concatenate([s.torque for s in d.sessions])[used_steps]}
-    series |= {name: samples[used_steps] for name, samples in varying(d.sessions, d.refitted.predicted).items()}
+    series |= {name: samples[used_steps] for name, samples in varying_series(d.sessions, d.refitted.predicted).items()}
     ranges = []
     for name, samples in series.items():
         low, middle, high = (_shorten(q) for q in np.quantile(samples, (0.0, 0.5, 1.0)))

@@ -21,7 +21,7 @@ import scipy
 
 from trackres_ros.diagnosis.empirical.term import FOLLOWED, Term, by_improvement
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
-from trackres_ros.diagnosis.findings.wording import either, form_words, is_small, largest_of, range_of, upper
+from trackres_ros.diagnosis.findings.wording import alternatives_text, capitalise, form_words, is_small, largest_of, range_of
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.charts import Picture
 from trackres_ros.diagnosis.report.interactive import Interactive
@@ -85,7 +85,7 @@ def headline(d: Diagnosis) -> str:
     verdict, lead, possible_causes = d.verdict, leading(d), _list_possible_causes(d)
     errors = f"Hold-out error: {_errors(d)}"
     if verdict.status == "none":
-        sensor_sentences = [s.says for s in d.gated.sensors]
+        sensor_sentences = [s.statement for s in d.gated.sensors]
         parts = [
             *(sensor_sentences or [cause.answer]),
             *(f"The largest: {change.text}" for change in verdict.changed[:1]),
@@ -164,7 +164,7 @@ def _place_tile(d: Diagnosis) -> Tile:
     lead_text = f"By {location.variable}" if location is not None and location.both_ways else "Everywhere"
     if location is not None and location.tightest_m is not None and place == location.text:
         place = f"in curves tighter than {figures(location.tightest_m, 2)} m"
-    return Tile(name, upper(place) or lead_text, upper(lead.seen))
+    return Tile(name, capitalise(place) or lead_text, capitalise(lead.seen))
 
 
 def _cause_tile(d: Diagnosis) -> Tile:
@@ -173,7 +173,7 @@ def _cause_tile(d: Diagnosis) -> Tile:
         answer = "Only values of the file were wrong" if verdict.changed else "No physics is missing"
         if d.gated.sensors:
             other_answer = f"apart from that: {answer[0].lower()}{answer[1:]}"
-            return Tile(name, "A sensor may be wrong", f"{d.gated.sensors[0].says}; {other_answer}")
+            return Tile(name, "A sensor may be wrong", f"{d.gated.sensors[0].statement}; {other_answer}")
         return Tile(name, answer, SURE_OF_NONE[verdict.grade])
     sure_terms = _sure_terms(d)
     if not sure_terms:
@@ -190,7 +190,9 @@ def _cause_tile(d: Diagnosis) -> Tile:
             names_by_weight = sorted(term.members, key=lambda n: -term.weights[n])
             rest_text = [f"{len(names_by_weight) - FEW} more"] if len(names_by_weight) > FEW else []
             answers.append(
-                either([*(f"{_plain_name(n)} ({100 * term.weights[n]:.0f} %)" for n in names_by_weight[:FEW]), *rest_text])
+                alternatives_text(
+                    [*(f"{_plain_name(n)} ({100 * term.weights[n]:.0f} %)" for n in names_by_weight[:FEW]), *rest_text]
+                )
             )
             detail.append("not distinguishable here")
     if possible_causes:
@@ -216,10 +218,10 @@ def _error_tile(d: Diagnosis) -> Tile:
 def _advice_tile(d: Diagnosis, lines: Mapping[str, str]) -> Tile:
     name, lead, unexplained = "Next", leading(d), d.verdict.status == "unexplained"
     if d.gated.sensors and not lines:
-        return Tile(name, "Check the sensor", f"{d.gated.sensors[0].says}; correct one and diagnose again")
+        return Tile(name, "Check the sensor", f"{d.gated.sensors[0].statement}; correct one and diagnose again")
     for task in d.advice:
         if lead is None or lead.name in task.separates:
-            return Tile(name, "Drive once more", f"{upper(task.manoeuvre)} ({figures(task.minutes, 2)} min)")
+            return Tile(name, "Drive once more", f"{capitalise(task.manoeuvre)} ({figures(task.minutes, 2)} min)")
     if lines:
         return Tile(name, "Correct the sensor", f"{file_phrase(lines)} {'; '.join(lines.values())}")
     if d.found and any(by_file(d)):

@@ -56,7 +56,7 @@ from trackres_ros.diagnosis.selection.locate import (
     against_travel,
     evenly_filled,
     rms_over_time,
-    smoothed,
+    smooth_residual,
     torque_residuals,
 )
 from trackres_ros.output.style import BLUE, GREY, SKY, VERMILION, shorten
@@ -138,7 +138,7 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], term: Te
     i = int(np.argmax([float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]))
     session = d.sessions[i]
     line_text = f"residual without the term, means over {duration_text(d, SMOOTHED_S)}"
-    residual_line = Line(line_text, BLUE, [(session.time, smoothed(session, left_over[i] + adds[i]))])
+    residual_line = Line(line_text, BLUE, [(session.time, smooth_residual(session, left_over[i] + adds[i]))])
     torque = Line(f"{term.name} as found", VERMILION, [(session.time, np.where(session.used, adds[i], np.nan))])
     text = (
         "Residual without the term, and the term, over the recording in which it acts most; on hold-out laps the "
@@ -221,7 +221,7 @@ def lap(d: Diagnosis) -> Chart:
 def times(d: Diagnosis) -> Chart:
     """The residual over the time of each recording, with or without a named effect; of very many, the worst."""
     unit, word = clock(d)
-    residuals = [[smoothed(s, s.torque - stage.torques[i]) for i, s in enumerate(d.sessions)] for stage in stages(d)]
+    residuals = [[smooth_residual(s, s.torque - stage.torques[i]) for i, s in enumerate(d.sessions)] for stage in stages(d)]
     sizes, rms_nm = rms_over_time(residuals[1])
     numbers_drawn, names = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist()), shown_names(d.sessions)
     columns = 1 if len(numbers_drawn) <= IN_ONE_COLUMN else 2

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.empirical.term import Term
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
-from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
+from trackres_ros.diagnosis.findings.wording import describe_difference, largest_of, range_of, short_text
 from trackres_ros.diagnosis.inference.fitting import Fit, for_tests, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask, shown_names
 from trackres_ros.diagnosis.report.charts import FOOT, MARK, ZERO, Chart, Element, Line, Panel, Rule, Span
 from trackres_ros.diagnosis.selection.as_used import NORMAL_95
-from trackres_ros.diagnosis.selection.locate import Bin, against_travel, regime_map, smoothed, within
+from trackres_ros.diagnosis.selection.locate import Bin, against_travel, regime_map, smooth_residual, steps_within
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from trackres_ros.text import figures
@@ -114,7 +114,9 @@ def bins_of_steps(d: Diagnosis) -> list[dict[str, str]]:
     step_bins = []
     for i, session in enumerate(d.sessions):
         letters = {
-            name: _letters(len(session), [within(b.variable, b.low, b.high, session, d.refitted.predicted[i]) for b in bins])
+            name: _letters(
+                len(session), [steps_within(b.variable, b.low, b.high, session, d.refitted.predicted[i]) for b in bins]
+            )
             for name, bins in bins_by_variable(d.at_base.bins).items()
         }
         letters |= {f"effect:{effect.name}": _letters(len(session), [acts_most(effect, session)]) for effect in d.found}
@@ -144,7 +146,7 @@ def uncertainty(d: Diagnosis, b: Bin, torques: Sequence[Array]) -> float:
     """Half of the 95 % interval of the mean residual against travel of a bin [Nm], over fitted laps; nan if all is in one lap."""
     errors, laps = [], []
     for i, (session, segment) in enumerate(zip(d.sessions, d.refitted.problem.segments, strict=False)):  # torques come first
-        is_inside = segment.valid & within(b.variable, b.low, b.high, session, d.refitted.predicted[i])
+        is_inside = segment.valid & steps_within(b.variable, b.low, b.high, session, d.refitted.predicted[i])
         (resistance,) = against_travel([session], [session.torque - torques[i]])
         errors.append(resistance[is_inside])
         laps.append(session.block[is_inside])
@@ -223,7 +225,7 @@ def _residual(d: Diagnosis, text: str, colour: str, torques: Sequence[Array]) ->
 
 def _in_sequence(d: Diagnosis, values: Sequence[Array]) -> list[tuple[Array, Array]]:
     """Means of a series over consecutive sessions, and their times."""
-    means = (smoothed(s, v, AVERAGED_S) for s, v in zip(d.sessions, values, strict=True))
+    means = (smooth_residual(s, v, AVERAGED_S) for s, v in zip(d.sessions, values, strict=True))
     return [
         (minutes(d, i)[shown_slice(s)], series[shown_slice(s)])
         for i, (s, series) in enumerate(zip(d.sessions, means, strict=True))
@@ -251,7 +253,7 @@ def terms(d: Diagnosis) -> list[Line]:
     for i, t in enumerate(drawn_terms):
         share = float(sizes[i] / max(sizes.sum(), 1e-300))
         is_confirmed = t.confirmed
-        name = f"{short(t).replace('_', ' ')}{'' if is_confirmed else ' (suspected)'}"
+        name = f"{short_text(t).replace('_', ' ')}{'' if is_confirmed else ' (suspected)'}"
         torques = [x + share * r for x, r in zip(shapes[i], rest, strict=True)]
         lines.append(
             Line(name, COLOURS[i % len(COLOURS)], _in_sequence(d, torques), 2.4 if is_confirmed else 1.4, not is_confirmed)
@@ -289,13 +291,14 @@ def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
     unexplained_bins = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
     if d.verdict.status == "unexplained" and unexplained_bins:
         b = largest_of(unexplained_bins)
-        masks = [within(b.variable, b.low, b.high, s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
+        masks = [steps_within(b.variable, b.low, b.high, s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
         return f"at {range_of(b)}", list(_times(d, masks))
-    if lead is not None and lead.location is not None and (d.verdict.names or d.verdict.seen == differs(lead)):
+    if lead is not None and lead.location is not None and (d.verdict.names or d.verdict.seen == describe_difference(lead)):
         location, predictions = lead.location, d.final.predicted
         if location.text:
             masks = [
-                within(location.variable, location.low, location.high, s, p) for s, p in zip(d.sessions, predictions, strict=True)
+                steps_within(location.variable, location.low, location.high, s, p)
+                for s, p in zip(d.sessions, predictions, strict=True)
             ]
             return location.text, list(_times(d, masks))
         return f"{lead.name.replace('_', ' ')} acts most", list(_times(d, [acts_most(lead, s) for s in d.sessions]))

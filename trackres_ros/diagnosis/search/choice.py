@@ -34,7 +34,7 @@ from trackres_ros.diagnosis.prepare.session import SLOWEST_MPS
 from trackres_ros.diagnosis.search.cross_validation import Score
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Key, Search, names_of
 from trackres_ros.diagnosis.search.proposals import TIED
-from trackres_ros.diagnosis.search.stability import unstable
+from trackres_ros.diagnosis.search.stability import find_instabilities
 from trackres_ros.diagnosis.selection.as_used import ON_BOUND, AsUsed
 from trackres_ros.diagnosis.selection.held_out import NO_WORSE, SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.locate import against_travel
@@ -74,26 +74,26 @@ class Choice:
     """Judges the explanations of a search; on hold-out laps none may be worse than the base as it was `refitted`."""
 
     def __init__(self, search: Search, base_fit: Fit, laps: HeldOutLaps, use: AsUsed) -> None:
-        self._search, self._validation, self._refitted, self._laps = search, search.validation, base_fit, laps
-        self._beyond_base = self._validation.beyond(search.nothing.fit)
+        self._search, self._validation, self._base_fit, self._laps = search, search.validation, base_fit, laps
+        self._beyond_base = self._validation.beyond(search.base_explanation.fit)
         self._use, self._by_file = use, use.error(None)
-        self._wide: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
-        self._graded: dict[tuple[Key, str], Term] = {}
-        self._unstable = set[str]()  # names whose size changes
+        self._wide_fits: dict[Key, tuple[Fit, Score]] = {}  # fits with values beyond the ranges of the vehicle file
+        self._terms_by_name: dict[tuple[Key, str], Term] = {}
+        self._unstable_names = set[str]()  # names whose size changes
 
-    def graded(self, explanation: Explanation, name: str) -> Term:
+    def grade_term(self, explanation: Explanation, name: str) -> Term:
         """A term of an explanation with its cross-validated grade."""
         term, key = explanation.terms[name], (explanation.key, name)
-        if key not in self._graded:
+        if key not in self._terms_by_name:
             remainder = self._search.without(explanation, name)
             improvement = self._validation.improvement(remainder.score, explanation.score)
             faults = self._faults(explanation, name, improvement, remainder) if improvement.confirmed else ()
             displaces = displaced_parameters(improvement, explanation.fit, remainder.fit)
             bounds = on_bounds(active_of(explanation.fit, name))
-            self._graded[key] = replace(
+            self._terms_by_name[key] = replace(
                 term, improvement=improvement, faults=tuple(faults), on_bounds=bounds, displaces=displaces
             )
-        return term.graded_as(self._graded[key])
+        return term.graded_as(self._terms_by_name[key])
 
     def _faults(self, explanation: Explanation, name: str, improvement: Improvement, remainder: Explanation) -> list[str]:
         """Why laps and recordings left out do not confirm a term that predicts the laps better, in words after its name."""
@@ -101,7 +101,7 @@ class Choice:
         change = f"from {figures(improvement.before)} to {figures(improvement.after)} Nm on laps left out"
         faults = []
         threshold = ALIKE_WITHIN if term.kind == CLOCK else ALIKE_WITHIN + self._search.cost
-        if not improvement.likelier > 0.0 or improvement.gained < threshold:
+        if not improvement.likelihood_bound > 0.0 or improvement.level_gain < threshold:
             faults.append(f"gains no more than the best of many candidates may by chance: {change}")
         if not term.matters:
             faults.append(f"adds only {100.0 * term.share:.1f} % of the torque")
@@ -129,9 +129,9 @@ class Choice:
 
     def _size_faults(self, explanation: Explanation, name: str) -> list[str]:
         """Faults of a name whose size changes, or that is confirmed only together with a form."""
-        faults = unstable(explanation.fit, name, self._validation.scored)
+        faults = find_instabilities(explanation.fit, name, self._validation.scored)
         if faults:
-            self._unstable.add(name)
+            self._unstable_names.add(name)
             return faults
         by_names = explanation
         for other_name, term in explanation.terms.items():
@@ -147,13 +147,13 @@ class Choice:
         values = [(q, base_fit.base_values[q.name]) for q in base_fit.problem.base.parameters]
         if not any(min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low) for q, value in values):
             return []
-        if remainder.key not in self._wide:
+        if remainder.key not in self._wide_fits:
             problem = replace(base_fit.problem, base=self._use.base)
             wide_fit = fit(
                 problem, [a.effect for a in base_fit.effects], base_fit.estimates, base_fit.noises, largest_root=SHORT_ROOT
             )
-            self._wide[remainder.key] = wide_fit, self._validation.score(wide_fit)
-        wide_fit, score = self._wide[remainder.key]
+            self._wide_fits[remainder.key] = wide_fit, self._validation.score(wide_fit)
+        wide_fit, score = self._wide_fits[remainder.key]
         if self._validation.least_gain(score, explanation.score) > 0.0:
             return []
         names = [q.name for q in wide_fit.problem.base.parameters if q.outside(wide_fit.base_values[q.name])]
@@ -181,21 +181,24 @@ class Choice:
             if len(key) != len(explanation.key) or not remainder.key <= key or len(new_names) != 1:
                 continue
             (other_name,) = new_names
-            was_searched = other_name in rival.searched or name in explanation.searched
+            was_searched = other_name in rival.searched_key or name in explanation.searched_key
             if rival.terms[other_name].kind != other_kind or other_name == name or was_searched:
                 continue
-            if self._validation.least_gain(rival.score, explanation.score) <= 0.0 and rival.worth > explanation.worth - SURE:
+            if (
+                self._validation.least_gain(rival.score, explanation.score) <= 0.0
+                and rival.net_gain > explanation.net_gain - SURE
+            ):
                 return [f"cannot be separated from {other_name} in these drives"]
         return []
 
     def _graded_terms(self, explanation: Explanation) -> dict[str, Term]:
-        return {name: self.graded(explanation, name) for name in explanation.terms}
+        return {name: self.grade_term(explanation, name) for name in explanation.terms}
 
     def _is_confirmed(self, explanation: Explanation) -> bool:
-        improvement = self._validation.improvement(self._search.nothing.score, explanation.score)
+        improvement = self._validation.improvement(self._search.base_explanation.score, explanation.score)
         hold_out = self._hold_out_improvement(explanation)
         # Terms that pass only together were chosen from many more sets, and cancel each other as they please.
-        if explanation.worth <= SURE * (len(explanation.key) - 1):
+        if explanation.net_gain <= SURE * (len(explanation.key) - 1):
             return False
         # A re-fit may be worse than the file. A term that only corrects that is not missing physics.
         if (
@@ -204,24 +207,24 @@ class Choice:
             or not self._laps.predicts(explanation.fit)
         ):
             return False
-        return all(self.graded(explanation, name).confirmed for name in explanation.terms)
+        return all(self.grade_term(explanation, name).confirmed for name in explanation.terms)
 
     def _hold_out_improvement(self, explanation: Explanation) -> Improvement:
-        return self._laps.improvement_of(self._refitted, explanation.fit)
+        return self._laps.improvement_of(self._base_fit, explanation.fit)
 
     def best(self, keep_suspected: bool = False) -> Chosen:
         """The best explanation; each of its terms is compared with all possible replacements.
 
         If none is confirmed: with `keep_suspected` the one with the highest worth, else nothing.
         """
-        base_explanation = self._search.nothing
+        base_explanation = self._search.base_explanation
         for _ in range(2):  # replacements of each term may make a better explanation
             explanations, confirmed_explanations, best_explanation = self._judge()
             # A name whose size changes hides what is there instead.
             if (
                 explanations
-                and explanations[0].worth > best_explanation.worth
-                and self._search.leave_out(explanations[0].key & self._unstable)
+                and explanations[0].net_gain > best_explanation.net_gain
+                and self._search.leave_out(explanations[0].key & self._unstable_names)
             ):
                 explanations, confirmed_explanations, best_explanation = self._judge()
             for explanation in (
@@ -247,28 +250,28 @@ class Choice:
 
     def _judge(self) -> tuple[list[Explanation], list[Explanation], Explanation]:
         """The judged explanations, the confirmed ones of them, and the best one of these."""
-        explanations = self._judged()
+        explanations = self._judged_explanations()
         confirmed_explanations = [e for e in explanations if self._is_confirmed(e)]
         return explanations, confirmed_explanations, self._select(confirmed_explanations)
 
-    def _judged(self) -> list[Explanation]:
+    def _judged_explanations(self) -> list[Explanation]:
         """The explanations with the highest worth and all with a term by place, and each without some of its terms."""
         known_explanations = self._search.known
         candidates = (
             e
             for e in known_explanations.values()
-            if 0 < len(e.key) <= MOST_TERMS and e.worth > 0.0 and not self._search.has_left_out(e)
+            if 0 < len(e.key) <= MOST_TERMS and e.net_gain > 0.0 and not self._search.has_left_out(e)
         )
-        ranking = sorted(candidates, key=lambda e: -e.worth)
+        ranking = sorted(candidates, key=lambda e: -e.net_gain)
         by_names = [e for e in ranking if not e.without_a_name][:MOST_NAMED]
         queue = [e for i, e in enumerate(ranking) if i < MOST_JUDGED or e in by_names or e.by_place is not None]
         explanations: dict[Key, Explanation] = {}
         while queue:
             explanation = queue.pop(0)
             if explanation.key and explanation.key not in explanations:
-                explanations[explanation.key] = self._search.polished(explanation)
+                explanations[explanation.key] = self._search.polish(explanation)
                 queue += [self._search.without(explanation, name) for name in explanation.terms]
-        return sorted(explanations.values(), key=lambda e: -e.worth)
+        return sorted(explanations.values(), key=lambda e: -e.net_gain)
 
     def _select(self, confirmed_explanations: Sequence[Explanation]) -> Explanation:
         """Choose among those that no other significantly beats: fewest unnamed terms first, then the highest worth.
@@ -279,9 +282,9 @@ class Choice:
         contenders = [e for e in confirmed_explanations if not any(self._beats(rival, e) for rival in confirmed_explanations)]
 
         def rank(explanation: Explanation) -> tuple[int, float]:
-            return -explanation.without_a_name, explanation.worth
+            return -explanation.without_a_name, explanation.net_gain
 
-        return max(contenders or confirmed_explanations, key=rank, default=self._search.nothing)
+        return max(contenders or confirmed_explanations, key=rank, default=self._search.base_explanation)
 
     def _beats(self, rival: Explanation, explanation: Explanation) -> bool:
         """Whether a rival predicts significantly better than an explanation.
@@ -308,7 +311,7 @@ class Choice:
             if len(key - explanation.key) == 1 and explanation.key < key:
                 (name,) = key - explanation.key
                 term = replace(child.terms[name], level=self._validation.gain(explanation.score, child.score))
-                terms_added.append(term.graded_as(self._graded.get((key, name), term)))
+                terms_added.append(term.graded_as(self._terms_by_name.get((key, name), term)))
         terms_by_level = tuple(sorted(terms_added, key=lambda term: -term.level))
         return Round(explanation.fit, proposals.separability, terms_by_level, self._search.cost)
 
@@ -318,10 +321,10 @@ class Choice:
         search_round = self._round(remainder)
         level = self._validation.gain(remainder.score, explanation.score)
         contenders = [c for c in search_round.candidates if c.is_name == term.is_name and c.level > level - NEAR]
-        rivals = {c.name: self._search.polished(self._search.known[remainder.key | {c.name}]) for c in contenders}
-        rivals = {rival_name: e for rival_name, e in rivals.items() if e.worth > 0.0 and self._is_rival(e, rival_name, name)} | {
-            name: explanation
-        }
+        rivals = {c.name: self._search.polish(self._search.known[remainder.key | {c.name}]) for c in contenders}
+        rivals = {
+            rival_name: e for rival_name, e in rivals.items() if e.net_gain > 0.0 and self._is_rival(e, rival_name, name)
+        } | {name: explanation}
         worse_names = {rival_name for rival_name, e in rivals.items() if e is not explanation and self._beats(explanation, e)}
         shares = dict(zip(rivals, self._validation.shares([e.score for e in rivals.values()]).tolist(), strict=True))
         separability = search_round.separability
@@ -340,7 +343,9 @@ class Choice:
 
     def _is_rival(self, explanation: Explanation, name: str, chosen_name: str) -> bool:
         """Whether a replacement of a chosen term would be confirmed itself, or these drives hardly separate the two."""
-        return {name, chosen_name} <= set(TIED) or (self.graded(explanation, name).confirmed and self._is_confirmed(explanation))
+        return {name, chosen_name} <= set(TIED) or (
+            self.grade_term(explanation, name).confirmed and self._is_confirmed(explanation)
+        )
 
     def _shares(self, explanations: Sequence[Explanation]) -> dict[str, float]:
         """Probability of each name, and of no name: shares of the explanations that have it."""

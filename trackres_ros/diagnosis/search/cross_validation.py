@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.patterns import ResidualPattern
-from trackres_ros.diagnosis.inference.fitting import Fit, Problem, bounded
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, solve_bounded
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Array, Mask
-from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, numbered
+from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement, number_pieces
 from trackres_ros.diagnosis.selection.visibility import base_columns
 
 FOLDS = 4
@@ -52,12 +52,12 @@ class CrossValidation:
 
     def __init__(self, base_fit: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
         sessions, masks = base_fit.problem.sessions, base_fit.problem.masks
-        fitted_laps = list(zip(numbered(sessions, masks, FOLDS), masks, strict=True))
+        fitted_laps = list(zip(number_pieces(sessions, masks, FOLDS), masks, strict=True))
         laps = np.unique(np.concatenate([lap[m] for lap, m in fitted_laps]))
         self._fold = [np.where(m, np.searchsorted(laps, lap) % FOLDS, -1) for lap, m in fitted_laps]
         self.scored = [m | h for m, h in zip(masks, held_out, strict=True)]
         self.measured = self._samples([s.torque for s in sessions])
-        pieces = self._samples(numbered(sessions, self.scored, FEWEST_LAPS))
+        pieces = self._samples(number_pieces(sessions, self.scored, FEWEST_LAPS))
         _, first_rows, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
         self._count = np.bincount(self._pieces)
         self._begin = self._samples([s.time for s in sessions])[first_rows]
@@ -91,7 +91,9 @@ class CrossValidation:
             for fold in range(count):
                 rows = rows_of(fold)
                 own_information = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
-                shift = scale * bounded(information - own_information + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
+                shift = (
+                    scale * solve_bounded(information - own_information + ridge, push - x[rows].T @ slopes[rows], low, high)[0]
+                )
                 for i, numbers in enumerate(folds):
                     torques[i][numbers == fold] += by_session[i][numbers == fold] @ shift
             return torques

@@ -44,16 +44,16 @@ class Proposals:
     """The proposals for one explanation, and how many terms they were chosen from."""
 
     own: Array  # derivatives of the fit's own parameters
-    every: Mapping[str, Proposal]  # by name
+    by_name: Mapping[str, Proposal]  # by name
     separability: Separability
 
     def best(self, left_out: Collection[str]) -> tuple[Proposal, ...]:
         """The best of each list, without some names; with one of `TIED`, all of these."""
-        pool = [p for name, p in self.every.items() if name not in left_out]
-        threshold = math.log(max(len(self.every), 1))  # the best of as many gains that by chance
+        pool = [p for name, p in self.by_name.items() if name not in left_out]
+        threshold = math.log(max(len(self.by_name), 1))  # the best of as many gains that by chance
         by_level = sorted(pool, key=lambda p: -p.level)[:BEST]
-        by_white = sorted(pool, key=lambda p: -p.fast)[:BEST]
-        proposals = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast) > threshold}
+        by_white = sorted(pool, key=lambda p: -p.fast_gain)[:BEST]
+        proposals = {p.effect.name: p for p in (*by_level, *by_white) if max(p.level, p.fast_gain) > threshold}
         if not proposals.keys().isdisjoint(TIED):
             proposals |= {p.effect.name: p for p in pool if p.effect.name in TIED}
         return tuple(proposals.values())
@@ -64,12 +64,12 @@ class Proposer:
 
     def __init__(self, base: Fit, effects: Mapping[str, Effect], used_masks: Sequence[Mask]) -> None:
         self._pool = {**effects, **candidates(base)}
-        self._columns, self._used = EffectColumns(base), used_masks
+        self._columns, self._used_masks = EffectColumns(base), used_masks
 
     def proposals(self, current: Fit) -> Proposals:
         """The best additions to a fit."""
         own_columns = base_columns(current)
-        levels = Levels(current, own_columns, self._used)
+        levels = Levels(current, own_columns, self._used_masks)
         present_effects = [a.effect for a in current.effects]
         pool = {**self._pool, **self._scanned_forms(current, levels)}
         pool = {key: e for key, e in pool.items() if not any(e.name == p.name or same_variable(e, p) for p in present_effects)}
@@ -110,11 +110,11 @@ def same_variable(effect: Effect, other_effect: Effect) -> bool:
 
 def _stronger(first_proposal: Proposal, second_proposal: Proposal) -> Proposal:
     """The start with the larger gain; each list has the best of both."""
-    strong_proposal = max(first_proposal, second_proposal, key=lambda p: max(p.level, p.fast))
+    strong_proposal = max(first_proposal, second_proposal, key=lambda p: max(p.level, p.fast_gain))
     return replace(
         strong_proposal,
         level=max(first_proposal.level, second_proposal.level),
-        fast=max(first_proposal.fast, second_proposal.fast),
+        fast_gain=max(first_proposal.fast_gain, second_proposal.fast_gain),
     )
 
 
@@ -123,7 +123,7 @@ def _proposal(s: Proposal, levels: Levels) -> Proposal:
     spans, (low, high) = amplitude_spans(s.effect), amplitude_bounds(s.effect)
     candidate = Amplitudes(levels.means(s.columns) * spans, low, high)
     level = levels.gain(candidate)
-    amplitudes = levels.start(candidate) if level >= s.fast else s.moved
+    amplitudes = levels.start(candidate) if level >= s.fast_gain else s.amplitudes
     return replace(s, start=_initial_values(s, amplitudes), level=level)
 
 

@@ -25,7 +25,7 @@ CLUSTER_S = 60.0  # of blocks whose errors are alike
 CONDITIONS = {"late in a drive": "early", "with hot belts": "cold", "fast": "slow", "in later recordings": "earlier ones"}
 
 
-def unstable(fit: Fit, name: str, used_masks: Sequence[Mask]) -> list[str]:
+def find_instabilities(fit: Fit, name: str, used_masks: Sequence[Mask]) -> list[str]:
     """Where the size of an effect surely differs, in words after its name; at most one."""
     levels, is_known = Levels(fit, base_columns(fit), used_masks), np.concatenate(list(used_masks))
     torque = np.concatenate(fit.contribution(name))

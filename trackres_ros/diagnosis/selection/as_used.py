@@ -169,12 +169,12 @@ class AsUsed:
         self, base: Base, sessions: Sequence[DriveSession], recorded_sessions: Sequence[DriveSession], laps: HeldOutLaps
     ) -> None:
         self._sessions = tuple(sessions)
-        self._around = base, tuple(replace(s, first_drive=True) for s in sessions)
-        self._alone = self._around
-        pairs = list(zip(self._around[1], recorded_sessions, strict=True))
+        self._base_around = base, tuple(replace(s, first_drive=True) for s in sessions)
+        self._base_alone = self._base_around
+        pairs = list(zip(self._base_around[1], recorded_sessions, strict=True))
         if base.alone is not base or any(s.given != r.given or s.torque_by_place is not r.torque_by_place for s, r in pairs):
             sessions_alone = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
-            self._alone = base.alone, tuple(sessions_alone)
+            self._base_alone = base.alone, tuple(sessions_alone)
         self.base, self._laps = base, laps
         self.distance = sum(float(np.abs(np.nan_to_num(s.speed)).sum()) * s.step for s in sessions)
         self._read = dict[tuple[bool, tuple[float, ...]], Base]()
@@ -194,7 +194,7 @@ class AsUsed:
     def expected(self, values: Values | None, effects: Sequence[Active], is_alone: bool) -> list[Array]:
         """Sensed torque of each session [Nm] from the written file, with each drive by itself."""
         base = self._base_with(values, is_alone)
-        _, sessions = self._alone if is_alone else self._around
+        _, sessions = self._base_alone if is_alone else self._base_around
         return [p.torque for p in base.predict(sessions, base.nominal, self.written(effects))]
 
     def outside(self, values: Values | None) -> dict[str, RangedValue]:
@@ -208,10 +208,10 @@ class AsUsed:
         }
 
     def _base_with(self, values: Values | None, is_alone: bool) -> Base:
-        base, _ = self._alone if is_alone else self._around
+        base, _ = self._base_alone if is_alone else self._base_around
         if values is None:
             return base
-        key = is_alone and self._alone is not self._around, tuple(values.values())
+        key = is_alone and self._base_alone is not self._base_around, tuple(values.values())
         if key not in self._read:
             self._read[key] = base.as_written(values)
         return self._read[key]
@@ -222,7 +222,7 @@ class AsUsed:
 
     def surely_better(self, fit_after: Fit, fit_before: Fit) -> bool:
         """Whether the error of one fit is significantly smaller, without surroundings."""
-        base, sessions = self._alone
+        base, sessions = self._base_alone
         written_effects = (self.written(of_kind(f.effects, VEHICLE, SENSOR)) for f in (fit_before, fit_after))
         results = (
             base.predict(sessions, f.base_values, effects)
@@ -277,16 +277,16 @@ def _limited_fit(result: Fit, free_names: Collection[str]) -> Fit:
 class _Option:
     """Possible content of the files; `fitted` is the fit of the base values, None for the file's own."""
 
-    fitted: Fit | None
+    fit_of_base: Fit | None
     effects: tuple[Active, ...]
 
     @property
     def values(self) -> Values | None:
-        return None if self.fitted is None else self.fitted.base_values
+        return None if self.fit_of_base is None else self.fit_of_base.base_values
 
     @property
     def text(self) -> str:
-        base = "the file's own values" if self.fitted is None else "the re-fitted values"
+        base = "the file's own values" if self.fit_of_base is None else "the re-fitted values"
         return " and ".join([base, *([", ".join(a.effect.name for a in self.effects)] if self.effects else [])])
 
 
@@ -345,7 +345,7 @@ def _objection(option: _Option, confirmed_names: Collection[str], use: AsUsed) -
     """Reason for not writing an option; empty if it may be written."""
     values, effects = option.values, option.effects
     try:
-        error_alone, error_before = _alone(option, confirmed_names, use)
+        error_alone, error_before = _errors_alone(option, confirmed_names, use)
     except InputError as error:  # a fit may be infeasible elsewhere: a belt that burns at its greatest speed
         return f"no command would accept that file: {error.given}; allowed: {error.allowed}"
     if error_alone > error_before:
@@ -363,7 +363,7 @@ def _objection(option: _Option, confirmed_names: Collection[str], use: AsUsed) -
     return ""
 
 
-def _alone(option: _Option, confirmed_names: Collection[str], use: AsUsed) -> tuple[float, float]:
+def _errors_alone(option: _Option, confirmed_names: Collection[str], use: AsUsed) -> tuple[float, float]:
     """Errors of vehicle.yaml alone and of its original against the torque with confirmed sensor corrections [Nm]."""
     sensors = _sensor_corrections(option, confirmed_names)
     error = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], is_alone=True)
@@ -382,12 +382,12 @@ def _file_changes(
     ranges = {
         key: interval for active in option.effects for key, interval in _later_intervals(active, bounds, use.distance).items()
     }
-    if option.fitted is not None:
-        base_intervals = bounds if option.fitted is final_fit else intervals(option.fitted)
+    if option.fit_of_base is not None:
+        base_intervals = bounds if option.fit_of_base is final_fit else intervals(option.fit_of_base)
         ranges |= {key: interval for key, interval in base_intervals.items() if not key[0]}
-    error_alone, error_before = _alone(option, confirmed_names, use)
+    error_alone, error_before = _errors_alone(option, confirmed_names, use)
     error = f"the mean error on hold-out laps is {figures(error_alone)} Nm with vehicle.yaml alone"
-    error += f", {figures(error_before)} Nm with the old file" if option.fitted is not None or option.effects else ""
+    error += f", {figures(error_before)} Nm with the old file" if option.fit_of_base is not None or option.effects else ""
     error += ", compared with the torque that the topics file corrects" if _sensor_corrections(option, confirmed_names) else ""
     if of_kind(option.effects, SURROUNDINGS):
         error += f", {figures(use.error(option.values, option.effects))} Nm with surroundings.yaml"

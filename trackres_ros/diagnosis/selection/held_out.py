@@ -38,8 +38,8 @@ class Improvement:
     after: float  # and of this one
     low: float  # 95 % interval of the difference, over laps
     high: float
-    likelier: float = -np.inf  # lower bound of the level score; negative infinity where not requested
-    gained: float = np.nan  # the level score; nan where not requested
+    likelihood_bound: float = -np.inf  # lower bound of the level score; negative infinity where not requested
+    level_gain: float = np.nan  # the level score; nan where not requested
 
     @property
     def grade(self) -> str:
@@ -51,18 +51,18 @@ class Improvement:
         """
         if self.after > NO_WORSE * self.before or self.high < 0.0:
             return REFUTED
-        is_sure = self.likelier > 0.0 or (self._falls and not self.gained <= 0.0)
+        is_sure = self.likelihood_bound > 0.0 or (self._is_smaller and not self.level_gain <= 0.0)
         return CONFIRMED if self.after <= self.before and is_sure else SUSPECTED
 
     @property
     def less_likely(self) -> bool:
         """Whether only the level score prevents a confirmation: it falls although the mean error significantly falls too."""
-        return self._falls and self.gained <= 0.0
+        return self._is_smaller and self.level_gain <= 0.0
 
     @property
-    def _falls(self) -> bool:
+    def _is_smaller(self) -> bool:
         """Whether the mean error falls significantly, with level scores by at least `SMALL_SHARE`."""
-        least_gain = 0.0 if np.isinf(self.likelier) else SMALL_SHARE * self.before
+        least_gain = 0.0 if np.isinf(self.likelihood_bound) else SMALL_SHARE * self.before
         return self.low > 0.0 and self.before - self.after >= least_gain
 
     @property
@@ -83,7 +83,7 @@ class HeldOutLaps:
         self.measured = self.samples([s.torque for s in sessions])
         self.blocks = np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)])
         self.names = {int(b): lap_name(s, int(b)) for s in sessions for b in np.unique(s.block)}
-        _, self._piece = np.unique(self.samples(numbered(sessions, masks, FEWEST_LAPS)), return_inverse=True)
+        _, self._piece = np.unique(self.samples(number_pieces(sessions, masks, FEWEST_LAPS)), return_inverse=True)
         self._count = np.bincount(self._piece)
         n = len(self._count)
         self._draws = rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
@@ -111,7 +111,7 @@ class HeldOutLaps:
         return self.improvement(*([p.torque for p in fit.predicted] for fit in (fit_before, fit_after)))
 
 
-def numbered(sessions: Sequence[DriveSession], masks: Sequence[Mask], least_count: int) -> list[NDArray[np.int64]]:
+def number_pieces(sessions: Sequence[DriveSession], masks: Sequence[Mask], least_count: int) -> list[NDArray[np.int64]]:
     """Number of the lap of each sample of sessions; of its piece, by lap and time, where masks have fewer than `least_count`."""
     laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
     if len(laps) >= least_count:

@@ -60,12 +60,12 @@ class Levels:
         self._unit = np.maximum(scatter, 1e-9)[self._kind]
         self.residual = residual / self._unit
         scale, std, nominal = (np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal"))
-        self._own = self.means(own_columns) * scale
+        self._own_means = self.means(own_columns) * scale
         self._prior = scale / std
         self._pull = np.nan_to_num((nominal - fit.point) / std)
-        self.nothing = self.errors(None)
+        self.base_errors = self.errors(None)
         prior = np.eye(len(self._prior)) * (self._prior**2 + RIDGE)
-        self._projector = np.linalg.solve(self._own.T @ self._own + prior, self._own.T)
+        self._projector = np.linalg.solve(self._own_means.T @ self._own_means + prior, self._own_means.T)
 
     def _index(self, fit: Fit, used_masks: Sequence[Mask]) -> None:
         """Block of each row, and the folds of the blocks."""
@@ -80,15 +80,15 @@ class Levels:
             block = (time // length).astype(np.int64)
             keys.append(np.stack([np.full(len(block), number), block]))
             masks.append(is_known)
-        self._used = np.concatenate(masks)
+        self._used_rows = np.concatenate(masks)
         unique_keys, self._block = np.unique(np.concatenate(keys, axis=1), axis=1, return_inverse=True)
         self._block = self._block.ravel()
-        self._count = np.bincount(self._block[self._used], minlength=unique_keys.shape[1])
-        self._full = self._count >= LEAST_FILLED * np.bincount(self._block)
-        segments = [problem.segments[i] for i in unique_keys[0, self._full]]
+        self._count = np.bincount(self._block[self._used_rows], minlength=unique_keys.shape[1])
+        self._is_full = self._count >= LEAST_FILLED * np.bincount(self._block)
+        segments = [problem.segments[i] for i in unique_keys[0, self._is_full]]
         self._kind = np.array([self._kinds.index(g.kind) for g in segments])
         self.recording = np.array([g.session for g in segments])
-        self.time = unique_keys[1, self._full] * length
+        self.time = unique_keys[1, self._is_full] * length
         pieces = np.unique(
             np.stack([self.recording, self.time // (PIECE_S * problem.sessions[0].pace)]), axis=1, return_inverse=True
         )[1]
@@ -103,8 +103,8 @@ class Levels:
         """Block means of rows of all segments, shape (n,) or (n, k)."""
         if rows.ndim == 2:
             return np.stack([self._raw(column) for column in rows.T], axis=1) if rows.shape[1] else np.empty((self.blocks, 0))
-        total = np.bincount(self._block, np.where(self._used, np.nan_to_num(rows), 0.0), len(self._count))
-        return np.asarray(total[self._full] / self._count[self._full])
+        total = np.bincount(self._block, np.where(self._used_rows, np.nan_to_num(rows), 0.0), len(self._count))
+        return np.asarray(total[self._is_full] / self._count[self._is_full])
 
     def means(self, rows: Array) -> Array:
         """Block means over the scatter of the residual; of all segments, or of all torques."""
@@ -134,21 +134,21 @@ class Levels:
         for folds in (self._pieces, self._recordings):
             error = np.full(self.blocks, np.nan)
             if len(folds):
-                prediction = self._solved(candidate, ~folds)[0]
+                prediction = self._solve(candidate, ~folds)[0]
                 error[:] = np.where(folds, self.residual - prediction, 0.0).sum(axis=0)
             errors.append(error)
         return LevelErrors(*errors)
 
     def start(self, candidate: Amplitudes) -> Array:
         """The amplitudes over their typical ones that fit all blocks best."""
-        _, amplitudes = self._solved(candidate, np.ones((1, self.blocks), dtype=bool))
+        _, amplitudes = self._solve(candidate, np.ones((1, self.blocks), dtype=bool))
         return np.asarray(amplitudes[0])
 
-    def _solved(self, candidate: Amplitudes | None, used_folds: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def _solve(self, candidate: Amplitudes | None, used_folds: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Prediction of all blocks by each fold's fit, shape (folds, blocks), and its amplitudes."""
         extra_columns = np.empty((self.blocks, 0)) if candidate is None else candidate.columns
         count = extra_columns.shape[1]
-        x = np.column_stack([self._own, extra_columns])
+        x = np.column_stack([self._own_means, extra_columns])
         prior = np.diag(np.append(self._prior**2, np.full(count, PRIOR**2)) + RIDGE)
         pull = np.append(self._prior * self._pull, np.zeros(count))
         weight = used_folds.astype(float)
@@ -159,7 +159,7 @@ class Levels:
                 if not np.array_equal(amplitudes, values[:, -count:]):
                     rest = self.residual - amplitudes @ extra_columns.T
                     base = slice(0, len(self._prior))
-                    own_solution = _least_squares(self._own, rest, weight, prior[base, base], pull[base])
+                    own_solution = _least_squares(self._own_means, rest, weight, prior[base, base], pull[base])
                     values = np.column_stack([own_solution, amplitudes])
             error = np.abs(self.residual - values @ x.T)
             weight = used_folds / np.maximum(1.0, error / HUBER)
@@ -169,7 +169,7 @@ class Levels:
         """Gain in log-likelihood of the blocks left out: mean of that by pieces and by recordings, less one for each amplitude
         beyond the first.
         """
-        pairs = zip(self.nothing, self.errors(candidate), strict=True)
+        pairs = zip(self.base_errors, self.errors(candidate), strict=True)
         gains = [
             log_likelihood(candidate_errors) - log_likelihood(base_errors)
             for base_errors, candidate_errors in pairs
@@ -181,7 +181,7 @@ class Levels:
         """Share by which a column of all torques lowers the mean error of the blocks that are predicted without their piece."""
         column = self.means(torque)[:, np.newaxis]
         new_errors = self.errors(Amplitudes(column, np.array([-np.inf]), np.array([np.inf])))
-        return 1.0 - float(np.nanmean(np.abs(new_errors.pieces)) / np.nanmean(np.abs(self.nothing.pieces)))
+        return 1.0 - float(np.nanmean(np.abs(new_errors.pieces)) / np.nanmean(np.abs(self.base_errors.pieces)))
 
     def change_of(self, torque: Array, changing_torque: Array, cluster_s: float) -> tuple[float, float]:
         """Fit the coefficient of a column `changing_torque`, with the base and the `torque` of a term; and its standard
@@ -189,7 +189,7 @@ class Levels:
 
         The deviation is that of clusters of `cluster_s` [s] whose errors may be alike.
         """
-        x = np.column_stack([self._own, self.means(torque), self.means(changing_torque)])
+        x = np.column_stack([self._own_means, self.means(torque), self.means(changing_torque)])
         prior = np.diag(np.append(self._prior**2, [0.0, 0.0]) + RIDGE)
         pull = np.append(self._prior * self._pull, [0.0, 0.0])
         weight = np.ones((1, self.blocks))
@@ -205,7 +205,7 @@ class Levels:
 
     def beyond(self, columns: Array) -> Array:
         """Part of block means that the base's own columns do not explain, within their priors."""
-        return np.asarray(columns - self._own @ (self._projector @ columns))
+        return np.asarray(columns - self._own_means @ (self._projector @ columns))
 
 
 def log_likelihood(error: Array) -> float:

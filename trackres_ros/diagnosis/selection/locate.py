@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import kolmogorov
 
 from trackres_ros.diagnosis.base.base import Predicted
-from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.base.variables import BY_NAME, varying_series
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.text import figures, on_scale
@@ -95,7 +95,7 @@ def regime_map(fit: Fit, rng: np.random.Generator, predictions: Sequence[Predict
     e, plain_residual = (np.concatenate(against_travel(sessions, values))[is_valid] for values in (rows, torque_residuals(fit)))
     pieces = _pieces(rows)[is_valid]
     members, bins = [], []
-    for name, series in varying(sessions, predictions or fit.predicted).items():
+    for name, series in varying_series(sessions, predictions or fit.predicted).items():
         values = series[is_valid]
         for low, high in _edges(values):
             is_inside = (values >= low) & (values <= high)
@@ -218,7 +218,7 @@ def closest_channel(fit: Fit, torques: Sequence[Array]) -> str:
     sessions, torque = fit.problem.sessions, np.concatenate(torques)
     used_steps = np.concatenate([s.used for s in sessions]) & np.isfinite(torque)
     _, laps = np.unique(np.concatenate([s.block for s in sessions])[used_steps], return_inverse=True)
-    series_by_name = {name: x for name, x in varying(sessions, fit.predicted).items() if not BY_NAME[name].as_clock}
+    series_by_name = {name: x for name, x in varying_series(sessions, fit.predicted).items() if not BY_NAME[name].as_clock}
     series_by_name["driving torque"] = np.concatenate(
         [p.at_sprockets * s.ahead for p, s in zip(fit.predicted, sessions, strict=True)]
     )
@@ -232,9 +232,9 @@ def closest_channel(fit: Fit, torques: Sequence[Array]) -> str:
     cells_by_name = {name: _cells(x, CELLS_OF_PAIR) for name, x in channels.items()}
     shares: dict[tuple[str, ...], float] = {}
     for name, x in channels.items():
-        shares[(name,)] = _explained(torque[used_steps], _cells(x, CELLS), laps)
+        shares[(name,)] = _explained_share(torque[used_steps], _cells(x, CELLS), laps)
     for a, b in combinations(channels, 2):
-        shares[a, b] = _explained(torque[used_steps], CELLS_OF_PAIR * cells_by_name[a] + cells_by_name[b], laps)
+        shares[a, b] = _explained_share(torque[used_steps], CELLS_OF_PAIR * cells_by_name[a] + cells_by_name[b], laps)
     best_names = max(shares, key=lambda names: shares[names] / (CLEARLY if len(names) > 1 else 1.0))
     name, share = " with ".join(best_names), f"{100.0 * shares[best_names]:.0f} %"
     if shares[best_names] < FOLLOWS_LEAST:
@@ -252,7 +252,7 @@ def _cells(x: Array, bins: int) -> NDArray[np.int64]:
     return evenly_filled(x, bins)[1]
 
 
-def _explained(torque: Array, cells: NDArray[np.int64], laps: NDArray[np.int64]) -> float:
+def _explained_share(torque: Array, cells: NDArray[np.int64], laps: NDArray[np.int64]) -> float:
     """Share of the variance of a torque that the means of its cells over the other laps explain, at least zero."""
     number, width = int(laps.max()) + 1, int(cells.max()) + 1
     cell = laps * width + cells
@@ -376,7 +376,7 @@ def in_nm(torque: float) -> str:
     return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
-def within(variable: str, low: float, high: float, session: DriveSession, prediction: Predicted) -> Mask:
+def steps_within(variable: str, low: float, high: float, session: DriveSession, prediction: Predicted) -> Mask:
     """The compared steps of a session within a range of a variable."""
     series = BY_NAME[variable].of(session, prediction)
     return np.asarray(session.used & (series >= low) & (series <= high))
@@ -391,7 +391,7 @@ def locate(fit: Fit, adds: Sequence[Array]) -> Location:
     best_share, result = -1.0, Location("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
     shares: dict[str, float] = {}
     # Time-like variables follow every single change in a drive, so they must explain clearly more.
-    for name, values in sorted(varying(sessions, fit.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
+    for name, values in sorted(varying_series(sessions, fit.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
         x = values[used_steps]
         if np.ptp(x) == 0.0:
             continue
@@ -417,7 +417,7 @@ def locate(fit: Fit, adds: Sequence[Array]) -> Location:
     return replace(result, alike=tuple(name for name in similar_names if TIED * shares[name] >= best_share))
 
 
-def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
+def smooth_residual(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
     """Moving averages of a residual over some seconds of a drive, see `session.pace`; nan in gaps."""
 
     def summed(values: Array, over_s: float) -> Array:
@@ -489,7 +489,7 @@ def only_later(base_fit: Fit, unused_error: float) -> tuple[float, float] | None
 def regime_of(base_fit: Fit, final_fit: Fit, at_base: RegimeMap, location: Location) -> tuple[Bin, ...]:
     """Residual of the base against travel where an effect of `final_fit` acts, and its other significant bins."""
     sessions, limits = base_fit.problem.sessions, (location.variable, location.low, location.high)
-    masks_inside = [within(*limits, s, p) for s, p in zip(sessions, final_fit.predicted, strict=True)]
+    masks_inside = [steps_within(*limits, s, p) for s, p in zip(sessions, final_fit.predicted, strict=True)]
     residual = np.concatenate(against_travel(sessions, torque_residuals(base_fit)))[np.concatenate(masks_inside)]
     mean = float(residual.mean()) if len(residual) else 0.0
     local_bin = Bin(*limits, mean, location.unit, len(residual), at_base.likeliest(*limits))

@@ -37,8 +37,8 @@ class Proposal:
     d_prime: float  # visibility of a typical effect in standard deviations
     by_priors: float  # part of it due to base parameters pushed out of the ranges of the vehicle file
     direction: Array  # whitened, orthogonal to the base, of unit length: for the cosine between two effects, empty after that
-    fast: float = 0.0  # gain in log-likelihood under the noise that best whitens the residual, to first order
-    moved: Array = field(default_factory=lambda: np.empty(0))  # the amplitudes of that gain over the typical ones
+    fast_gain: float = 0.0  # gain in log-likelihood under the noise that best whitens the residual, to first order
+    amplitudes: Array = field(default_factory=lambda: np.empty(0))  # the amplitudes of that gain over the typical ones
     level: float = math.nan  # gain by the level of the torque, in log-likelihood of block means left out
 
     @property
@@ -118,7 +118,7 @@ def separability(
     visible_proposals, directions = [], dict[str, Array]()
     for effect in counted(possible_effects, "visibility of each effect", len(possible_effects)):
         columns = [(start, columns_of(effect, start)) for start in starts(effect)]
-        proposals, best_visibility = visibility.strongest(effect, columns)
+        proposals, best_visibility = visibility.find_strongest(effect, columns)
         if best_visibility is None:
             not_visible.append(NotVisible(effect, "it has no effect here"))
         elif LARGE * best_visibility.d_prime < LEAST_D_PRIME:
@@ -132,7 +132,7 @@ def separability(
                 not_visible.append(NotVisible(effect, reason))
             if is_name(effect):
                 directions[effect.name] = best_visibility.direction
-            visible_proposals += [replace(fast_gains.added(s), direction=np.empty(0)) for s in proposals]
+            visible_proposals += [replace(fast_gains.add_gain(s), direction=np.empty(0)) for s in proposals]
     matrix = np.array(list(directions.values())) if directions else np.empty((0, 0))
     return Separability(tuple(visible_proposals), tuple(not_visible), tuple(directions), matrix @ matrix.T)
 
@@ -146,7 +146,7 @@ def starts(effect: Effect) -> list[dict[str, float]]:
 @lru_cache(maxsize=2)  # several ask for the last ones
 def base_columns(fit: Fit) -> Array:
     """Change of all predicted segments with each free parameter of the fit, shape (n, parameters)."""
-    return jacobian(lambda point: _expected(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
+    return jacobian(lambda point: _model_torques(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
 
 
 class EffectColumns:
@@ -154,7 +154,7 @@ class EffectColumns:
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
-        self._known, self._torque_columns = (dict[tuple[Effect, tuple[float, ...]], Array]() for _ in range(2))
+        self._columns_by_values, self._torque_columns = (dict[tuple[Effect, tuple[float, ...]], Array]() for _ in range(2))
 
     def give(self, effect: Effect, torque: Array) -> None:
         """Columns of an effect that only adds a torque, of all sessions concatenated, shape (n, amplitudes): no simulation."""
@@ -172,16 +172,16 @@ class EffectColumns:
         key = effect, tuple(start.values())
         if key in self._torque_columns:
             return self._torque_columns[key]
-        if key not in self._known:
-            fit, base_torques = self._fit, _expected(self._fit, self._fit.predicted)
+        if key not in self._columns_by_values:
+            fit, base_torques = self._fit, _model_torques(self._fit, self._fit.predicted)
             amplitudes = [(q, q.off, q.start - q.off) for q in effect.parameters if q.off is not None]
             off_values = {**start, **{q.name: zero for q, zero, _ in amplitudes}}
             columns = np.empty((len(base_torques), len(amplitudes)))
             for i, (q, zero, step) in enumerate(amplitudes):  # the secant: some effects are far from linear
                 active = [*fit.acting, Active(effect, {**off_values, q.name: zero + step})]
-                columns[:, i] = (_expected(fit, fit.problem.predict(fit.base_values, active)) - base_torques) / step
-            self._known[key] = columns
-        return self._known[key]
+                columns[:, i] = (_model_torques(fit, fit.problem.predict(fit.base_values, active)) - base_torques) / step
+            self._columns_by_values[key] = columns
+        return self._columns_by_values[key]
 
 
 class _Visibility:
@@ -190,11 +190,11 @@ class _Visibility:
     def __init__(self, fit: Fit, own_columns: Array) -> None:
         self._fit = fit
         self._std, self._scale = (np.array([getattr(f, name) for f in fit.free]) for name in ("std", "scale"))
-        self._own = _white(own_columns, fit) * self._scale
+        self._own_columns = _white(own_columns, fit) * self._scale
         prior, ridge = np.diag((self._scale / self._std) ** 2), 1e-9 * np.eye(len(self._scale))
-        self._factor = np.linalg.inv(self._own.T @ self._own + prior + ridge)
+        self._factor = np.linalg.inv(self._own_columns.T @ self._own_columns + prior + ridge)
 
-    def strongest(
+    def find_strongest(
         self, effect: Effect, columns: Sequence[tuple[dict[str, float], Array]]
     ) -> tuple[list[Proposal], Proposal | None]:
         """Sensitivity to an effect from each start with any influence, and the largest one."""
@@ -210,8 +210,8 @@ class _Visibility:
             full_norm = float(np.linalg.norm(white))
             if not full_norm > 1e-9:
                 continue
-            absorption = self._factor @ (self._own.T @ white)
-            remainder, shift = white - self._own @ absorption, absorption * self._scale / self._std
+            absorption = self._factor @ (self._own_columns.T @ white)
+            remainder, shift = white - self._own_columns @ absorption, absorption * self._scale / self._std
             data, prior = float(np.linalg.norm(remainder)), float(np.linalg.norm(shift))
             rest = float(np.hypot(data, prior))
             if best_proposal is None or rest > best_proposal.d_prime:
@@ -231,21 +231,23 @@ class _FastGains:
         scale, std, nominal = (np.array([getattr(f, name) for f in fit.free]) for name in ("scale", "std", "nominal"))
         weights = fit.weights
         self._root = np.sqrt(weights[np.isfinite(weights)])
-        self._own = _white(own_columns, fit) * scale * self._root[:, np.newaxis]
+        self._own_columns = _white(own_columns, fit) * scale * self._root[:, np.newaxis]
         self._white = valid_rows(fit.white) * self._root
-        information = self._own.T @ self._own + np.diag((scale / std) ** 2) + 1e-9 * np.eye(len(scale))
+        information = self._own_columns.T @ self._own_columns + np.diag((scale / std) ** 2) + 1e-9 * np.eye(len(scale))
         self._covariance = np.linalg.inv(information)
-        self._pull = self._own.T @ self._white - np.nan_to_num((fit.point - nominal) / std**2) * scale
+        self._pull = self._own_columns.T @ self._white - np.nan_to_num((fit.point - nominal) / std**2) * scale
 
-    def added(self, s: Proposal) -> Proposal:
+    def add_gain(self, s: Proposal) -> Proposal:
         """The same sensitivity with its gain."""
         spans = amplitude_spans(s.effect)
         x = _white(s.columns, self._fit) * spans * self._root[:, np.newaxis]
-        projection = x.T @ self._own @ self._covariance
+        projection = x.T @ self._own_columns @ self._covariance
         score = x.T @ self._white - projection @ self._pull
-        information = x.T @ x - projection @ (self._own.T @ x) + np.eye(len(score)) / LARGE**2
+        information = x.T @ x - projection @ (self._own_columns.T @ x) + np.eye(len(score)) / LARGE**2
         amplitudes = np.clip(np.linalg.solve(information, score), *amplitude_bounds(s.effect))
-        return replace(s, fast=float(score @ amplitudes - 0.5 * amplitudes @ information @ amplitudes), moved=amplitudes)
+        return replace(
+            s, fast_gain=float(score @ amplitudes - 0.5 * amplitudes @ information @ amplitudes), amplitudes=amplitudes
+        )
 
 
 def amplitude_spans(effect: Effect) -> Array:
@@ -264,7 +266,7 @@ def amplitude_bounds(effect: Effect) -> tuple[Array, Array]:
     return low, high
 
 
-def _expected(fit: Fit, predictions: Sequence[Predicted]) -> Array:
+def _model_torques(fit: Fit, predictions: Sequence[Predicted]) -> Array:
     return np.concatenate(fit.problem.expected(predictions))
 
 

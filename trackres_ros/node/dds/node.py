@@ -23,7 +23,7 @@ from trackres_ros.node.dds.wire import (
     Writer,
     clock_ns,
     diagnostic_array,
-    prepared,
+    prepare_message,
     type_hash,
     typestore,
 )
@@ -65,9 +65,11 @@ class DdsNode:
         self._start_ns = time.monotonic_ns()
         self._output_names = [full_name(topic.name, node, namespace) for topic in application.outputs]
         self._torques = {full_name(name, node, namespace) for name in TORQUES}
-        self._fills = [None if topic.kind == "status" else prepared(topic, self._frame_id) for topic in application.outputs]
+        self._fills = [
+            None if topic.kind == "status" else prepare_message(topic, self._frame_id) for topic in application.outputs
+        ]
         self._writers: dict[int, Writer] = {}
-        self._open(shared=True)
+        self._open(is_shared=True)
         self._input_names = [self.topic_name(topic.name) for topic in application.inputs]
         self._quality, self._latched_quality = parameters.input_quality(), parameters.latched_quality()
         self._readers = [
@@ -105,11 +107,11 @@ class DdsNode:
 
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers on the topic of an input."""
-        connected, name, kind = self._readers[index].connected, self._input_names[index], self.application.inputs[index].type
+        connections, name, kind = self._readers[index].connections, self._input_names[index], self.application.inputs[index].type
         return [
             Peer(
                 publication.type,
-                publication.handle in connected,
+                publication.handle in connections,
                 publication.type != kind or _is_ours(kind, publication),
                 self._participant.node_of(publication),
                 publication.handle,
@@ -138,12 +140,12 @@ class DdsNode:
 
     def open_outputs(self) -> None:
         """Open the topics below the node's own name."""
-        self._open(shared=False)
+        self._open(is_shared=False)
         self._participant.announce()
 
-    def _open(self, shared: bool) -> None:
+    def _open(self, is_shared: bool) -> None:
         for output, (name, topic) in enumerate(zip(self._output_names, self.application.outputs, strict=True)):
-            if topic.shared is shared:
+            if topic.shared is is_shared:
                 quality = self.application.parameters.output_quality(topic)
                 self._writers[output] = self._participant.writer(name, topic.type, quality)
 
@@ -247,9 +249,9 @@ class DdsNode:
             self.application.messages.receive_values(index, stamp, values, origin, arrival, message.raw)
 
     def _tick_when_due(self) -> None:
-        now = time.monotonic_ns()
-        if now >= self._next_tick:
-            self._next_tick = max(self._next_tick + int(self.application.period_s * SECOND_NS), now)
+        now_ns = time.monotonic_ns()
+        if now_ns >= self._next_tick:
+            self._next_tick = max(self._next_tick + int(self.application.period_s * SECOND_NS), now_ns)
             self.application.tick()
 
     def close(self) -> None:

@@ -100,8 +100,8 @@ def known_type(name: str, place: str) -> str:
 
 def dds_type_name(name: str) -> str:
     """Name of a message type on the wire: std_msgs/msg/Float64 is std_msgs::msg::dds_::Float64_."""
-    package, kind, short = name.split("/")
-    return f"{package}::{kind}::dds_::{short}_"
+    package, kind, short_name = name.split("/")
+    return f"{package}::{kind}::dds_::{short_name}_"
 
 
 def ros_type_name(name: str) -> str:
@@ -127,15 +127,15 @@ def idl_struct(name: str) -> Any:
 
 def _idl_field(kind: Any) -> Any:
     types: Any = idl  # generic at run time only
-    node, inner = int(kind[0]), kind[1]
+    node, inner_kind = int(kind[0]), kind[1]
     if node == 1:  # a number or a string
-        name, bound = inner
+        name, bound = inner_kind
         if name == "string":
             return types.bounded_str[bound] if bound else str
         return OTHERWISE.get(name) or getattr(idl, name)
     if node == 2:  # another message
-        return idl_struct(inner)
-    element, bound = inner
+        return idl_struct(inner_kind)
+    element, bound = inner_kind
     if node == 3:
         return types.array[_idl_field(element), bound]
     return types.sequence[_idl_field(element), bound] if bound else types.sequence[_idl_field(element)]
@@ -200,7 +200,7 @@ class Publication:
 
     topic: str
     type: str
-    handle: int  # as in `TopicReader.connected` and `Taken`
+    handle: int  # as in `TopicReader.connections` and `Taken`
     user_data: bytes  # from ROS 2 as of `wire.type_hash`
     gid: bytes = b""
     latched: bool = False  # keeps its last messages for those who join later: reliable and transient local
@@ -250,7 +250,7 @@ class TopicReader:
         self._reference, self._latched = self.entity._ref, quality.latched
 
     @property
-    def connected(self) -> list[int]:
+    def connections(self) -> list[int]:
         """The writers whose messages come: quality of service and definition of the type fit."""
         return [handle % 2**64 for handle in self.entity.get_matched_publications()]  # the binding reads them with a sign
 
@@ -286,7 +286,7 @@ class Participant:
         self._nodes = DataReader(self.subscriber, graph, qos=qos(NODES_QUALITY, type_hash(GRAPH_TYPE)))
         self._entities: dict[bytes, Mapping[bytes, str]] = {}  # by participant: its writers, and the node of each
         self._publications = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
-        self._present: dict[int, Publication] = {}
+        self._publication_by_handle: dict[int, Publication] = {}
         self._writers: list[Writer] = []
         self._readers: list[TopicReader] = []
         self._waits: WaitSet | None = None
@@ -345,14 +345,14 @@ class Participant:
         for sample in self._publications.take(N=MOST_TAKEN):
             handle = sample.sample_info.instance_handle
             if sample.sample_info.instance_state != InstanceState.Alive:
-                self._present.pop(handle, None)
+                self._publication_by_handle.pop(handle, None)
             elif sample.topic_name.startswith(TOPIC_PREFIX):
                 name, kind = "/" + sample.topic_name.removeprefix(TOPIC_PREFIX), ros_type_name(sample.type_name)
                 user_data = getattr(sample.qos[Policy.Userdata], "data", b"")
-                reliable = isinstance(sample.qos[Policy.Reliability], Policy.Reliability.Reliable)
-                latched = reliable and sample.qos[Policy.Durability] != Policy.Durability.Volatile
-                self._present[handle] = Publication(name, kind, handle, user_data, sample.key.bytes, latched)
-        yield from self._present.values()
+                is_reliable = isinstance(sample.qos[Policy.Reliability], Policy.Reliability.Reliable)
+                latched = is_reliable and sample.qos[Policy.Durability] != Policy.Durability.Volatile
+                self._publication_by_handle[handle] = Publication(name, kind, handle, user_data, sample.key.bytes, latched)
+        yield from self._publication_by_handle.values()
 
     def close(self) -> None:
         """Leave; others see it at once."""
@@ -390,7 +390,7 @@ class PreparedMessage:
         return bytes(self._bytes)
 
 
-def prepared(topic: OutputTopic, frame_id: str) -> Fill:
+def prepare_message(topic: OutputTopic, frame_id: str) -> Fill:
     """A function that makes the message from a stamp [ns], the numbers of a topic and the reasons of an estimate."""
     if topic is ESTIMATE_TOPIC:
         return DdsEstimate(frame_id).fill
@@ -408,10 +408,10 @@ class DdsEstimate:
     def fill(self, stamp: int, values: Sequence[float], reasons: Reasons) -> bytes:
         """The message with a stamp [ns], its numbers and the present reasons."""
         if reasons != self._reasons:
-            self._prepared, self._reasons = self._with(reasons), reasons
-        return self._prepared.fill(stamp, values)
+            self._message, self._reasons = self._prepare(reasons), reasons
+        return self._message.fill(stamp, values)
 
-    def _with(self, reasons: Reasons) -> PreparedMessage:
+    def _prepare(self, reasons: Reasons) -> PreparedMessage:
         message = bag.estimate_message(typestore(), self._frame_id, reasons)
         return PreparedMessage(ESTIMATE_TOPIC, message, bag.number_fields(ESTIMATE_TOPIC))
 
@@ -439,7 +439,7 @@ class CdrInput:
         types = definitions(message_fields(typestore()), self._type)
         self._fields = FieldReader(types, self._type, fields, where=f"{place}: field")
         self._has_stamp = len(self._fields.paths) > len(fields)
-        self._fixed: tuple[tuple[slice, bytes], ...] = ()
+        self._constants: tuple[tuple[slice, bytes], ...] = ()
         self._length = -1
         self._places: list[tuple[int, struct.Struct] | str] = []
 
@@ -447,7 +447,7 @@ class CdrInput:
         """Stamp [ns], None where the type has none; and the scaled number of each binding, the reason where the message lacks
         it, nan of a receiver without a fix. Raises MalformedError if the bytes are no message of the type.
         """
-        if len(raw) != self._length or any(raw[span] != content for span, content in self._fixed):
+        if len(raw) != self._length or any(raw[span] != content for span, content in self._constants):
             self._learn(raw)
         numbers: list[Any] = [
             place if isinstance(place, str) else place[1].unpack_from(raw, place[0])[0] for place in self._places
@@ -466,7 +466,7 @@ class CdrInput:
     def _learn(self, raw: bytes) -> None:
         layout = layout_of(raw, self._fields.types, self._type, self._fields.paths)
         self._length = layout.length
-        self._fixed = tuple((slice(start, start + len(content)), content) for start, content in layout.constants)
+        self._constants = tuple((slice(start, start + len(content)), content) for start, content in layout.constants)
         self._places = [
             (spot[0], STRUCTS[spot[1]]) if spot else layout.lacks.get(slot, "") for slot, spot in enumerate(layout.spots)
         ]

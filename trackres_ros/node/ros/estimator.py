@@ -50,8 +50,8 @@ def _executable() -> Any:
 def _not_of_ros(arguments: Sequence[str]) -> list[str]:
     from rclpy.utilities import remove_ros_args
 
-    unused = remove_ros_args(arguments)[1:]
-    return [f"arguments without effect: {' '.join(unused)}; those of ROS follow --ros-args"] if unused else []
+    arguments_left = remove_ros_args(arguments)[1:]
+    return [f"arguments without effect: {' '.join(arguments_left)}; those of ROS follow --ros-args"] if arguments_left else []
 
 
 def run(
@@ -143,7 +143,7 @@ def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
             failures += 1
             if node.application is None or failures >= MOST_FAILED:  # then it is the executor itself
                 raise
-            node.application.guard.report("a callback", error, essential=False)
+            node.application.guard.report("a callback", error, is_essential=False)
         if node.application:
             node.application.guard("a request", node.application.carry_out, requests)
         else:  # unconfigured by request

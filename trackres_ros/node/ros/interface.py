@@ -31,7 +31,7 @@ from trackres_ros.node.parameters import (
     NodeParameter,
     Parameters,
     Value,
-    fits,
+    fits_node,
     make_parameters,
     node_parameter,
     section_names,
@@ -74,7 +74,7 @@ def profile_of(quality: Quality) -> QoSProfile:
     return profile
 
 
-def prepared(topic: OutputTopic, frame_id: str) -> Fill:
+def prepare_message(topic: OutputTopic, frame_id: str) -> Fill:
     """A function that makes the message from a stamp [ns], the numbers of a topic and the reasons of an estimate. It reuses one
     message.
 
@@ -192,16 +192,16 @@ def type_text(msgtype: str) -> str | None:
         name = names.pop(0)
         if name in texts:
             continue
-        package, kind, short = name.split("/")
+        package, kind, short_name = name.split("/")
         try:
-            path = Path(get_package_share_directory(package)) / kind / f"{short}.msg"
+            path = Path(get_package_share_directory(package)) / kind / f"{short_name}.msg"
             texts[name] = path.read_text(encoding="utf-8")
             names += [field.type for field in installed_fields(name) if "/" in field.type]
         except (LookupError, OSError, AttributeError, ImportError, ValueError):
             return None
-    first, *nested = texts
-    parts = [f"MSG: {name.replace('/msg/', '/')}\n{texts[name]}" for name in nested]
-    return f"\n{'=' * 80}\n".join([texts[first], *parts])
+    first_text, *nested_texts = texts
+    parts = [f"MSG: {name.replace('/msg/', '/')}\n{texts[name]}" for name in nested_texts]
+    return f"\n{'=' * 80}\n".join([texts[first_text], *parts])
 
 
 def declare_parameters(node: Node, values: Parameters) -> None:
@@ -221,12 +221,12 @@ def unknown_parameters(node: Node, of_topics: bool) -> str:
     With `of_topics` only overrides of a topic's quality of service, which are declared when the node is configured; else all
     others.
     """
-    unknown = [
+    unknown_names = [
         f"{name} ({nearest(name, node._parameters) or 'no parameter has a similar name'})"
         for name in node._parameter_overrides
         if not node.has_parameter(name) and name.startswith(OVERRIDES) is of_topics
     ]
-    return f"unknown parameters without effect: {', '.join(unknown)}" if unknown else ""
+    return f"unknown parameters without effect: {', '.join(unknown_names)}" if unknown_names else ""
 
 
 def files_without_effect(node: Node, arguments: Sequence[str]) -> list[str]:
@@ -240,7 +240,7 @@ def files_without_effect(node: Node, arguments: Sequence[str]) -> list[str]:
         except InputError as error:  # a pipe that ROS has already read
             texts.append(str(error))
             continue
-        if not any(fits(name, full_name) for name in names):
+        if not any(fits_node(name, full_name) for name in names):
             content = f"parameters of {', '.join(names)}, which have no effect"
             texts.append(str(InputError(path, content, f"a section for {full_name}", "use that name, or /** for any node")))
     return texts

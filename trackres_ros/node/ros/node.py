@@ -101,7 +101,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._inputs: list[Any] = []
         self._group.inputs = self._inputs
         self._record_only: list[Any] = []
-        self._services: list[Any] = []
+        self._triggers: list[Any] = []
         self._jumps: Any = None
         self._refused_ns = 0  # last time of /clock before 0, while there is no later one
         self._ticker: Any = None
@@ -154,16 +154,16 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         kinds = [interface.input_type(topic, application.topics.origin) for topic in application.inputs]
         self.application = application
         self._fills = [None if topic.kind == "status" else self._fill(topic) for topic in application.outputs]
-        self._open(shared=True)
+        self._open(is_shared=True)
         time.sleep(max(0, self._made_ns + DISCOVERY_NS - time.monotonic_ns()) / SECOND_NS)
         if not self.rivals():
-            self._open(shared=False)
+            self._open(is_shared=False)
         self._input_profile = interface.profile_of(parameters.input_quality())
         for topic, kind in zip(application.inputs, kinds, strict=True):
             profile = interface.profile_of(parameters.input_quality())  # its own: overrides are written into it
             self._open_input(topic.name, kind, profile)
         self._inbox = application.inbox(self._fetch, self._deliver)
-        self._services = [
+        self._triggers = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
             self.create_service(Trigger, "~/reset_learning", self._server(application.reset_learning)),
             self.create_service(Trigger, "~/save_state", self._server(application.save_state)),
@@ -175,16 +175,16 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         if self.configured:
             self.configured(application)
 
-    def _open(self, shared: bool) -> None:
+    def _open(self, is_shared: bool) -> None:
         """Open the outputs on topics that nodes share, or those below the node's own name; each once."""
         assert self.application
         for output, topic in enumerate(self.application.outputs):
             lacks_type = topic is ESTIMATE_TOPIC and self._fills[output] is None
-            if topic.shared is shared and output not in self._outputs and not lacks_type:
+            if topic.shared is is_shared and output not in self._outputs and not lacks_type:
                 self._outputs[output] = self._publisher_of(topic, self.application.parameters)
 
     def _publisher_of(self, topic: OutputTopic, parameters: Parameters) -> Any:
-        name = _relative(topic)
+        name = _relative_name(topic)
         profile = interface.profile_of(parameters.output_quality(topic))
         events = PublisherEventCallbacks(
             incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
@@ -211,20 +211,20 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._next_tick = 0
         any_back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
 
-        def jumped(jump: Any) -> None:
+        def note_jump(jump: Any) -> None:
             application.guard.essential("the clock", application.time_went_back, -jump.delta.nanoseconds)
 
-        self._jumps = self.get_clock().create_jump_callback(any_back, post_callback=jumped)
+        self._jumps = self.get_clock().create_jump_callback(any_back, post_callback=note_jump)
         for subscription in self.subscriptions:
             if subscription.msg_type is ClockMessage:
                 subscription.callback = self._without_negative(subscription.callback)
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady)
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady_clock)
 
     def _without_negative(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
         """The callback of /clock, without the times before 0 at which rclpy raises."""
 
-        def come(message: Any) -> None:
+        def take_message(message: Any) -> None:
             time_ns = message.clock.sec * SECOND_NS + message.clock.nanosec
             if time_ns < 0 and not self._refused_ns and self.application:
                 self.application.time_went_back(self.now_ns())
@@ -232,7 +232,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             if time_ns >= 0:
                 take(message)
 
-        return come
+        return take_message
 
     def _activate(self, state: LifecycleState) -> None:
         super().on_activate(state)
@@ -264,7 +264,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self.destroy_subscription(subscription)
         for output in self._outputs.values():
             self.destroy_lifecycle_publisher(output)
-        for service in self._services:
+        for service in self._triggers:
             self.destroy_service(service)
         self._clear()
 
@@ -278,7 +278,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _fill(self, topic: OutputTopic) -> interface.Fill | None:
         """None for an estimate whose type is not installed, or differs: it alone is not among the common interfaces."""
         try:
-            return interface.prepared(topic, self._frame_id)
+            return interface.prepare_message(topic, self._frame_id)
         except (InputError, AttributeError, AssertionError, TypeError) as error:  # not there, or of another version
             if topic is not ESTIMATE_TOPIC:
                 raise
@@ -301,7 +301,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers on the topic of an input."""
         subscription = self._inputs[index]
-        ours = {
+        own_names = {
             endpoint.topic_type: endpoint.topic_type_hash
             for endpoint in self.get_subscriptions_info_by_topic(subscription.topic_name)
             if (endpoint.node_name, endpoint.node_namespace) == (self.get_name(), self.get_namespace())
@@ -311,9 +311,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 endpoint.topic_type,
                 qos_check_compatible(endpoint.qos_profile, subscription.qos_profile)[0] != QoSCompatibility.ERROR,
                 endpoint.topic_type_hash.version <= 0
-                or endpoint.topic_type_hash == ours.get(endpoint.topic_type, endpoint.topic_type_hash),
+                or endpoint.topic_type_hash == own_names.get(endpoint.topic_type, endpoint.topic_type_hash),
                 _node_of(endpoint),
-                latched=_keeps(endpoint.qos_profile),
+                latched=_keeps_last(endpoint.qos_profile),
             )
             for endpoint in self.get_publishers_info_by_topic(subscription.topic_name)
         ]
@@ -336,7 +336,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         assert self.application
         names: list[str] = []
         for output, topic in enumerate(self.application.outputs):
-            name = self.resolve_topic_name(_relative(topic))
+            name = self.resolve_topic_name(_relative_name(topic))
             if topic.name in TORQUES and self.count_publishers(name) > (output in self._outputs):
                 nodes = [_node_of(endpoint) for endpoint in self.get_publishers_info_by_topic(name)]
                 if output in self._outputs and self.get_fully_qualified_name() in nodes:
@@ -347,7 +347,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def open_outputs(self) -> None:
         """Open the topics below the node's own name, if they are not open yet."""
         last_open = set(self._outputs)
-        self._open(shared=False)
+        self._open(is_shared=False)
         for output in self._outputs.keys() - last_open:
             self._outputs[output].on_activate(None)
 
@@ -419,8 +419,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         if self.application:
             content, info, latched = message
             raw = self.application.guard("recording", serialize_message, content) if self._recording else None
-            mixed = self._inputs[index].get_publisher_count() > 1  # now: rclpy does not tell who sent a message
-            origin = Sent(info["source_timestamp"], latched=latched, mixed=mixed)
+            is_mixed = self._inputs[index].get_publisher_count() > 1  # now: rclpy does not tell who sent a message
+            origin = Sent(info["source_timestamp"], latched=latched, is_mixed=is_mixed)
             self.application.messages.receive(index, content, origin, arrival, raw)
 
     def _keep(self, index: int, raw: bytes) -> None:
@@ -465,9 +465,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return interface.check_result(check, interface.known_values(changes))
 
     def _apply(self, changes: list[RosParameter]) -> None:
-        ours = interface.known_values(changes)
-        if self.application and ours:
-            self.application.change(ours)
+        own_changes = interface.known_values(changes)
+        if self.application and own_changes:
+            self.application.change(own_changes)
             self._wait_or_collect(self.application)
             period_ns = int(self.application.period_s * SECOND_NS)
             if self._ticker.timer_period_ns != period_ns:
@@ -487,7 +487,7 @@ def _with_answer(change_state: Callable[[Any, Any], Any]) -> Callable[[Any, Any]
     return serve
 
 
-def _relative(topic: OutputTopic) -> str:
+def _relative_name(topic: OutputTopic) -> str:
     return topic.name if topic.shared else f"~/{topic.name}"
 
 
@@ -496,7 +496,7 @@ def _node_of(endpoint: Any) -> str:
     return "" if endpoint.node_name == UNKNOWN else f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
-def _keeps(profile: QoSProfile) -> bool:
+def _keeps_last(profile: QoSProfile) -> bool:
     """Whether a publisher keeps messages for those who join later."""
     return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL and profile.reliability == ReliabilityPolicy.RELIABLE)
 

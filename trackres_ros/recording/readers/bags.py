@@ -25,6 +25,7 @@ from trackres_ros.recording.bindings import NO_FIX, TopicBinding, Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
 from trackres_ros.recording.choosing import guess, torque_note, torque_topics
 from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
+from trackres_ros.recording.guess_values import faults_of_topics
 from trackres_ros.recording.mcap import SUFFIX as UNFINISHED
 from trackres_ros.recording.message_types import (
     WIDE,
@@ -39,7 +40,7 @@ from trackres_ros.recording.message_types import (
 )
 from trackres_ros.recording.opening import BagKind
 from trackres_ros.recording.reading import read_in_steps, reading
-from trackres_ros.recording.roles import may_say_reverse
+from trackres_ros.recording.roles import likely_values, may_say_reverse
 from trackres_ros.recording.samples import Finding, IntArray, SampleBlock, first_valid
 
 if TYPE_CHECKING:
@@ -251,7 +252,7 @@ class BagSource:
         )
         if not (topics and topics.bindings):
             filled_topics = {item.topic: item.msgtype for _, connections in bags for item in connections if item.msgcount}
-            topics, guesses = guess(filled_topics)
+            topics, guesses = self._guess(filled_topics)
             topic_notes += guesses
         bindings = self.bindings = topics.bindings
         if "speed" not in bindings:
@@ -269,6 +270,16 @@ class BagSource:
         sum_notes = (*Sums(self._readings, bindings).notes, *Companions(self._readings, bindings).notes)
         self._notes = tuple(map(one_line, (*topic_notes, *self._stamp_notes(), *sum_notes, *candidates)))
         self.findings: tuple[Finding, ...] = ()
+
+    def _guess(self, filled_topics: Mapping[str, str]) -> tuple[Topics, list[str]]:
+        """The guesses that their values allow, and notes."""
+        refused: dict[tuple[str, str], str] = {}
+        while True:
+            topics, notes = guess(filled_topics, refused)
+            faults = faults_of_topics(BagSource(self._paths, topics))
+            if not faults:
+                return topics, notes
+            refused |= faults
 
     def _bind_topics(self, bags: Sequence[tuple[Path, list[Connection]]]) -> dict[tuple[Path, str], _Topic]:
         """Return the readings, by path and topic; those of one topic are decoded together."""
@@ -353,7 +364,7 @@ class BagSource:
         if pending_blocks:
             yield finished(pending_blocks)
         lines = (
-            f"direction: {{topic: {topic}, type: {kind}, field: data, values: {{forward: [0], reverse: [1]}}}}"
+            f"direction: {{topic: {topic}, type: {kind}, field: data, values: {likely_values(topic)}}}"
             for topic, kind in self._may_say_reverse.items()
         )
         unsigned = signs.findings(list(self._may_say_reverse), lines)

@@ -14,24 +14,34 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.files.arrow_columns import as_numpy
-from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
+from trackres_ros.recording.channel_file import (
+    CHUNK_ROWS,
+    SEEN_CELLS,
+    Channel,
+    ChannelRows,
+    ChosenChannel,
+    TableFile,
+    check_dates,
+    time_note,
+)
 from trackres_ros.recording.opening import FileKind
+from trackres_ros.recording.samples import FloatArray, IntArray
 from trackres_ros.recording.text_table import (
     COMMA,
     NO_VALUE,
     POINT,
     SEPARATORS,
     Column,
-    DateTimes,
     Progress,
     Tap,
     TextTable,
     decide,
-    is_date_time,
+    has_no_value,
     is_number,
     marks_of,
     number_of,
 )
+from trackres_ros.recording.text_times import DateTimes, TextTimes, times_of
 
 BLOCK_BYTES = 2**20
 
@@ -49,6 +59,10 @@ class CsvTable(TableFile):
         """Whether the first filled cell of a column is a number, with any decimal mark."""
         return is_number(self._table.first_cell(place))
 
+    def first_cells(self, place: int) -> Sequence[str]:
+        """The first cells of a column with a value."""
+        return self._table.first_cells(place, SEEN_CELLS)
+
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose the columns to read and find the notation of times and numbers, from the whole column where a cell is
         ambiguous.
@@ -56,23 +70,23 @@ class CsvTable(TableFile):
         assert time is not None
         chosen_channels, separator = (time, *channels), self._table.separator
         first_text = self._table.first_cell(time.place)
-        self._dates = dates = DateTimes(first_text, time.binding.order) if is_date_time(first_text) else None
+        self._dates = dates = times_of(first_text, time.binding.order)
         check_dates(time, self.name, dates is not None, "" if is_number(first_text) else first_text)
         marks = marks_of((column.name, column.binding.decimal) for column in chosen_channels[bool(dates) :])
         if separator != "," or (dates and dates.is_open) or self._has_quotes():
             observers = [(column.place, marks[column.name].see) for column in chosen_channels if column.name in marks]
-            if dates and dates.is_open:
+            if isinstance(dates, DateTimes) and dates.is_open:
                 observers.append((time.place, dates.see))
             self._table.look(observers)
-        if dates:
-            dates.decide(f"{self.name}: {time.name}")
+        if isinstance(dates, DateTimes):
+            dates.decide(self.name, time.name)
         mark_of_column = decide(marks, self.name, separator == ",")
         self._columns = [
             Column(item.place, item.name, partial(number_of, mark=mark_of_column.get(item.name, POINT)))
             for item in chosen_channels[bool(dates) :]
         ]
         if dates:
-            self._columns.insert(0, Column(time.place, time.name, dates.read))
+            self._columns.insert(0, Column(time.place, time.name, lambda cell: None if has_no_value(cell) else dates.value(cell)))
         marks_written = {mark_of_column[name] for name, item in marks.items() if item.marks}
         is_uniform = len(marks_written) < 2 and all(
             item.marks <= {mark_of_column[name]} and not item.topics_mark for name, item in marks.items()
@@ -152,13 +166,15 @@ class CsvTable(TableFile):
     def _rows_of(self, batch: Any, column_names: Sequence[str]) -> ChannelRows:
         """Rows of an Arrow batch, time first."""
         first_column, *other_columns = (batch.column(name) for name in column_names)
-        cells, has_value = zip(*map(as_numpy, other_columns), strict=True)
+        cells, is_given = zip(*map(as_numpy, other_columns), strict=True)
+        has_value = [given & ~np.isnan(numbers) for numbers, given in zip(cells, is_given, strict=True)]  # nan in any case
         if self._dates is None:
             time, has_time = as_numpy(first_column)
+            has_time &= ~np.isnan(time)
         else:
             texts = first_column.to_pylist()
             has_time = np.array([text is not None for text in texts], np.bool_)
-            time = np.array([0 if text is None else self._dates.ns(text) for text in texts], np.int64)
+            time = as_times([0 if text is None else self._dates.value(text) for text in texts], self._dates)
         return ChannelRows(time, has_time, np.stack(cells, axis=1), np.stack(has_value, axis=1))
 
     def _plain_chunks(self, progress: Progress) -> Iterator[ChannelRows]:
@@ -169,8 +185,13 @@ class CsvTable(TableFile):
             has_value = np.array([[number is not None for number in row] for row in chunk])
             time = [0 if row[0] is None else row[0] for row in chunk]
             cells = np.array([row[1:] for row in chunk], np.float64)
-            stamps = np.array(time, np.int64) if self._dates else np.array(time, np.float64)
+            stamps = as_times(time, self._dates)
             yield ChannelRows(stamps, has_value[:, 0], cells, has_value[:, 1:])
+
+
+def as_times(times: Sequence[float], notation: TextTimes | None) -> IntArray | FloatArray:
+    """Times of rows: of dates in whole nanoseconds, of clocks and numbers as floats."""
+    return np.array(times, np.int64) if isinstance(notation, DateTimes) else np.array(times, np.float64)
 
 
 KINDS = (FileKind("CSV", (".csv", ".csv.gz"), lambda path, name, _: [CsvTable(path, name)], checked=True),)

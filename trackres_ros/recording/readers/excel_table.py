@@ -9,7 +9,8 @@ import itertools
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
+from datetime import time as clock_time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,22 +18,29 @@ import numpy as np
 
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
+from trackres_ros.recording.channel_file import (
+    SEEN_CELLS,
+    Channel,
+    ChannelRows,
+    ChosenChannel,
+    TableFile,
+    check_dates,
+    time_note,
+)
 from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.text_table import (
     COMMA,
-    MOST_S,
-    NO_VALUE,
-    NO_ZONE,
-    DateTimes,
+    COMMENTS,
     Mark,
     decide,
+    has_no_value,
     header_of,
-    is_date_time,
     is_number,
     marks_of,
     number_of,
 )
+from trackres_ros.recording.text_times import MOST_S, NO_ZONE, DateTimes, times_of
+from trackres_ros.recording.time_columns import clock_s
 from trackres_ros.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -64,10 +72,14 @@ class ExcelTable(TableFile):
 
     def is_number(self, place: int) -> bool:
         """Whether the first filled cell of a column holds a number."""
-        with _workbook(self._path) as book:
-            rows = self._below_header(book)
-            first_value = next((row[place] for row in rows if place < len(row) and _cell_content(row[place]) is not None), "")
+        first_value = next(iter(self.first_cells(place)), "")
         return is_number(first_value) if isinstance(first_value, str) else isinstance(first_value, int | float)
+
+    def first_cells(self, place: int) -> Sequence[Any]:
+        """The first cells of a column with a value."""
+        with _workbook(self._path) as book:
+            cells = (_cell_content(row[place]) for row in self._below_header(book) if place < len(row))
+            return list(itertools.islice((cell for cell in cells if cell is not None), SEEN_CELLS))
 
     def _below_header(self, book: Workbook) -> Iterator[Sequence[Any]]:
         sheet: Any = book[self._sheet]
@@ -80,24 +92,9 @@ class ExcelTable(TableFile):
         assert time is not None
         self._columns = (time, *channels)
         self._numbers, cells = self._cells()
-        values = [value for value in cells[0] if value is not None]
-        first_value = values[0] if values else 0.0
-        in_text = isinstance(first_value, str) and is_date_time(first_value)
-        is_numeric = is_number(first_value) if isinstance(first_value, str) else isinstance(first_value, int | float)
-        check_dates(time, self.name, in_text or isinstance(first_value, datetime), "" if is_numeric else str(first_value))
+        times = self._times(time, cells[0])
+        has_dates = times is not None
         notes = [f"sheet {one_line(self._sheet)}"]
-        if isinstance(first_value, datetime):
-            stamps = [self._stamp(value, number) for value, number in zip(cells[0], self._numbers, strict=True)]
-            notes.append(time_note(time.name, f"dates of Excel, {NO_ZONE}"))
-        elif in_text:
-            dates = DateTimes(str(first_value), time.binding.order)
-            dates.see(str(value) for value in values)
-            dates.decide(f"{self.name}: {time.name}")
-            places = (f"{self.name}: row {row}, {time.name}" for row in self._numbers)
-            texts = zip(cells[0], places, strict=True)
-            stamps = [None if value is None else dates.ns(str(value), place) for value, place in texts]
-            notes.append(time_note(time.name, dates.text))
-        has_dates = in_text or isinstance(first_value, datetime)
         marks = marks_of((column.name, column.binding.decimal) for column in self._columns[has_dates:])
         for column, column_cells in zip(self._columns, cells, strict=True):
             if column.name in marks:
@@ -112,14 +109,42 @@ class ExcelTable(TableFile):
         ]
         of_comma = [column for column, mark in mark_of_column.items() if mark == COMMA]
         notes += [f"decimal comma in {', '.join(of_comma)}"] if of_comma else []
-        self.notes = tuple(notes)
         matrix = np.array([[np.nan if value is None else value for value in row] for row in numbers]).reshape(len(numbers), -1).T
         has_value = np.array([[value is not None for value in row] for row in numbers], np.bool_).reshape(len(numbers), -1).T
-        if has_dates:
-            has_time = np.array([value is not None for value in stamps], np.bool_)
-            self._rows = ChannelRows(np.array([value or 0 for value in stamps], np.int64), has_time, matrix, has_value)
-        else:
+        if times is None:
             self._rows = ChannelRows(matrix[:, 0], has_value[:, 0], matrix[:, 1:], has_value[:, 1:])
+        else:
+            stamps, kind, note = times
+            has_time = np.array([value is not None for value in stamps], np.bool_)
+            self._rows = ChannelRows(np.array([value or 0 for value in stamps], kind), has_time, matrix, has_value)
+            notes.insert(1, time_note(time.name, note))
+        self.notes = tuple(notes)
+
+    def _times(self, time: ChosenChannel, cells: Sequence[Any]) -> tuple[list[Any], type, str] | None:
+        """Dates or clocks of the rows, how they are stored, and a note on their notation; None for numbers.
+
+        Raises InputError for a first cell that is no time, or another one that is none of its notation.
+        """
+        first_value = next((value for value in cells if value is not None), 0.0)
+        notation = times_of(first_value, time.binding.order) if isinstance(first_value, str) else None
+        is_numeric = is_number(first_value) if isinstance(first_value, str) else isinstance(first_value, int | float)
+        is_cell = isinstance(first_value, datetime | clock_time | timedelta)
+        check_dates(time, self.name, is_cell or notation is not None, "" if is_numeric else str(first_value))
+        rows = list(zip(cells, self._numbers, strict=True))
+        if isinstance(first_value, datetime):
+            return [self._stamp(value, row) for value, row in rows], np.int64, f"dates of Excel, {NO_ZONE}"
+        if is_cell:
+            return [self._clock(value, row) for value, row in rows], np.float64, "clocks of Excel, without a date"
+        if notation is None:
+            return None
+        if isinstance(notation, DateTimes):
+            notation.see(str(value) for value, _ in rows if value is not None)
+            notation.decide(self.name, time.name)
+        places = (f"{self.name}: row {row}, {time.name}" for row in self._numbers)
+        stamps = [
+            None if value is None else notation.value(str(value), place) for value, place in zip(cells, places, strict=True)
+        ]
+        return stamps, notation.kind, notation.text
 
     def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """The rows read by `settle`."""
@@ -132,16 +157,30 @@ class ExcelTable(TableFile):
         with _workbook(self._path) as book:
             for number, row in enumerate(self._below_header(book), self._header_row + 1):
                 row_cells = [_cell_content(row[column.place]) if column.place < len(row) else None for column in self._columns]
-                if any(value is not None for value in row_cells):
+                if any(value is not None for value in row_cells) and not self._is_beside(row):
                     numbers.append(number)
                     for values, value in zip(cells, row_cells, strict=True):
                         values.append(value)
         return numbers, cells
 
+    def _is_beside(self, row: Sequence[Any]) -> bool:
+        """Whether a row is a comment, or holds the names or units again."""
+        texts = [value.strip() if isinstance(value, str) else value for value in row[: len(self.channels)]]
+        is_comment = isinstance(texts[0], str) and texts[0].startswith(COMMENTS) and not any(texts[1:])
+        return is_comment or any(
+            texts == [getattr(channel, key) or None for channel in self.channels] for key in ("name", "unit")
+        )
+
     def _number(self, value: Any, mark: Mark, row: int, column: str) -> float | None:
         if value is None or isinstance(value, int | float):
             return None if value is None else float(value)
         return number_of(str(value), mark, f"{self.name}: row {row}, {column}")
+
+    def _clock(self, value: Any, row: int) -> float | None:
+        if value is None or isinstance(value, clock_time | timedelta):
+            return None if value is None else clock_s(value)
+        where = f"{self.name}: row {row}, {self._columns[0].name}"
+        raise InputError(where, str(value), "a clock, as in the rows before")
 
     def _stamp(self, value: Any, row: int) -> int | None:
         if value is None:
@@ -178,7 +217,8 @@ def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
     header = header_of([(row, False) for row in texts])
     if header is None:
         return None
-    names = list(itertools.zip_longest(header.names, header.units, fillvalue=""))
+    units = ["" if has_no_value(unit) else unit for unit in header.units]
+    names = list(itertools.zip_longest(header.names, units, fillvalue=""))
     while not names[-1][0]:
         del names[-1]
     return (header.first_row if header.rows else header.place + 1 + bool(header.units)), [
@@ -188,7 +228,7 @@ def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
 
 def _cell_content(value: Any) -> Any:
     """The value of a cell, None where there is none."""
-    return None if isinstance(value, str) and value.strip() in NO_VALUE else value
+    return None if isinstance(value, str) and has_no_value(value) else value
 
 
 KINDS = (FileKind("an Excel workbook", (".xlsx",), excel_tables, (("openpyxl", "excel"),), checked=True),)

@@ -18,6 +18,7 @@ from trackres_ros.recording.choosing import COLUMNS, listed_names
 from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import FloatArray
+from trackres_ros.recording.wrapping import WrappingClock
 
 BLOCK_ROWS = 2**14
 TIMES = ("time_s", "time", "t", "timestamp", "timestamps", "tout")
@@ -83,14 +84,16 @@ class MatlabFile(ChannelFile):
         columns = [(column, self._vectors[self.channels[channel.place].name]) for column, channel in enumerate(self.wanted)]
         columns = [pair for pair, channel in zip(columns, self.wanted, strict=True) if self.channels[channel.place].group == time]
         clock = self._vectors[time]
+        turns = WrappingClock(self._scale)
         at_once = max(vector.at_once for vector in (clock, *(vector for _, vector in columns)))
         for start in range(0, clock.length, at_once):
             end = min(start + at_once, clock.length)
-            seconds = self._scale * clock.part(start, end) + self._offset
+            seconds = self._scale * turns.continued(clock.part(start, end)) + self._offset
             cells = np.full((end - start, len(self.wanted)), np.nan)
             for column, vector in columns:
                 cells[:, column] = vector.part(start, end)
             yield rows_at(seconds, cells)
+        self.findings = tuple(dict.fromkeys((*self.findings, *turns.findings())))
 
 
 def _time_of(name: str, vectors: Mapping[str, _Vector], topics_time: str) -> str:

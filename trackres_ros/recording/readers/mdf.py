@@ -13,7 +13,7 @@ import shutil
 import tempfile
 import weakref
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFil
 from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.roles import is_quantity
 from trackres_ros.recording.samples import Finding, FloatArray
-from trackres_ros.recording.text_table import NO_ZONE
+from trackres_ros.recording.text_times import NO_ZONE
 
 BLOCK_ROWS = 2**16
 """Records read at once: usually some megabytes, so that a packed block is unpacked a few times at most."""
@@ -36,8 +36,12 @@ UNFINISHED = b"UnFinMF"
 IDENTIFICATION_BYTES = 64
 FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
-OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
+OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "DLC": 1, "IDE": 1, "BusChannel": 1}
 """Parts of a frame to read, and the dimensions of their samples: ASAM MDF, bus logging."""
+LENGTHS = np.array([*range(9), 12, 16, 20, 24, 32, 48, 64])
+"""Bytes of a frame by its data length code: ISO 11898-1."""
+VIRTUAL = (3, 6)
+"""Types of a master and a channel without bytes in the record; their raw value is the index of the record: ASAM MDF 4."""
 SAME, LINEAR, TABLES_OF_TEXTS, REST = 0, 1, (7, 8), "default_addr"
 """Types of conversions: ASAM MDF 4; and in asammdf the part of a table for all other values."""
 REMOTE_MASTER, OTHER_MASTERS = 1 << 3, {2: "an angle", 3: "a distance", 4: "an index"}
@@ -121,9 +125,12 @@ class _Groups:
             if bits > 8 * sizes.samples_byte_nr or channel.pos_invalidation_bit > 8 * sizes.invalidation_bytes_nr:
                 where = f"{self.name}: {channel.name}"
                 raise InputError(where, f"{bits} bits", f"a channel within its record of {sizes.samples_byte_nr} bytes")
-        rows = {"record_offset": start, "record_count": BLOCK_ROWS}
+        rows = {"record_offset": start, "record_count": min(BLOCK_ROWS, self.records(group) - start)}
         with _silence_log():
-            return self.mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True, **rows)
+            signal = self.mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True, **rows)
+        if group_description.channels[index].channel_type in VIRTUAL:  # asammdf counts from the beginning of a block
+            signal.samples = np.arange(start, start + len(signal.timestamps))
+        return signal
 
 
 class MdfChannels(ChannelFile):
@@ -282,28 +289,38 @@ def _frames(groups: _Groups, event_counts: Counter[str]) -> Iterator[Frame]:
 
 def _frames_of(groups: _Groups, number: int, event_counts: Counter[str]) -> Iterator[Frame]:
     """Frames of a group. Raises InputError if they do not follow the standard's description."""
-    places = {channel.name: index for index, channel in enumerate(groups.mdf.groups[number].channels)}
+    channels = groups.mdf.groups[number].channels
+    places = {name: index for index, channel in enumerate(channels) for name in OF_A_FRAME if channel.name == f"{FRAMES}.{name}"}
     records = groups.records(number)
     for start in range(0, records, BLOCK_ROWS):
-        parts = {
-            name: groups.part(number, places[f"{FRAMES}.{name}"], start) for name in OF_A_FRAME if f"{FRAMES}.{name}" in places
-        }
+        parts = {name: groups.part(number, index, start) for name, index in places.items()}
         dimensions = {name: part.samples.ndim for name, part in parts.items() if part.samples.dtype.kind in "biu"}
         if dimensions != {name: OF_A_FRAME[name] for name in parts} or "ID" not in parts or "DataBytes" not in parts:
             raise InputError(groups.name, f"{FRAMES} of {', '.join(parts)}", f"numbers for {', '.join(OF_A_FRAME)}")
-        ids = parts["ID"].samples.astype(np.int64)
-        rest = {name: part.samples for name, part in parts.items()}
-        has_wide_id = (ids & EXTENDED != 0) | (ids > STANDARD) | rest.get("IDE", np.zeros(len(ids))).astype(np.bool_)
-        seconds = parts["ID"].timestamps
+        payloads, seconds = parts.pop("DataBytes").samples, parts["ID"].timestamps
+        numbers = {name: _numbers(part, channels[places[name]].conversion, len(seconds)) for name, part in parts.items()}
+        rows = np.flatnonzero(np.isfinite(numbers["ID"])).tolist()
+        ids = np.nan_to_num(numbers["ID"]).astype(np.int64)
+        has_wide_id = (ids & EXTENDED != 0) | (ids > STANDARD) | (numbers.get("IDE", np.zeros(len(ids))) > 0.0)
         stamps = np.rint(np.where(np.abs(seconds) < MOST_TIME_S, seconds, 0.0) * 1e9).astype(np.int64) + groups.start_ns
-        lengths = rest.get("DataLength", np.full(len(ids), rest["DataBytes"].shape[1]))
-        buses = rest["BusChannel"].tolist() if "BusChannel" in rest else [None] * len(ids)
-        columns = ((ids & IDENTIFIER).tolist(), has_wide_id.tolist(), buses, rest["DataBytes"], lengths.tolist())
-        for stamp_ns, identifier, is_extended, bus, payload, length in zip(stamps.tolist(), *columns, strict=True):
-            yield Frame(stamp_ns, identifier, is_extended, bus, payload[:length].tobytes())
+        buses = [None if math.isnan(bus) else int(bus) for bus in numbers.get("BusChannel", np.full(len(ids), math.nan))]
+        columns = [column.tolist() for column in (stamps, ids & IDENTIFIER, has_wide_id, _lengths(numbers, payloads))]
+        for row in rows:
+            stamp_ns, identifier, is_extended, length = (column[row] for column in columns)
+            yield Frame(stamp_ns, identifier, is_extended, buses[row], payloads[row, :length].tobytes())
+        event_counts["lost"] += len(ids) - len(rows)
         if len(ids) < min(BLOCK_ROWS, records - start):
             event_counts["lost"] += records - start - len(ids)
             return
+
+
+def _lengths(numbers: Mapping[str, FloatArray], payloads: NDArray[Any]) -> NDArray[np.int64]:
+    """Bytes of each frame: its length, else its data length code; without either all that the record has room for."""
+    room = payloads.shape[1]
+    codes = np.nan_to_num(numbers.get("DLC", np.full(len(payloads), math.nan)), nan=len(LENGTHS) - 1.0)
+    by_code = LENGTHS[np.clip(codes, 0, len(LENGTHS) - 1).astype(np.int64)]
+    lengths = numbers.get("DataLength", np.full(len(payloads), math.nan))
+    return np.clip(np.where(np.isnan(lengths), by_code, lengths), 0, room).astype(np.int64)
 
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:

@@ -13,10 +13,19 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.arrow_columns import as_numpy
-from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
+from trackres_ros.recording.channel_file import (
+    CHUNK_ROWS,
+    SEEN_CELLS,
+    Channel,
+    ChannelRows,
+    ChosenChannel,
+    TableFile,
+    check_dates,
+    time_note,
+)
 from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.samples import Finding
-from trackres_ros.recording.text_table import NO_ZONE
+from trackres_ros.recording.text_times import NO_ZONE
 from trackres_ros.units import NANOSECOND
 
 BUFFER_BYTES = 2**20
@@ -43,6 +52,22 @@ class ParquetTable(TableFile):
         """Whether a column is one of numbers."""
         with self._file() as file:
             return _is_number(file.schema_arrow.field(place).type)
+
+    def first_cells(self, place: int) -> Sequence[Any]:
+        """The first cells of a column with a value."""
+        import pyarrow as pa
+
+        with self._file() as file:
+            kind = file.schema_arrow.field(place).type
+            if not (_is_number(kind) or pa.types.is_timestamp(kind)):
+                return ()
+            batch = next(
+                file.iter_batches(batch_size=SEEN_CELLS, columns=[file.schema_arrow.names[place]], use_threads=False), None
+            )
+        if batch is None:
+            return ()
+        cells = batch.column(0).drop_null()
+        return list((cells.cast(pa.timestamp("us"), safe=False) if pa.types.is_timestamp(kind) else cells).to_pylist())
 
     def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose the columns to read; their types give the notation."""

@@ -29,13 +29,13 @@ class CoastingBase(Base):
     mean of both would not be that of level ground.
     """
 
-    def __init__(self, base: Base, names: Collection[str], unpaired: int = 0) -> None:
+    def __init__(self, base: Base, names: Collection[str], unpaired_count: int = 0) -> None:
         """Make it with the parameters `free`, for a number of coast-downs on an unknown slope."""
         super().__init__()
         self._base, self.name, self.facts = base, base.name, base.facts
         self.has_belt, self.rolls, self.rotating_mass_factor = base.has_belt, base.rolls, base.rotating_mass_factor
         self.includes = (*base.includes, *(effect.name for effect in instrument(base)))
-        self.slopes = tuple(f"{SLOPE}{first + 1}" for first in range(0, unpaired if unpaired > 1 else 0, 2))
+        self.slopes = tuple(f"{SLOPE}{number + 1}" for number in range(0, unpaired_count if unpaired_count > 1 else 0, 2))
         slopes = (BaseParameter(name, "1", 0.0, SLOPE_STD, -MOST_SLOPE, MOST_SLOPE) for name in self.slopes)
         self.parameters = (*(q for q in base.parameters if q.name in names), *slopes)
 
@@ -48,14 +48,14 @@ class CoastingBase(Base):
         """See `base.Base`; values that are not given are the file's, or level ground."""
         slopes = np.array([*(values.get(name, 0.0) for name in self.slopes), 0.0])
         of_base = {name: value for name, value in values.items() if not name.startswith(SLOPE)}
-        predicted = self._base.predict(sessions, {**self._base.nominal, **of_base}, effects)
-        return [self._coasting(session, prediction, slopes) for session, prediction in zip(sessions, predicted, strict=True)]
+        predictions = self._base.predict(sessions, {**self._base.nominal, **of_base}, effects)
+        return [self._coasting(session, prediction, slopes) for session, prediction in zip(sessions, predictions, strict=True)]
 
     def _coasting(self, session: DriveSession, prediction: Predicted, slopes: Array) -> Predicted:
         """The torque of a session as it is compared; `slopes` are those of the pairs, then a zero for all other steps."""
         torque = prediction.torque if "torque" in session.given else prediction.at_sprockets
-        pair, uphill = self._uphill(session)
-        return replace(prediction, torque=torque + slopes[pair] * uphill)
+        pair, uphill_steps = self._uphill(session)
+        return replace(prediction, torque=torque + slopes[pair] * uphill_steps)
 
     def _uphill(self, session: DriveSession) -> tuple[NDArray[np.int64], Array]:
         """Number of the pair of each step, and its torque of a slope of one [Nm]."""
@@ -66,13 +66,13 @@ class CoastingBase(Base):
     def on_slopes(self, sessions: Sequence[DriveSession], torques: Sequence[Array]) -> list[Array]:
         """Torques predicted for level ground [Nm], with the slope of each pair that fits the measured ones best."""
         of_steps = [self._uphill(session) for session in sessions]
-        best = np.zeros((2, len(self.slopes) + 1))
-        for session, torque, (pair, uphill) in zip(sessions, torques, of_steps, strict=True):
-            for sums, weights in zip(best, (uphill * (session.torque - torque), uphill**2), strict=True):
+        best_fit = np.zeros((2, len(self.slopes) + 1))
+        for session, torque, (pair, uphill_steps) in zip(sessions, torques, of_steps, strict=True):
+            for sums, weights in zip(best_fit, (uphill_steps * (session.torque - torque), uphill_steps**2), strict=True):
                 sums += np.bincount(pair[session.used], weights[session.used], len(sums))
-        slopes = best[0] / np.maximum(best[1], 1.0)
+        slopes = best_fit[0] / np.maximum(best_fit[1], 1.0)
         slopes[-1] = 0.0
-        return [torque + slopes[pair] * uphill for torque, (pair, uphill) in zip(torques, of_steps, strict=True)]
+        return [torque + slopes[pair] * uphill_steps for torque, (pair, uphill_steps) in zip(torques, of_steps, strict=True)]
 
     def write(self, path: Path, changes: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""

@@ -93,8 +93,10 @@ class Coastdown:
         """
         if any(p.is_outside for p in self.parameters):
             return False
-        better = self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
-        return better and not self.refusal
+        is_better = (
+            self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
+        )
+        return is_better and not self.refusal
 
     @cached_property
     def refusal(self) -> str:
@@ -109,9 +111,9 @@ class Coastdown:
     def changes(self) -> FileChanges:
         """Changes that may be written."""
         spans = {("", p.name): p.interval for p in self.parameters if p.determined}
-        determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
+        names_determined = ", ".join(p.name for p in self.parameters if p.determined) or "none"
         return FileChanges(
-            self.values, (), spans, f"found in {self.runs.count} coast-downs: {determined}", command="trackres coastdown"
+            self.values, (), spans, f"found in {self.runs.count} coast-downs: {names_determined}", command="trackres coastdown"
         )
 
 
@@ -145,22 +147,22 @@ def coastdown(recordings: Sequence[Recording], base_file: LoadedBase, seed: int 
             f"{FEWEST_ROWS} steps or more, without the first {MOST_LAGS} of each",
             "record more coast-downs, from a higher speed, or with a higher sample rate",
         )
-    unpaired = 0 if _slopes_known(runs) else runs.count
-    base = CoastingBase(base_file.base, names, unpaired)
+    unpaired_count = 0 if _slopes_known(runs) else runs.count
+    base = CoastingBase(base_file.base, names, unpaired_count)
     problem = Problem(base, runs.sessions, tuple(s.used for s in runs.sessions))
     all_free = _fit(problem)
     scatter = _scatter(all_free, runs)
     stds = {name: max(all_free.std_of("", name), scatter.get(("", name), 0.0)) for name in names}
-    determined = [q.name for q in base.parameters if q.name in names and stds[q.name] < UNDETERMINED * q.std]
-    problem = replace(problem, base=CoastingBase(base_file.base, determined, unpaired))
-    fit = _fit(problem, all_free.estimates) if determined else None
+    names_determined = [q.name for q in base.parameters if q.name in names and stds[q.name] < UNDETERMINED * q.std]
+    problem = replace(problem, base=CoastingBase(base_file.base, names_determined, unpaired_count))
+    fit = _fit(problem, all_free.estimates) if names_determined else None
     masses = _mass_stds(base_file.base, runs)
     parameters = _parameters(base, all_free, fit, scatter, masses)
     outliers = [p for p in parameters if not p.by_file[0] <= p.value <= p.by_file[1]]
     if fit is not None and outliers and not any(p.is_outside for p in outliers):
-        narrowed = base_file.base.inside_ranges(())
-        base = CoastingBase(narrowed, names, unpaired)
-        problem = replace(problem, base=CoastingBase(narrowed, determined, unpaired))
+        narrow_base = base_file.base.inside_ranges(())
+        base = CoastingBase(narrow_base, names, unpaired_count)
+        problem = replace(problem, base=CoastingBase(narrow_base, names_determined, unpaired_count))
         fit = _fit(problem, fit.estimates)
         parameters = _parameters(base, all_free, fit, scatter, masses)
     rng = np.random.default_rng(seed)
@@ -171,7 +173,7 @@ def coastdown(recordings: Sequence[Recording], base_file: LoadedBase, seed: int 
         {p.name: p.value for p in parameters},
         parameters,
         math.hypot(*masses),
-        _improvement(problem, runs, rng) if determined and scatter else None,
+        _improvement(problem, runs, rng) if names_determined and scatter else None,
     )
 
 
@@ -181,8 +183,8 @@ def _fit(problem: Problem, start: Mapping[tuple[str, str], float] | None = None)
     The errors of a smoothed speed are alike from second to second, and cancel over longer times. A whitening with such roots
     weighs what the smoother makes of a release, which is alike in all coast-downs.
     """
-    smoothed = any(session.accel_noise > 0.0 for session in problem.sessions)
-    return fit(problem, start=start, largest_root=WHITE if smoothed else SHORT_ROOT)
+    has_smooth_speed = any(session.accel_noise > 0.0 for session in problem.sessions)
+    return fit(problem, start=start, largest_root=WHITE if has_smooth_speed else SHORT_ROOT)
 
 
 def _mass_stds(base: Base, runs: Rollouts) -> tuple[float, float]:
@@ -196,15 +198,20 @@ def _mass_stds(base: Base, runs: Rollouts) -> tuple[float, float]:
 
 def _by_masses(fit: Fit, masses: tuple[float, float]) -> dict[tuple[str, str], float]:
     """Standard deviations of fitted values due to those of weight and rotating masses, see `_mass_stds`; to first order."""
-    problem, (weight, rotating) = fit.problem, masses
-    heavier = [
+    problem, (weight, rotating_mass) = fit.problem, masses
+    heavier_sessions = [
         s if "load" in s.given else replace(s, weight=(1.0 + weight) * s.weight, given=s.given | {"load"})
         for s in problem.sessions
     ]
-    slower = [replace(s, accel=(1.0 + rotating) * s.accel) for s in problem.sessions]
-    residuals = [problem.residuals(problem.base.predict(sessions, fit.base_values, ())) for sessions in (heavier, slower)]
+    slower_sessions = [replace(s, accel=(1.0 + rotating_mass) * s.accel) for s in problem.sessions]
+    residuals = [
+        problem.residuals(problem.base.predict(sessions, fit.base_values, ())) for sessions in (heavier_sessions, slower_sessions)
+    ]
     columns = np.column_stack(
-        [base_columns(fit), *(np.concatenate(fit.residuals) - np.concatenate(shifted) for shifted in residuals)]
+        [
+            base_columns(fit),
+            *(np.concatenate(fit.residuals) - np.concatenate(shifted_residuals) for shifted_residuals in residuals),
+        ]
     )
     white = valid_rows(problem.white(problem.split(columns), fit.noises))
     shifts = fit.covariance @ white[:, :-2].T @ white[:, -2:]
@@ -219,9 +226,9 @@ def _scatter(all_free: Fit, runs: Rollouts) -> dict[tuple[str, str], float]:
     """
     group_size = _group_size(runs, FEWEST_GROUPS)
     groups = runs.count // group_size
-    wider = float(stdtrit(groups - 1, 0.975)) / NORMAL_95 if groups > 1 else 1.0
+    widening = float(stdtrit(groups - 1, 0.975)) / NORMAL_95 if groups > 1 else 1.0
     by_slopes = lap_std(_slopes_alone(all_free)) if group_size == 1 else {}
-    return {key: wider * math.hypot(std, by_slopes.get(key, 0.0)) for key, std in lap_std(all_free, group_size).items()}
+    return {key: widening * math.hypot(std, by_slopes.get(key, 0.0)) for key, std in lap_std(all_free, group_size).items()}
 
 
 def _slopes_alone(fit: Fit) -> Fit:
@@ -231,18 +238,18 @@ def _slopes_alone(fit: Fit) -> Fit:
     problem = replace(fit.problem, base=base.level)
     count = len(problem.base.parameters)
     level = problem.predict(fit.base_values, ())
-    predicted = [
+    predictions = [
         replace(p, torque=s.torque + p.torque - f.torque) for s, p, f in zip(problem.sessions, level, fit.predicted, strict=True)
     ]
     noises = {kind: replace(noise, degrees=NORMAL_DEGREES) for kind, noise in fit.noises.items()}
     return replace(
-        fit, problem=problem, free=fit.free[:count], point=fit.point[:count], noises=noises, predicted=tuple(predicted)
+        fit, problem=problem, free=fit.free[:count], point=fit.point[:count], noises=noises, predicted=tuple(predictions)
     )
 
 
-def _group_size(runs: Rollouts, fewest: int) -> int:
+def _group_size(runs: Rollouts, least_count: int) -> int:
     """Number of consecutive coast-downs left out at once: without a known slope two, of both directions, if there are enough."""
-    return 1 if _slopes_known(runs) or runs.count < 2 * fewest else 2
+    return 1 if _slopes_known(runs) or runs.count < 2 * least_count else 2
 
 
 def _slopes_known(runs: Rollouts) -> bool:
@@ -260,13 +267,17 @@ def _parameters(
     count = len(base.parameters) - len(base.slopes)
     fitted_values = []
     for i, (q, f) in enumerate(zip(base.parameters[:count], all_free.free[:count], strict=True)):
-        determined, value_free, span = f.key in values, all_free.estimates[f.key], spans[f.key]
+        is_determined, value_free, span = f.key in values, all_free.estimates[f.key], spans[f.key]
         value = values.get(f.key, q.nominal)
         of_mass, by_rollings = NORMAL_95 * by_masses[f.key], NORMAL_95 * scatter.get(f.key, 0.0)
-        down, up = (np.hypot(max(reach, by_rollings), of_mass) for reach in (value_free - span.low, span.high - value_free))
-        span = Interval(max(q.low, value - float(down)), min(q.high, value + float(up)), span.bound_only)
+        reach_down, reach_up = (
+            np.hypot(max(reach, by_rollings), of_mass) for reach in (value_free - span.low, span.high - value_free)
+        )
+        span = Interval(max(q.low, value - float(reach_down)), min(q.high, value + float(reach_up)), span.bound_only)
         partners = [g.key[1] for j, g in enumerate(all_free.free[:count]) if j != i and abs(correlation[i, j]) > TOGETHER]
-        fitted_values.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, determined, tuple(partners), q.by_file))
+        fitted_values.append(
+            FittedValue(q.name, q.unit, q.nominal, q.std, value, span, is_determined, tuple(partners), q.by_file)
+        )
     return tuple(fitted_values)
 
 
@@ -279,16 +290,18 @@ def _improvement(problem: Problem, runs: Rollouts, rng: np.random.Generator) -> 
     assert isinstance(problem.base, CoastingBase)
     level = problem.base.level
     nominal = [p.torque for p in level.predict(runs.sessions, {}, ())]
-    expected = [np.array(x) for x in nominal]
+    torque_series = [np.array(x) for x in nominal]
     folds = min(parts, MOST_FOLDS)
     for fold in counted(range(folds), "what is not fitted", folds):
         holdouts = [(s.block // group_size % folds == fold) & s.used for s in runs.sessions]
         training = replace(problem, masks=tuple(s.used & ~h for s, h in zip(runs.sessions, holdouts, strict=True)))
         fit = _fit(training)
-        for series, prediction, mask in zip(expected, level.predict(runs.sessions, fit.base_values, ()), holdouts, strict=True):
+        for series, prediction, mask in zip(
+            torque_series, level.predict(runs.sessions, fit.base_values, ()), holdouts, strict=True
+        ):
             series[mask] = prediction.torque[mask]
     masks = [s.used for s in runs.sessions]
-    error_before, error_after = (problem.base.on_slopes(runs.sessions, x) for x in (nominal, expected))
+    error_before, error_after = (problem.base.on_slopes(runs.sessions, x) for x in (nominal, torque_series))
     return HeldOutLaps(runs.sessions, masks, rng).improvement(error_before, error_after)
 
 
@@ -322,8 +335,8 @@ def _excess(result: Coastdown, values: Mapping[str, float], speeds: Sequence[Arr
     """Torque against travel by which a model exceeds the measured deceleration [Nm], at other speeds [m/s], of each session."""
     senses = [np.sign(session.speed) for session in result.runs.sessions]
     sessions = [replace(s, speed=sense * v) for s, sense, v in zip(result.runs.sessions, senses, speeds, strict=True)]
-    predicted = result.base.predict(sessions, values, ())
-    return [sense * (p.torque - s.torque) for sense, p, s in zip(senses, predicted, sessions, strict=True)]
+    predictions = result.base.predict(sessions, values, ())
+    return [sense * (p.torque - s.torque) for sense, p, s in zip(senses, predictions, sessions, strict=True)]
 
 
 def _integrated(result: Coastdown, values: Mapping[str, float], starts: Sequence[Array]) -> list[Array]:

@@ -49,8 +49,10 @@ class CoastdownResult:
             return f"the coast-downs add nothing to the vehicle file{remedy}"
         if coastdown.improvement is None:
             return "too few coast-downs for a hold-out set: record three or more, in both directions if the slope is unknown"
-        if outside := [p for p in coastdown.parameters if p.is_outside]:
-            texts = ", ".join(f"{p.name} {figures(p.value, 3)} (allowed: {p.by_file[0]:g} to {p.by_file[1]:g})" for p in outside)
+        if parameters_outside := [p for p in coastdown.parameters if p.is_outside]:
+            texts = ", ".join(
+                f"{p.name} {figures(p.value, 3)} (allowed: {p.by_file[0]:g} to {p.by_file[1]:g})" for p in parameters_outside
+            )
             check = "check the unit of the speed, the mass, and that nothing drove or braked"
             return f"values outside their ranges in the vehicle file: {texts}; {check}; if they are right, widen the ranges"
         if coastdown.refusal:
@@ -72,7 +74,9 @@ class CoastdownResult:
             rows.append((p.name, numbers[0], std, *columns, "" if p.unit == "1" else p.unit, partners))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         align = ("<", ">", ">", ">", ">", ">", "<", "<")
-        lines += ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, align, widths, strict=True)).rstrip() for row in rows]
+        lines += [
+            "  ".join(f"{c:{alignment}{w}}" for c, alignment, w in zip(row, align, widths, strict=True)).rstrip() for row in rows
+        ]
         lines.append(
             f"The ranges include the uncertainty of the mass and rotating parts in the file, +-{200 * coastdown.mass_std:.0f} %"
         )
@@ -172,16 +176,16 @@ class CoastdownResult:
         from trackres_ros.output.style import BLACK, BLUE, VERMILION, picture, shorten
 
         file = picture_file(path)
-        looks: tuple[tuple[str, str, str], ...] = (
+        styles: tuple[tuple[str, str, str], ...] = (
             ("measured", BLACK, "-"), ("by the vehicle file", VERMILION, "--"), ("as found", BLUE, "-"),
         )  # fmt: skip
         with picture(file, 9.0, 6.4) as figure:
             top, bottom = figure.subplots(2)
             for number, rollout in enumerate(rollouts_of(self.coastdown)):
                 time = rollout.time - rollout.time[0]
-                for (label, colour, line), speed in zip(looks, (rollout.speed, rollout.by_file, rollout.by_found), strict=True):
+                for (label, colour, line), speed in zip(styles, (rollout.speed, rollout.by_file, rollout.by_found), strict=True):
                     top.plot(time, KMH_PER_MPS * speed, line, color=colour, lw=1.2, label=label if number == 0 else None)
-                for (label, colour, line), torque in zip(looks[1:], (rollout.over_file, rollout.over_found), strict=True):
+                for (label, colour, line), torque in zip(styles[1:], (rollout.over_file, rollout.over_found), strict=True):
                     kmh = KMH_PER_MPS * rollout.speed
                     bottom.plot(kmh, torque, line, color=colour, lw=1.0, label=label if number == 0 else None)
             title = shorten(self.coastdown.base_file.title, 90)

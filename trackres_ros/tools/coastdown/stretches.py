@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.prepare.checks import check_compared, refuse_repeate
 from trackres_ros.diagnosis.prepare.gate import Gated, on_route
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, DriveSession, GateSettings, Mask
-from trackres_ros.diagnosis.prepare.speed_smoothing import coasting_errors, confirmed, slope_of_altitude, with_slope
+from trackres_ros.diagnosis.prepare.speed_smoothing import coasting_errors, confirm_slope, slope_of_altitude, with_slope
 from trackres_ros.diagnosis.prepare.torque_checks import at_sprockets, on_one_clock
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording, with_stamps
@@ -82,16 +82,18 @@ class _Drive:
         """The same on known ground: the session with a slope or a torque by place, in use where that is known."""
         return replace(self, session=ground, gaps={**self.gaps, "ground not known": ~ground.used})
 
-    def coasting(self, settings: GateSettings, rejected: Counter[str], first: int) -> tuple[DriveSession, list[tuple[int, int]]]:
-        """The session with only its coast-downs in use, as blocks from a `first` number on; and their begins and ends."""
+    def coasting(
+        self, settings: GateSettings, rejections: Counter[str], first_number: int
+    ) -> tuple[DriveSession, list[tuple[int, int]]]:
+        """The session with only its coast-downs in use, as blocks from a `first_number` number on; and their begins and ends."""
         in_use, block = np.zeros(len(self.session), dtype=bool), np.full(len(self.session), -1, dtype=np.int64)
-        falls = _falls(self.session, self.gaps, settings, self.limit, rejected)
-        number, last = first - 1, 0
-        for begin, end in falls:
-            number += number < first or not self._rolls_on(last, begin)
+        is_slowing = _slowing_steps(self.session, self.gaps, settings, self.limit, rejections)
+        number, last = first_number - 1, 0
+        for begin, end in is_slowing:
+            number += number < first_number or not self._rolls_on(last, begin)
             in_use[begin:end], block[begin:end] = True, number
             last = end - 1
-        return replace(self.session, used=in_use, block=block), falls
+        return replace(self.session, used=in_use, block=block), is_slowing
 
     def _rolls_on(self, last: int, begin: int) -> bool:
         """Whether the vehicle did not turn between two pieces: after a turn its speed is higher than in it."""
@@ -113,22 +115,24 @@ def rollouts(recordings: Sequence[Recording], base_file: LoadedBase, step: float
     refuse_repeated(recordings)
     sessions: list[DriveSession] = []
     stretches, count = list[RollOut](), 0
-    rejected: Counter[str] = Counter()
+    rejections: Counter[str] = Counter()
     notes: list[str] = []
     remedies: list[str] = []
     settings, limit = base_file.known, NO_TORQUE_SHARE * base_file.known.weight * base_file.base.facts.radius
-    drives = _with_slopes([_resampled(recording, step, settings, limit, notes) for recording in recordings], settings, notes)
-    gated = on_route(Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), base_file.route, base_file.base.acting)
-    for drive in (drive.with_ground(ground) for drive, ground in zip(drives, gated.sessions, strict=True)):
-        session, falls = drive.coasting(settings, rejected, count)
+    drives = _with_slopes([_resample(recording, step, settings, limit, notes) for recording in recordings], settings, notes)
+    gate_result = on_route(
+        Gated(tuple(drive.session for drive in drives), {}, tuple(notes)), base_file.route, base_file.base.acting
+    )
+    for drive in (drive.with_ground(ground) for drive, ground in zip(drives, gate_result.sessions, strict=True)):
+        session, is_slowing = drive.coasting(settings, rejections, count)
         count = max(count, int(session.block.max()) + 1)
-        stretches += [RollOut(len(sessions), begin, end) for begin, end in falls]
+        stretches += [RollOut(len(sessions), begin, end) for begin, end in is_slowing]
         sessions.append(session)
         if drive.limit is not None:
             remedies += _of_offset(session, _slows(session, settings)[1], limit, settings.torque_scale)
         elif torques := _torques(drive.recording):
             remedies.append(f"check sensor and unit of {min(torques)} in {session.name}, which {_hardly(limit)}")
-    return Rollouts(tuple(sessions), tuple(stretches), dict(rejected), gated.notes, tuple(remedies))
+    return Rollouts(tuple(sessions), tuple(stretches), dict(rejections), gate_result.notes, tuple(remedies))
 
 
 def in_driving_order(recordings: Sequence[Recording]) -> list[Recording]:
@@ -154,18 +158,22 @@ def _with_slopes(drives: Sequence[_Drive], settings: GateSettings, notes: list[s
     """The drives with slopes from their altitude. Where no torque is measured, the decelerations of all coast-downs must confirm
     them.
     """
-    graded = [slope_of_altitude(drive.session) if drive.limit is None else with_slope(drive.session) for drive in drives]
+    sessions_with_slope = [
+        slope_of_altitude(drive.session) if drive.limit is None else with_slope(drive.session) for drive in drives
+    ]
     trial, count = dict[int, DriveSession](), 0
-    for i, (drive, (ground, _)) in enumerate(zip(drives, graded, strict=True)):
+    for i, (drive, (ground, _)) in enumerate(zip(drives, sessions_with_slope, strict=True)):
         if drive.limit is None and ground is not drive.session:
-            trial[i], falls = drive.with_ground(ground).coasting(settings, Counter(), count)
-            count += len(falls)
+            trial[i], is_slowing = drive.with_ground(ground).coasting(settings, Counter(), count)
+            count += len(is_slowing)
     errors = coasting_errors(list(trial.values())) if count else None
     for i in trial:
         session = drives[i].session
-        graded[i] = (session, "") if errors is None else confirmed(session, *graded[i], "force", "N", errors)
-    notes += [text for _, text in graded if text]
-    return [replace(drive, session=ground) for drive, (ground, _) in zip(drives, graded, strict=True)]
+        sessions_with_slope[i] = (
+            (session, "") if errors is None else confirm_slope(session, *sessions_with_slope[i], "force", "N", errors)
+        )
+    notes += [text for _, text in sessions_with_slope if text]
+    return [replace(drive, session=ground) for drive, (ground, _) in zip(drives, sessions_with_slope, strict=True)]
 
 
 def _torques(recording: Recording) -> list[str]:
@@ -173,20 +181,20 @@ def _torques(recording: Recording) -> list[str]:
     return [r for r, s in recording.series.items() if r.partition("/")[0] == "torque" and np.isfinite(s.value).any()]
 
 
-def _resampled(recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]) -> _Drive:
+def _resample(recording: Recording, step: float, settings: GateSettings, limit: float, notes: list[str]) -> _Drive:
     """The recording on an even grid; with a measured torque only if that exceeds a `limit` [Nm]."""
     reason = "no torque was recorded"
     check_compared(_without_torque(recording), SHORTEST_RECORDING_S)
     try:
-        recording, shifted = on_one_clock(recording)
+        recording, clock_note = on_one_clock(recording)
     except InputError:
         torques = _torques(recording)
         if not torques or any((np.abs(recording.series[r].value) > limit).any() for r in torques):
             raise
         series = {r: s for r, s in recording.series.items() if r not in torques}  # a torque without a course, on any clock
         reason = f"the torque {_hardly(limit)}, and its clock is not the speed's; it is not used"
-        recording, shifted = on_one_clock(replace(recording, series=series, order=None))
-    notes += shifted
+        recording, clock_note = on_one_clock(replace(recording, series=series, order=None))
+    notes += clock_note
     recording = at_sprockets(recording, settings)
     if _torques(recording):
         messages: list[str] = []
@@ -206,22 +214,22 @@ def _hardly(limit: float) -> str:
 def _lacks_torque(session: DriveSession, gaps: Mapping[str, Mask], limit: float) -> bool:
     """Whether the vehicle accelerates, but hardly ever with a torque above the limit [Nm]."""
     gains = _without_slope(session) > DRIVEN_MPS2
-    for bad in gaps.values():
-        gains &= ~bad
+    for mask in gaps.values():
+        gains &= ~mask
     lasts = float(gains.sum()) * session.step >= AROUND_S
     return lasts and float((np.abs(session.torque[gains]) > limit).mean()) < DRIVEN_SHARE
 
 
-def _of_offset(session: DriveSession, falls: Mask, limit: float, scale: float) -> list[str]:
+def _of_offset(session: DriveSession, is_slowing: Mask, limit: float, scale: float) -> list[str]:
     """Line for the topics file if the torque is nearly constant while slowing down. The sensor shows `scale` times the torque."""
-    if not falls.any():
+    if not is_slowing.any():
         return []
-    low, middle, high = np.percentile(session.torque[falls], (25.0, 50.0, 75.0))
+    low, middle, high = np.percentile(session.torque[is_slowing], (25.0, 50.0, 75.0))
     if abs(middle) <= limit or high - low > limit:
         return []
-    rounded = float(f"{scale * middle:.3g}")
-    line = line_to_write("torque", Conversion(offset=-rounded), session.bindings)
-    return [f"if the {figures(rounded)} Nm while {session.name} slows down are no torque, {line}"]
+    offset = float(f"{scale * middle:.3g}")
+    line = line_to_write("torque", Conversion(offset=-offset), session.bindings)
+    return [f"if the {figures(offset)} Nm while {session.name} slows down are no torque, {line}"]
 
 
 def _without_torque(recording: Recording) -> Recording:
@@ -234,32 +242,32 @@ def _without_torque(recording: Recording) -> Recording:
 
 def _slows(session: DriveSession, settings: GateSettings) -> tuple[Array, Mask]:
     """Acceleration along the motion, averaged over a few seconds [m/s^2], and the steps in which it slows down."""
-    slows = np.sign(session.speed) * _smooth(session.accel, session.step)
+    slows = np.sign(session.speed) * _smooth_values(session.accel, session.step)
     return slows, (slows < 0.0) & (np.abs(session.speed) >= max(settings.slowest, LEAST_FALL_MPS))
 
 
 def _without_slope(session: DriveSession) -> Array:
     """Acceleration along the motion by all forces but a known slope, averaged over a few seconds [m/s^2]."""
-    return np.sign(session.speed) * _smooth(session.accel + GRAVITY * session.grade, session.step)
+    return np.sign(session.speed) * _smooth_values(session.accel + GRAVITY * session.grade, session.step)
 
 
-def _falls(
-    session: DriveSession, gaps: Mapping[str, Mask], settings: GateSettings, limit: float | None, rejected: Counter[str]
+def _slowing_steps(
+    session: DriveSession, gaps: Mapping[str, Mask], settings: GateSettings, limit: float | None, rejections: Counter[str]
 ) -> list[tuple[int, int]]:
     """Stretches of free deceleration: first sample, and the one after the last. `limit` [Nm] is None without a torque."""
-    slows, falls = _slows(session, settings)
+    is_decelerating, is_slowing = _slows(session, settings)
     exclusions = dict(gaps)
     if limit is not None:
         exclusions[f"slowing down with a torque above {figures(limit, 3)} Nm"] = np.abs(session.torque) > limit
-    for reason, bad in exclusions.items():
-        seconds_lost = float((falls & bad).sum()) * session.step
+    for reason, mask in exclusions.items():
+        seconds_lost = float((is_slowing & mask).sum()) * session.step
         if seconds_lost >= SHORTEST_S:
-            rejected[f"s of {session.name}: {reason}"] += round(seconds_lost)
-    for bad in exclusions.values():
-        falls &= ~bad
+            rejections[f"s of {session.name}: {reason}"] += round(seconds_lost)
+    for mask in exclusions.values():
+        is_slowing &= ~mask
     stretches = []
     ends = math.ceil(END_S / session.step)  # steps that may contain a part of driving or of a stop
-    for begin, end in runs_of(falls):
+    for begin, end in runs_of(is_slowing):
         if limit is None:
             begin, end = _without_held_ends(session, begin, end)
         begin, end = begin + ends, end - ends
@@ -268,11 +276,11 @@ def _falls(
         speed = np.abs(session.speed[begin:end])
         fall, seconds = float(speed[0] - speed[-1]), (end - begin) * session.step
         if seconds < SHORTEST_S or fall < LEAST_FALL_MPS:
-            rejected[f"shorter than {SHORTEST_S:g} s, or by less than {LEAST_FALL_MPS:g} m/s"] += 1
+            rejections[f"shorter than {SHORTEST_S:g} s, or by less than {LEAST_FALL_MPS:g} m/s"] += 1
         elif limit is None and fall < LEAST_FALL_SHARE * speed[0]:
-            rejected[f"by less than {LEAST_FALL_SHARE:.0%} of the speed, with no torque recorded"] += 1
-        elif "brake" not in session.given and float(np.min(slows[begin:end])) < -HARDEST_MPS2:
-            rejected[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
+            rejections[f"by less than {LEAST_FALL_SHARE:.0%} of the speed, with no torque recorded"] += 1
+        elif "brake" not in session.given and float(np.min(is_decelerating[begin:end])) < -HARDEST_MPS2:
+            rejections[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
         else:
             stretches.append((begin, end))
     return stretches
@@ -282,12 +290,12 @@ def _without_held_ends(session: DriveSession, begin: int, end: int) -> tuple[int
     """The part of a stretch from its first to its last clear deceleration: a driver may hold the speed before and after it, and
     noise lowers a held speed too.
     """
-    resists = -_without_slope(session)[begin:end]
-    clear = begin + np.flatnonzero(resists > CLEAR_SHARE * np.median(resists))
-    return (int(clear[0]), int(clear[-1]) + 1) if len(clear) else (begin, begin)
+    resistance = -_without_slope(session)[begin:end]
+    clear_rows = begin + np.flatnonzero(resistance > CLEAR_SHARE * np.median(resistance))
+    return (int(clear_rows[0]), int(clear_rows[-1]) + 1) if len(clear_rows) else (begin, begin)
 
 
-def _smooth(values: Array, step: float) -> Array:
+def _smooth_values(values: Array, step: float) -> Array:
     """Moving averages over a few seconds."""
     count = max(1, round(AROUND_S / step))
     return np.asarray(np.convolve(values, np.ones(count), "same") / np.convolve(np.ones(len(values)), np.ones(count), "same"))

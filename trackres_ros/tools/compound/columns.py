@@ -102,21 +102,21 @@ class DmaColumn:
 
 def role_of(name: str) -> str | None:
     """Quantity of a column by its name."""
-    plain = name.translate(QUOTES).replace("''", '"').strip().lower()
-    if UNLIKE.search(plain):
+    plain_name = name.translate(QUOTES).replace("''", '"').strip().lower()
+    if UNLIKE.search(plain_name):
         return None
-    return next((role for role, pattern in NAMES if pattern.search(plain)), None)
+    return next((role for role, pattern in NAMES if pattern.search(plain_name)), None)
 
 
 def unit_of(text: str, role: str) -> tuple[float, float] | None:
     """Factor and offset of a unit; None if the unit does not fit the role."""
-    wanted = text.strip().replace("\u00b7", "*").strip("[]() ")
-    known = UNITS[role]
-    if wanted in known:
-        return known[wanted]
-    if wanted.lower() in DISTINCT:
+    unit_name = text.strip().replace("\u00b7", "*").strip("[]() ")
+    known_units = UNITS[role]
+    if unit_name in known_units:
+        return known_units[unit_name]
+    if unit_name.lower() in DISTINCT:
         return None
-    return next((value for unit, value in known.items() if unit.lower() == wanted.lower()), None)
+    return next((value for unit, value in known_units.items() if unit.lower() == unit_name.lower()), None)
 
 
 def is_unit(text: str) -> bool:
@@ -127,11 +127,11 @@ def is_unit(text: str) -> bool:
 
 def frequency_in(name: str) -> float | None:
     """The frequency [Hz] that a column's name ends with."""
-    found = FREQUENCY_IN_NAME.search(name)
-    if found is None:
+    match = FREQUENCY_IN_NAME.search(name)
+    if match is None:
         return None
-    value = float(re.sub("[,p]", ".", found[1]))
-    return value if found[2].lower() == "hz" else value / (2.0 * pi)
+    value = float(re.sub("[,p]", ".", match[1]))
+    return value if match[2].lower() == "hz" else value / (2.0 * pi)
 
 
 def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) -> list[DmaColumn]:
@@ -141,63 +141,65 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
     that is missing or does not fit its quantity; a second column of a quantity with another name or unit; a quantity only as a
     logarithm; a modulus in shear beside one in tension.
     """
-    found: list[DmaColumn] = []
+    column_list: list[DmaColumn] = []
     logarithms: dict[tuple[str, float | None], int] = {}  # place by role and frequency
     roles = [role_of(name) for name in names]
     unused = {quantity for quantity, others in UNUSED_WITH.items() if others & {*roles}}
     for place, (name, role) in enumerate(zip(names, roles, strict=True)):
-        below = units[place] if units and place < len(units) else ""
-        if role is None or role in unused or OF_OTHERS.match(f"{name} {below}"):
+        unit_cell = units[place] if units and place < len(units) else ""
+        if role is None or role in unused or OF_OTHERS.match(f"{name} {unit_cell}"):
             continue
         frequency = frequency_in(name) if role in (*MODULI, TANGENT, ANGLE) else None
-        if LOGARITHM.search(f"{name} {below}"):
+        if LOGARITHM.search(f"{name} {unit_cell}"):
             logarithms.setdefault((role, frequency), place)
             continue
-        scale, offset = _unit(name, below, role, where)
-        if role == FREQUENCY and ANGULAR.search(name) and re.search(r"1\s*/\s*s", f"{name} {below}"):
+        scale, offset = _unit(name, unit_cell, role, where)
+        if role == FREQUENCY and ANGULAR.search(name) and re.search(r"1\s*/\s*s", f"{name} {unit_cell}"):
             scale = UNITS[FREQUENCY]["rad/s"][0]
         shear = role in MODULI and bool(SHEAR.search(name.translate(QUOTES).lower()))
         factor, kind, quantity = scale * (SHEAR_TO_TENSION if shear else 1.0), STANDS_FOR.get(role, role), role
         column = DmaColumn(place, name, kind, factor, offset, shear, frequency, quantity="" if kind == quantity else quantity)
-        first = next((c for c in found if c.role == kind and c.frequency == frequency), None)
-        if first is not None and replace(first, place=place) != column:
-            raise another_column(column, first, where)
-        found.append(column if first is None else replace(column, again=True))
+        first_column = next((c for c in column_list if c.role == kind and c.frequency == frequency), None)
+        if first_column is not None and replace(first_column, place=place) != column:
+            raise another_column(column, first_column, where)
+        column_list.append(column if first_column is None else replace(column, again=True))
     for (role, frequency), place in logarithms.items():
         role = STANDS_FOR.get(role, role)
-        enough = (LOSS, TANGENT) if role in (LOSS, TANGENT) else (role,)
-        if not any(c.role in enough and c.frequency == frequency for c in found):
+        sufficient_roles = (LOSS, TANGENT) if role in (LOSS, TANGENT) else (role,)
+        if not any(c.role in sufficient_roles and c.frequency == frequency for c in column_list):
             allowed = f"the {role} itself, not its logarithm"
             raise InputError(f"{where}, column {place + 1}", names[place].strip(), allowed, "convert the column, and rename it")
-    moduli = {c.shear: c for c in found if c.role in MODULI}
+    moduli = {c.shear: c for c in column_list if c.role in MODULI}
     if len(moduli) > 1:
         given = f"{moduli[True].name.strip()} in shear, {moduli[False].name.strip()} in tension"
         raise InputError(where, given, "all moduli in shear, or all in tension", "rename the columns, or give tan delta alone")
-    return found
+    return column_list
 
 
-def another_column(column: DmaColumn, first: DmaColumn, where: str) -> InputError:
+def another_column(column: DmaColumn, first_column: DmaColumn, where: str) -> InputError:
     """Error of a second column of a quantity that does not repeat the first."""
     return InputError(
         f"{where}, column {column.place + 1}",
         column.name,
-        f"one column of {column.role}: column {first.place + 1}, {first.name}, is one already",
+        f"one column of {column.role}: column {first_column.place + 1}, {first_column.name}, is one already",
         "delete or rename the other",
     )
 
 
-def _unit(name: str, below: str, role: str, where: str) -> tuple[float, float]:
-    if below.strip():
-        found = unit_of(below, role)
-        if found is None:
-            raise InputError(f"{where}, unit of {name}", below.strip(), SHOWN_UNITS[role], nearest(below.strip(), UNITS[role]))
-        return found
-    bare = FREQUENCY_IN_NAME.sub("", name)
-    texts = [text for pattern in PLACES_OF_UNITS for text in pattern.findall(bare)]
-    words = [word for word in reversed(re.split(r"[_\s,]+", bare)) if word != bare.strip()]
+def _unit(name: str, unit_cell: str, role: str, where: str) -> tuple[float, float]:
+    if unit_cell.strip():
+        unit_pair = unit_of(unit_cell, role)
+        if unit_pair is None:
+            raise InputError(
+                f"{where}, unit of {name}", unit_cell.strip(), SHOWN_UNITS[role], nearest(unit_cell.strip(), UNITS[role])
+            )
+        return unit_pair
+    name_rest = FREQUENCY_IN_NAME.sub("", name)
+    texts = [text for pattern in PLACES_OF_UNITS for text in pattern.findall(name_rest)]
+    words = [word for word in reversed(re.split(r"[_\s,]+", name_rest)) if word != name_rest.strip()]
     for text in filter(None, [*texts, *words]):
-        if (found := unit_of(text, role)) is not None:
-            return found
+        if (unit_pair := unit_of(text, role)) is not None:
+            return unit_pair
     if role == TANGENT:
         return 1.0, 0.0
     if texts:

@@ -46,5 +46,5 @@ def fit_command(sweep: Path, vehicle: str, frequency_hz: float | None, output: P
 
     needs("pictures", "plots", "matplotlib")
     with progress("fitting", None):
-        found = fit_and_write(sweep, vehicle, output_folder(output), frequency_hz)
-    emit(found, as_json, lambda: found_text(found))
+        fit_result = fit_and_write(sweep, vehicle, output_folder(output), frequency_hz)
+    emit(fit_result, as_json, lambda: found_text(fit_result))

@@ -50,27 +50,27 @@ class Covered:
         """Covered and extrapolated ranges, in words."""
         belts = f"{need.coldest:.0f} to {need.hottest:.0f} degC, {need.slowest:.1f} to {need.fastest:.0f} Hz"
         text = f"The data cover {floor(100.0 * self.share)} % of what the vehicle's belts need ({belts})"
-        beyond = []
+        gaps = []
         if self.coldest_slow > need.coldest:
-            beyond.append(f"colder than {self.coldest_slow:.0f} degC at any frequency")
+            gaps.append(f"colder than {self.coldest_slow:.0f} degC at any frequency")
         if self.coldest_fast > max(need.coldest, self.coldest_slow):
-            beyond.append(f"colder than {self.coldest_fast:.0f} degC at {need.fastest:.0f} Hz")
+            gaps.append(f"colder than {self.coldest_fast:.0f} degC at {need.fastest:.0f} Hz")
         if self.hottest < need.hottest:
-            beyond.append(f"hotter than {self.hottest:.0f} degC")
+            gaps.append(f"hotter than {self.hottest:.0f} degC")
         if self.hottest_slow < min(need.hottest, self.hottest):
-            beyond.append(f"hotter than {self.hottest_slow:.0f} degC at {need.slowest:.1f} Hz")
-        return f"{text}; extrapolated, with the last values held: {', '.join(beyond)}." if beyond else f"{text}."
+            gaps.append(f"hotter than {self.hottest_slow:.0f} degC at {need.slowest:.1f} Hz")
+        return f"{text}; extrapolated, with the last values held: {', '.join(gaps)}." if gaps else f"{text}."
 
 
 def need_of(vehicle: Vehicle) -> Need:
     """Range of the belts of a vehicle."""
     air, top = vehicle.parameters["chassis.ambient"], vehicle.chassis.max_speed
-    hottest = max(balance_degc(vehicle, name, loss_table(vehicle, name), top, air.high) for name in vehicle.tracks)
-    longest = max(track.belt.loop_length for track in vehicle.tracks.values())
+    hottest_degc = max(balance_degc(vehicle, name, loss_table(vehicle, name), top, air.high) for name in vehicle.tracks)
+    longest_loop = max(track.belt.loop_length for track in vehicle.tracks.values())
     loads = zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)
-    contacts = [track_model(vehicle, one.track).loss.contacts(top, air.low, load) for one, load in loads]
-    fastest = float(max(contact.frequency.max() for contact in contacts))
-    return Need(air.low, hottest, SLOWEST_KMH / KMH_PER_MPS / longest, fastest)
+    contacts = [track_model(vehicle, assembly_load.track).loss.contacts(top, air.low, load) for assembly_load, load in loads]
+    fastest_hz = float(max(contact.frequency.max() for contact in contacts))
+    return Need(air.low, hottest_degc, SLOWEST_KMH / KMH_PER_MPS / longest_loop, fastest_hz)
 
 
 def is_covered(fit: CompoundFit, frequency: NDArray[np.float64], temp_degc: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -79,8 +79,8 @@ def is_covered(fit: CompoundFit, frequency: NDArray[np.float64], temp_degc: NDAr
     The moduli of a belt hotter than any row are unknown at any frequency.
     """
     equivalent = fit.shift.equivalent_degc(frequency, temp_degc, fit.master.at_frequency)
-    inside = (equivalent >= fit.master.low_degc - ROUNDING_K) & (equivalent <= fit.master.high_degc + ROUNDING_K)
-    return np.asarray(inside & (temp_degc <= fit.sweep.temp_degc.max()))
+    is_inside = (equivalent >= fit.master.low_degc - ROUNDING_K) & (equivalent <= fit.master.high_degc + ROUNDING_K)
+    return np.asarray(is_inside & (temp_degc <= fit.sweep.temp_degc.max()))
 
 
 def covered(fit: CompoundFit, need: Need) -> Covered:

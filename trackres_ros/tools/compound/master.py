@@ -46,8 +46,8 @@ class Basis:
 
     def at(self, degc: ArrayLike) -> Array:
         """Values, shape (temperatures, splines); beyond the ends those of the ends."""
-        inside = np.clip(degc, self.knots[DEGREE], self.knots[-DEGREE - 1])
-        return np.asarray(BSpline.design_matrix(inside, self.knots, DEGREE).toarray())
+        degc_inside = np.clip(degc, self.knots[DEGREE], self.knots[-DEGREE - 1])
+        return np.asarray(BSpline.design_matrix(degc_inside, self.knots, DEGREE).toarray())
 
     @cached_property
     def bends(self) -> Array:
@@ -79,10 +79,18 @@ def smooth(sweep: Sweep, shift: Shift, at_frequency: float, penalty: Array) -> S
     equivalent = shift.equivalent_degc(sweep.frequency, sweep.temp_degc, at_frequency)
     basis = Basis.over(sweep, equivalent)
     design, values = basis.at(equivalent), logs(sweep)
-    gram, right, roughness = design.T @ design, design.T @ values, basis.bends.T @ basis.bends
-    found = np.column_stack([np.linalg.solve(gram + weight * roughness, right[:, k]) for k, weight in enumerate(penalty)])
-    residuals = values - design @ found
-    return Smooth(basis, design, found, residuals, np.vstack([residuals, np.sqrt(penalty) * (basis.bends @ found)]))
+    gram, right_side, roughness = design.T @ design, design.T @ values, basis.bends.T @ basis.bends
+    coefficients_found = np.column_stack(
+        [np.linalg.solve(gram + weight * roughness, right_side[:, k]) for k, weight in enumerate(penalty)]
+    )
+    residuals = values - design @ coefficients_found
+    return Smooth(
+        basis,
+        design,
+        coefficients_found,
+        residuals,
+        np.vstack([residuals, np.sqrt(penalty) * (basis.bends @ coefficients_found)]),
+    )
 
 
 def chosen_penalty(sweep: Sweep, shift: Shift, at_frequency: float) -> Array:
@@ -95,10 +103,10 @@ def chosen_penalty(sweep: Sweep, shift: Shift, at_frequency: float) -> Array:
     places = len(np.unique(np.round(equivalent, 2)))
     for i, weight in enumerate(PENALTIES):
         inverse = np.linalg.inv(gram + weight * roughness)
-        used = float(np.einsum("ij,ji->", inverse, gram))
-        if used <= MOST_USED * places or weight == PENALTIES[-1]:
+        degrees_used = float(np.einsum("ij,ji->", inverse, gram))
+        if degrees_used <= MOST_USED * places or weight == PENALTIES[-1]:
             residuals = values - design @ (inverse @ (design.T @ values))
-            scores[i] = n * (residuals**2).sum(axis=0) / (n - used) ** 2
+            scores[i] = n * (residuals**2).sum(axis=0) / (n - degrees_used) ** 2
     return np.asarray(PENALTIES[scores.argmin(axis=0)])
 
 
@@ -127,39 +135,42 @@ class MasterCurve:
         That of the smoothing prior, which holds over the whole curve (Nychka, J. Am. Stat. Assoc. 83 (1988) 1134); its scale is
         that of the residuals.
         """
-        at = self._basis.at(degc)
+        basis_values = self._basis.at(degc)
         return np.column_stack(
-            [scale * np.sqrt(np.einsum("ij,jk,ik->i", at, f, at)) for scale, f in zip(self.scale, self._factors, strict=True)]
+            [
+                scale * np.sqrt(np.einsum("ij,jk,ik->i", basis_values, f, basis_values))
+                for scale, f in zip(self.scale, self._factors, strict=True)
+            ]
         )
 
 
 def master_curve(sweep: Sweep, shift: Shift, at_frequency: float) -> MasterCurve:
     """Fit both moduli at one frequency by bounded least squares."""
     penalty = chosen_penalty(sweep, shift, at_frequency)
-    free = smooth(sweep, shift, at_frequency, penalty)
-    basis, design, values = free.basis, free.design, logs(sweep)
+    smooth_curve = smooth(sweep, shift, at_frequency, penalty)
+    basis, design, values = smooth_curve.basis, smooth_curve.design, logs(sweep)
     coefficients, factors, scales = [], [], []
     for k, (limits, weight) in enumerate(zip(LIMITS, penalty, strict=True)):
-        stacked = np.vstack([design, np.sqrt(weight) * basis.bends])
+        stacked_rows = np.vstack([design, np.sqrt(weight) * basis.bends])
         target = np.concatenate([values[:, k], np.zeros(len(basis.bends))])
         bounds = np.log(1e6 * np.array([limits.low, limits.high]))
-        found = free.coefficients[:, k]
-        if (found < bounds[0]).any() or (found > bounds[1]).any():
-            found = lsq_linear(stacked, target, bounds, method="bvls").x
-        factor = np.linalg.inv(stacked.T @ stacked)
-        used = float(np.einsum("ij,ji->", factor, design.T @ design))
-        residual = values[:, k] - design @ found
-        coefficients.append(found)
+        free_coefficients = smooth_curve.coefficients[:, k]
+        if (free_coefficients < bounds[0]).any() or (free_coefficients > bounds[1]).any():
+            free_coefficients = lsq_linear(stacked_rows, target, bounds, method="bvls").x
+        factor = np.linalg.inv(stacked_rows.T @ stacked_rows)
+        degrees_used = float(np.einsum("ij,ji->", factor, design.T @ design))
+        residual = values[:, k] - design @ free_coefficients
+        coefficients.append(free_coefficients)
         factors.append(factor)
-        scales.append(np.sqrt((residual**2).sum() / max(len(residual) - used, 1.0)))
-    at = np.column_stack(coefficients)
+        scales.append(np.sqrt((residual**2).sum() / max(len(residual) - degrees_used, 1.0)))
+    coefficient_columns = np.column_stack(coefficients)
     return MasterCurve(
         at_frequency,
         float(basis.knots[DEGREE]),
         float(basis.knots[-DEGREE - 1]),
-        values - design @ at,
+        values - design @ coefficient_columns,
         np.array(scales),
         basis,
-        at,
+        coefficient_columns,
         (factors[0], factors[1]),
     )

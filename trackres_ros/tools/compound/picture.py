@@ -27,12 +27,12 @@ DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 4.0, "
 
 def draw_compound(fit: CompoundFit, need: Need, path: Path) -> Path:
     """The picture of a fit."""
-    with picture_with_legend(path, *INCHES) as drawn:
-        (cover, curve), (shift, left) = drawn.subplots(2, 2)
+    with picture_with_legend(path, *INCHES) as figure:
+        (cover, curve), (shift, residual_axes) = figure.subplots(2, 2)
         _coverage(cover, fit, need)
         _master(curve, fit)
         _shift(shift, fit)
-        _residuals(left, fit)
+        _residuals(residual_axes, fit)
     return path
 
 
@@ -45,8 +45,8 @@ def _coverage(axes: Axes, fit: CompoundFit, need: Need) -> None:
     high = np.log10(max(sweep.frequency.max(), need.fastest)) + MARGIN_DECADES
     log_f = np.linspace(low, high, GRID)
     grid_t, grid_f = np.meshgrid(temps, log_f)
-    inside = is_covered(fit, 10.0**grid_f, grid_t)
-    axes.contourf(temps, 10.0**log_f, inside.astype(float), levels=[0.5, 1.5], colors=[PALE], zorder=0)
+    is_inside = is_covered(fit, 10.0**grid_f, grid_t)
+    axes.contourf(temps, 10.0**log_f, is_inside.astype(float), levels=[0.5, 1.5], colors=[PALE], zorder=0)
     axes.plot(sweep.temp_degc, sweep.frequency, color=BLACK, label="measured", **DOTS)
     axes.fill([], [], color=PALE, label="covered by superposition")
     box_t = [need.coldest, need.hottest, need.hottest, need.coldest, need.coldest]
@@ -63,21 +63,26 @@ def _coverage(axes: Axes, fit: CompoundFit, need: Need) -> None:
 def _master(axes: Axes, fit: CompoundFit) -> None:
     sweep, prony, shift = fit.sweep, fit.prony, fit.shift
     reference = prony.reference_degc
-    moved = sweep.frequency * 10.0 ** (shift.log_shift(sweep.temp_degc) - shift.log_shift(reference))
+    moved_hz = sweep.frequency * 10.0 ** (shift.log_shift(sweep.temp_degc) - shift.log_shift(reference))
     degc = np.linspace(fit.master.low_degc, fit.master.high_degc, 400)
-    along = fit.master.at_frequency * 10.0 ** (shift.log_shift(degc) - shift.log_shift(reference))
-    for measured, smooth, series, colour, label in zip(
+    master_hz = fit.master.at_frequency * 10.0 ** (shift.log_shift(degc) - shift.log_shift(reference))
+    for measured, curve, series, colour, label in zip(
         (sweep.storage, sweep.loss),
         fit.master.moduli(degc),
-        prony.moduli(along),
+        prony.moduli(master_hz),
         (BLUE, VERMILION),
         ("storage E′", "loss E″"),
         strict=True,
     ):
-        axes.plot(moved, measured / 1e6, color=colour, alpha=0.6, **DOTS)
-        axes.plot(along, smooth / 1e6, color=colour, label=label)
+        axes.plot(moved_hz, measured / 1e6, color=colour, alpha=0.6, **DOTS)
+        axes.plot(master_hz, curve / 1e6, color=colour, label=label)
         axes.plot(
-            along, series / 1e6, color=BLACK, linewidth=0.9, linestyle=":", label="Prony series" if colour == VERMILION else None
+            master_hz,
+            series / 1e6,
+            color=BLACK,
+            linewidth=0.9,
+            linestyle=":",
+            label="Prony series" if colour == VERMILION else None,
         )
     axes.set_xscale("log")
     axes.set_yscale("log")

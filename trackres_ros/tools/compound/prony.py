@@ -47,7 +47,7 @@ class Prony:
     @property
     def rms(self) -> tuple[float, float]:
         """Of both moduli, relative; at the rows or along the master curve, whichever is larger."""
-        storage, loss = np.max([np.sqrt((each**2).mean(axis=0)) for each in self.residuals], axis=0)
+        storage, loss = np.max([np.sqrt((residual**2).mean(axis=0)) for residual in self.residuals], axis=0)
         return float(storage), float(loss)
 
 
@@ -55,29 +55,29 @@ def fit_prony(sweep: Sweep, shift: Shift, master: MasterCurve) -> Prony:
     """Fit both moduli of a shifted sweep at once, each relative to its value and error."""
     reference = float(np.clip(REFERENCE_DEGC, sweep.temp_degc.min(), sweep.temp_degc.max()))
     reference = max(reference, shift.glass_transition)  # WLF cannot be written about a temperature in the glass
-    moved = shift.log_shift(sweep.temp_degc) - shift.log_shift(reference)
-    log_f = np.log10(sweep.frequency) + moved
+    log_moved = shift.log_shift(sweep.temp_degc) - shift.log_shift(reference)
+    log_f = np.log10(sweep.frequency) + log_moved
     low, high = -log_f.max() - BEYOND - np.log10(2.0 * np.pi), -log_f.min() + BEYOND - np.log10(2.0 * np.pi)
     count = int(np.clip(round(EACH_DECADE * (high - low)), 3, MOST_TERMS))
     tau = np.logspace(low, high, count)
     weight = 1.0 / np.maximum(master.scale, LEAST_WEIGHT)
     rows = _rows(log_f, tau, (sweep.storage, sweep.loss), weight)
-    at = np.linspace(master.low_degc, master.high_degc, int(GUIDE_EACH_DECADE * (high - low)))
-    along = np.log10(master.at_frequency) + shift.log_shift(at) - shift.log_shift(reference)
-    stacked = np.vstack([rows, _rows(along, tau, master.moduli(at), weight)])
-    size = np.linalg.norm(stacked, axis=0)
+    guide_degc = np.linspace(master.low_degc, master.high_degc, int(GUIDE_EACH_DECADE * (high - low)))
+    log_guide = np.log10(master.at_frequency) + shift.log_shift(guide_degc) - shift.log_shift(reference)
+    stacked_rows = np.vstack([rows, _rows(log_guide, tau, master.moduli(guide_degc), weight)])
+    size = np.linalg.norm(stacked_rows, axis=0)
     target = np.repeat(weight, len(log_f))
-    wanted = np.concatenate([target, np.repeat(weight, len(at))])
-    found = lsq_linear(stacked / size, wanted, (0.0, np.inf), method="bvls", max_iter=10 * len(size)).x / size
-    std, used = np.zeros_like(found), found > 0.0
-    left = wanted - stacked @ found
-    of_rows, of_guide = np.split(left, [len(target)])
-    free = max(len(target) - int(used.sum()), 1)
-    scaled = stacked[:, used] / size[used]
-    spread = np.diag(np.linalg.pinv(scaled.T @ scaled)) * len(left) / len(target)  # the guide repeats the rows
-    std[used] = np.sqrt(spread * float(of_rows @ of_rows) / free) / size[used]
+    targets = np.concatenate([target, np.repeat(weight, len(guide_degc))])
+    strengths_found = lsq_linear(stacked_rows / size, targets, (0.0, np.inf), method="bvls", max_iter=10 * len(size)).x / size
+    std, is_used = np.zeros_like(strengths_found), strengths_found > 0.0
+    residual = targets - stacked_rows @ strengths_found
+    of_rows, of_guide = np.split(residual, [len(target)])
+    freedom = max(len(target) - int(is_used.sum()), 1)
+    scaled_rows = stacked_rows[:, is_used] / size[is_used]
+    spread = np.diag(np.linalg.pinv(scaled_rows.T @ scaled_rows)) * len(residual) / len(target)  # the guide repeats the rows
+    std[is_used] = np.sqrt(spread * float(of_rows @ of_rows) / freedom) / size[is_used]
     residuals = [(part / np.repeat(weight, len(part) // 2)).reshape(2, -1).T for part in (of_rows, of_guide)]
-    return Prony(reference, tau, found, std, (residuals[0], residuals[1]))
+    return Prony(reference, tau, strengths_found, std, (residuals[0], residuals[1]))
 
 
 def _rows(log_f: Array, tau: Array, moduli: tuple[Array, Array], weight: Array) -> Array:
@@ -90,5 +90,5 @@ def _terms(frequency: Array, tau: Array) -> tuple[Array, Array]:
     """Contribution of each strength to both moduli, shape (frequencies, 1 + terms); first that of infinite time."""
     x = 2.0 * np.pi * frequency[:, None] * tau
     x2 = np.minimum(x, 1e100) ** 2
-    rubber, none = np.ones((len(frequency), 1)), np.zeros((len(frequency), 1))
-    return np.hstack([rubber, x2 / (1.0 + x2)]), np.hstack([none, x / (1.0 + x2)])
+    rubber, no_rubber = np.ones((len(frequency), 1)), np.zeros((len(frequency), 1))
+    return np.hstack([rubber, x2 / (1.0 + x2)]), np.hstack([no_rubber, x / (1.0 + x2)])

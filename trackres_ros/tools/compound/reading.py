@@ -69,8 +69,8 @@ class Sweep:
     @property
     def frequencies(self) -> Array:
         """Each frequency once, rising; those within 2 % are merged."""
-        rising = np.sort(self.frequency)
-        return np.asarray(rising[np.concatenate([[True], np.diff(np.log(rising)) > 0.02])])
+        sorted_hz = np.sort(self.frequency)
+        return np.asarray(sorted_hz[np.concatenate([[True], np.diff(np.log(sorted_hz)) > 0.02])])
 
 
 def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
@@ -92,19 +92,19 @@ def _read(path: Path, name: str, frequency_hz: float | None) -> Sweep:
     notes = table.notes
     rows = _rows(table, columns)
     if rows:  # an instrument that did not compute tan delta may still name it
-        kept = [any(map(math.isfinite, numbers)) for numbers in zip(*(numbers for _, numbers in rows), strict=True)]
-        columns = list(itertools.compress(columns, kept))
-        rows = [(line, list(itertools.compress(numbers, kept))) for line, numbers in rows]
-    whole = [(line, numbers) for line, numbers in rows if all(map(math.isfinite, numbers))]
-    columns, numbers_of = _each_once(columns, whole, where)
-    _complete(columns, table.names, where, frequency_hz)
+        has_number = [any(map(math.isfinite, numbers)) for numbers in zip(*(numbers for _, numbers in rows), strict=True)]
+        columns = list(itertools.compress(columns, has_number))
+        rows = [(line, list(itertools.compress(numbers, has_number))) for line, numbers in rows]
+    whole_rows = [(line, numbers) for line, numbers in rows if all(map(math.isfinite, numbers))]
+    columns, numbers_of = _each_once(columns, whole_rows, where)
+    _check_complete(columns, table.names, where, frequency_hz)
     if any(c.shear for c in columns):
         notes.append("moduli in shear were multiplied by 3, as rubber keeps its volume")
     computed = [f"{c.role} from {c.name.strip()}" for c in columns if c.quantity]
     notes += [f"computed: {', '.join(computed)}"] if computed else []
-    if len(whole) < len(rows):
-        notes.append(f"{len(rows) - len(whole)} rows with an empty cell were left out")
-    if not whole:
+    if len(whole_rows) < len(rows):
+        notes.append(f"{len(rows) - len(whole_rows)} rows with an empty cell were left out")
+    if not whole_rows:
         raise InputError(name, "no row of numbers", f"at least {FEWEST_ROWS}")
     return _assembled(path, _Table.of(name, columns, numbers_of), frequency_hz, notes)
 
@@ -113,19 +113,22 @@ def _rows(table: TextTable, columns: Sequence[DmaColumn]) -> list[tuple[int, lis
     """Line and numbers of each row, nan in empty cells. Raises InputError with line and column for a cell that is no number."""
     marks = marks_of((column.name, "") for column in columns)
     table.look([(column.place, marks[column.name].see) for column in columns])
-    decided = decide(marks, table.name, table.separator == ",")
-    read = [Column(one.place, one.name, partial(number_of, mark=decided[one.name])) for one in columns]
+    mark_of_column = decide(marks, table.name, table.separator == ",")
+    read = [
+        Column(table_column.place, table_column.name, partial(number_of, mark=mark_of_column[table_column.name]))
+        for table_column in columns
+    ]
     progress = Progress()
     numbers = table.numbers(table.rows(progress), read, progress)
     return [(progress.line, [math.nan if number is None else number for number in row]) for row in numbers]
 
 
-def _complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
+def _check_complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
     roles, names = {c.role for c in columns}, ", ".join(cells)
-    missing = [text for needed, text in NEEDED.items() if not roles & set(needed)]
-    if missing:
+    missing_texts = [text for needed_roles, text in NEEDED.items() if not roles & set(needed_roles)]
+    if missing_texts:
         allowed = f"columns with {', '.join(NEEDED.values())}, between tabs, semicolons, commas or spaces"
-        raise InputError(where, f"columns {names}", allowed, f"missing: {', '.join(missing)}")
+        raise InputError(where, f"columns {names}", allowed, f"missing: {', '.join(missing_texts)}")
     in_names = [c.frequency for c in columns if c.role == STORAGE and not c.again]
     if frequency_hz is not None and (FREQUENCY in roles or any(in_names)):
         raise InputError("frequency_hz", figures(frequency_hz, 6), f"nothing, as {where} says the frequency")
@@ -145,11 +148,11 @@ def _each_once(
     """Without the columns that some instruments write twice; a second one with other numbers is another quantity."""
     for k, column in enumerate(columns):
         if column.again:
-            first = next(i for i, c in enumerate(columns) if c.role == column.role and c.frequency == column.frequency)
-            if any(values[k] != values[first] for _, values in rows):
-                raise another_column(column, columns[first], where)
-    kept = [k for k, column in enumerate(columns) if not column.again]
-    return [columns[k] for k in kept], [(line, [values[k] for k in kept]) for line, values in rows]
+            first_place = next(i for i, c in enumerate(columns) if c.role == column.role and c.frequency == column.frequency)
+            if any(values[k] != values[first_place] for _, values in rows):
+                raise another_column(column, columns[first_place], where)
+    places_kept = [k for k, column in enumerate(columns) if not column.again]
+    return [columns[k] for k in places_kept], [(line, [values[k] for k in places_kept]) for line, values in rows]
 
 
 def _split_complex(columns: Sequence[DmaColumn], si: Array) -> None:
@@ -195,25 +198,25 @@ class _Table:
 
     def of_frequency(self, role: str, storage: DmaColumn) -> int | None:
         """Index of the role's column at the storage modulus' frequency; one without a frequency fits the only storage modulus."""
-        listed = self.of_role(role)
-        same = [k for k in listed if self.columns[k].frequency == storage.frequency]
-        if not same and len(listed) == 1 and None in (self.columns[listed[0]].frequency, storage.frequency):
-            same = listed
-        return same[0] if same else None
+        role_columns = self.of_role(role)
+        equal_columns = [k for k in role_columns if self.columns[k].frequency == storage.frequency]
+        if not equal_columns and len(role_columns) == 1 and None in (self.columns[role_columns[0]].frequency, storage.frequency):
+            equal_columns = role_columns
+        return equal_columns[0] if equal_columns else None
 
     def checked(
         self, k: int, limits: Limits, to_limits: float = 1.0, values: Array | None = None, remedy: str = UNIT_REMEDY
     ) -> Array:
         """Values of a column in SI, or made with it, that are within limits."""
         values = self.si[:, k] if values is None else values
-        shown = values / to_limits
-        bad = ~((shown >= limits.low) & (shown <= limits.high))
-        if bad.any():
-            at = int(np.argmax(bad))
-            given = figures(float(self.given[at, k])) if math.isfinite(self.given[at, k]) else str(self.given[at, k])
+        values_shown = values / to_limits
+        is_bad = ~((values_shown >= limits.low) & (values_shown <= limits.high))
+        if is_bad.any():
+            row = int(np.argmax(is_bad))
+            given = figures(float(self.given[row, k])) if math.isfinite(self.given[row, k]) else str(self.given[row, k])
             raise InputError(
-                f"{self.name}: line {self.lines[at]}, column {self.columns[k].name}",
-                f"{given} ({figures(float(shown[at]), 4)} {limits.unit})",
+                f"{self.name}: line {self.lines[row]}, column {self.columns[k].name}",
+                f"{given} ({figures(float(values_shown[row]), 4)} {limits.unit})",
                 f"{limits.meaning} of {limits.low:g} to {limits.high:g} {limits.unit}", remedy,
             )  # fmt: skip
         return values
@@ -227,10 +230,10 @@ def _assembled(path: Path, table: _Table, frequency_hz: float | None, notes: Seq
         storage = table.checked(k, SWEEP_STORAGE, 1e6)
         loss = _loss(table, table.columns[k], storage)
         parts.append((_frequency(table, table.columns[k], frequency_hz), temp_degc, storage, loss))
-    f, t, e1, e2 = (np.concatenate(each) for each in zip(*parts, strict=True))
-    apart, width = len(np.unique(np.round(t))), float(t.max() - t.min())
-    if len(f) < FEWEST_ROWS or apart < FEWEST_DEGC or width < NARROWEST_K:
-        given = f"{len(f)} rows at {apart} temperatures over {width:.0f} K"
+    f, t, e1, e2 = (np.concatenate(part_arrays) for part_arrays in zip(*parts, strict=True))
+    temperature_count, width = len(np.unique(np.round(t))), float(t.max() - t.min())
+    if len(f) < FEWEST_ROWS or temperature_count < FEWEST_DEGC or width < NARROWEST_K:
+        given = f"{len(f)} rows at {temperature_count} temperatures over {width:.0f} K"
         allowed = f"at least {FEWEST_ROWS} rows at {FEWEST_DEGC} temperatures over {NARROWEST_K:g} K"
         raise InputError(table.name, given, allowed)
     return Sweep(path, f, t, e1, e2, tuple(notes))
@@ -241,8 +244,8 @@ def _loss(table: _Table, column: DmaColumn, storage: Array) -> Array:
     k_loss, k_tan = (table.of_frequency(role, column) for role in (LOSS, TANGENT))
     if k_loss is None:
         if k_tan is None:
-            needed = "a loss modulus or tan delta of the same frequency beside each storage modulus"
-            raise InputError(table.name, column.name, needed)
+            need_text = "a loss modulus or tan delta of the same frequency beside each storage modulus"
+            raise InputError(table.name, column.name, need_text)
         return table.checked(k_tan, SWEEP_LOSS, 1e6, storage * table.checked(k_tan, SWEEP_TAN_DELTA))
     if k_tan is not None:
         table.checked(k_tan, SWEEP_TAN_DELTA)
@@ -250,10 +253,10 @@ def _loss(table: _Table, column: DmaColumn, storage: Array) -> Array:
     remedy = "loss over storage modulus: check that both have the same unit"
     by_moduli = table.checked(k_loss, SWEEP_TAN_DELTA, 1.0, loss / storage, remedy)
     if k_tan is not None:
-        apart = float(np.median(np.abs(np.log(by_moduli / table.si[:, k_tan]))))
-        if apart > TANGENT_DIFFERS:
+        difference = float(np.median(np.abs(np.log(by_moduli / table.si[:, k_tan]))))
+        if difference > TANGENT_DIFFERS:
             raise InputError(
-                table.name, f"{table.columns[k_tan].name} that is {100 * apart:.0f} % off loss over storage modulus",
+                table.name, f"{table.columns[k_tan].name} that is {100 * difference:.0f} % off loss over storage modulus",
                 f"within {100 * TANGENT_DIFFERS:g} %", "check the units of both moduli, or delete one of the columns",
             )  # fmt: skip
     return loss

@@ -34,20 +34,20 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
     """
     if frequency_hz is not None:
         number(frequency_hz, "frequency_hz", FREQUENCIES.low, FREQUENCIES.high, "Hz")
-    before = load(vehicle_given)
-    files = files_of(sweep_file, folder, inputs_of(before))
+    vehicle_before = load(vehicle_given)
+    files = files_of(sweep_file, folder, inputs_of(vehicle_before))
     sweep = read_sweep(sweep_file, frequency_hz)
-    fit = fit_compound(sweep, before)
+    fit = fit_compound(sweep, vehicle_before)
     with TemporaryDirectory() as trial:
-        tried = write_compound(fit, before, files_of(sweep_file, Path(trial)))
-        _check_belts(tried, sweep_file)
-    need = need_of(tried)
+        trial_files = write_compound(fit, vehicle_before, files_of(sweep_file, Path(trial)))
+        _check_belts(trial_files, sweep_file)
+    need = need_of(trial_files)
     with file_set():
-        put_compound(fit, before, files)
+        put_compound(fit, vehicle_before, files)
         draw_compound(fit, need, files["picture"])
     vehicle = load(files["vehicle"])
     part = covered(fit, need)
-    values = {name: _quantity(found, RUBBER[name].unit) for name, found in fit.values.items()}
+    values = {name: _quantity(value, RUBBER[name].unit) for name, value in fit.values.items()}
     if fit.energy is not None:
         values["activation_energy"] = _quantity(fit.energy, "J/mol")
     return {
@@ -58,8 +58,8 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
         "notes": list(sweep.notes),
         "shift": {"law": fit.law, "why": fit.why, "glass_transition_is_seen": bool(fit.glass_is_seen)},
         "values": values,
-        "before": {name: getattr(before.rubber, name) for name in fit.values},
-        "vehicle": {"given": vehicle_given, "before": before.name, "name": vehicle.name},
+        "before": {name: getattr(vehicle_before.rubber, name) for name in fit.values},
+        "vehicle": {"given": vehicle_given, "before": vehicle_before.name, "name": vehicle.name},
         "sweep_frequency_hz": fit.master.at_frequency,
         "rms": {"storage": float(fit.rms[0]), "loss": float(fit.rms[1])},
         "prony": {
@@ -80,8 +80,8 @@ def _check_belts(vehicle: Vehicle, sweep_file: Path) -> None:
         check_heat(replace(vehicle, source=sweep_file), name, loss_table(vehicle, name))
 
 
-def _quantity(found: Value, unit: str) -> dict[str, Any]:
-    return {"value": float(found.value), "range": [float(found.low), float(found.high)], "unit": unit}
+def _quantity(value: Value, unit: str) -> dict[str, Any]:
+    return {"value": float(value.value), "range": [float(value.low), float(value.high)], "unit": unit}
 
 
 def _remarks(fit: CompoundFit) -> list[str]:
@@ -106,43 +106,49 @@ def _remarks(fit: CompoundFit) -> list[str]:
     return remarks
 
 
-def found_text(found: dict[str, Any]) -> str:
+def found_text(fit_dict: dict[str, Any]) -> str:
     """The table for people."""
-    span, hertz = found["temperatures_degc"], found["frequencies_hz"]
+    span, hertz = fit_dict["temperatures_degc"], fit_dict["frequencies_hz"]
     of_frequencies = (
         f"{figures(hertz[0])} Hz"
         if len(hertz) == 1
         else f"{len(hertz)} frequencies, {figures(hertz[0])} to {figures(hertz[-1])} Hz"
     )
-    lines = [f"{one_line(found['sweep'])}: {found['rows']} rows, {span[0]:.1f} to {span[1]:.1f} degC, {of_frequencies}"]
-    lines += [f"  {note}" for note in found["notes"]]
-    lines.append(f"Shift {found['shift']['law']}: {found['shift']['why']}.")
-    rows, kept = [], found["shift"]["law"] == KEPT
-    for name, q in found["values"].items():
+    lines = [f"{one_line(fit_dict['sweep'])}: {fit_dict['rows']} rows, {span[0]:.1f} to {span[1]:.1f} degC, {of_frequencies}"]
+    lines += [f"  {note}" for note in fit_dict["notes"]]
+    lines.append(f"Shift {fit_dict['shift']['law']}: {fit_dict['shift']['why']}.")
+    rows, is_file_shift = [], fit_dict["shift"]["law"] == KEPT
+    for name, q in fit_dict["values"].items():
         numbers = [q["value"], *q["range"]]
-        shown = [figures(x, 4) for x in numbers] if kept else alike(numbers, numbers[2] - numbers[1])
-        rows.append((name, q["unit"], *shown, figures(found["before"].get(name), 4)))
-    rms = found["rms"], found["prony"]
+        texts_of_numbers = [figures(x, 4) for x in numbers] if is_file_shift else alike(numbers, numbers[2] - numbers[1])
+        rows.append((name, q["unit"], *texts_of_numbers, figures(fit_dict["before"].get(name), 4)))
+    rms = fit_dict["rms"], fit_dict["prony"]
     lines.append(
         table(
             rows,
-            ("value", "unit", "kept" if kept else "fitted", "from", "to" if kept else "to (95 %)", found["vehicle"]["before"]),
+            (
+                "value",
+                "unit",
+                "kept" if is_file_shift else "fitted",
+                "from",
+                "to" if is_file_shift else "to (95 %)",
+                fit_dict["vehicle"]["before"],
+            ),
             indent=2,
             numbers=False,
         )
     )
     head = ("", "storage modulus", "loss modulus")
     percent = [
-        (f"rms of the master curve at {figures(found['sweep_frequency_hz'])} Hz", rms[0]["storage"], rms[0]["loss"]),
+        (f"rms of the master curve at {figures(fit_dict['sweep_frequency_hz'])} Hz", rms[0]["storage"], rms[0]["loss"]),
         (f"rms of a Prony series of {rms[1]['terms']} terms", rms[1]["rms_storage"], rms[1]["rms_loss"]),
     ]
     lines.append(
         table([(text, *(f"{decimals(100.0 * x, 2)} %" for x in pair)) for text, *pair in percent], head, indent=2, numbers=False)
     )
-    lines.append(found["covered"]["text"])
-    lines += [f"  ! {remark}" for remark in found["remarks"]]
-    lines.append(f"Written: {', '.join(found['written'])}")
-    lines.append(
-        f"Next: trackres vehicle check {found['written'][0]}; trackres compare {found['vehicle']['given']} {found['written'][0]}"
-    )
+    lines.append(fit_dict["covered"]["text"])
+    lines += [f"  ! {remark}" for remark in fit_dict["remarks"]]
+    lines.append(f"Written: {', '.join(fit_dict['written'])}")
+    vehicle_file = fit_dict["written"][0]
+    lines.append(f"Next: trackres vehicle check {vehicle_file}; trackres compare {fit_dict['vehicle']['given']} {vehicle_file}")
     return "\n".join(lines)

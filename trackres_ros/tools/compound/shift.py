@@ -61,5 +61,5 @@ class Shift:
         y = np.log10(np.asarray(frequency, dtype=float) / at_frequency) + self.log_shift(temp_degc)
         span = self.glass_transition - self.pole
         y_glass = self.strength / span
-        below = self.glass_transition - (y - y_glass) * span**2 / self.strength
-        return np.asarray(np.where(y > y_glass, below, self.pole + self.strength / np.maximum(y, 1e-9)))
+        degc_below = self.glass_transition - (y - y_glass) * span**2 / self.strength
+        return np.asarray(np.where(y > y_glass, degc_below, self.pole + self.strength / np.maximum(y, 1e-9)))

@@ -37,9 +37,9 @@ class Value:
     low: float
     high: float
 
-    def joined(self, other: Value) -> Value:
+    def joined(self, other_value: Value) -> Value:
         """With an interval that includes another one."""
-        return Value(self.value, min(self.low, other.low), max(self.high, other.high))
+        return Value(self.value, min(self.low, other_value.low), max(self.high, other_value.high))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,9 @@ class Law:
     power: Callable[[Array], float] = lambda _: 0.0
     """Of absolute temperature, in the vertical shift of both moduli."""
 
-    def smooth(self, sweep: Sweep, theta: Array, at: float, penalty: Array) -> Smooth:
+    def smooth(self, sweep: Sweep, theta: Array, frequency: float, penalty: Array) -> Smooth:
         """The splines for some numbers."""
-        return smooth(self.levelled(sweep, theta), self.shift(theta), at, penalty)
+        return smooth(self.levelled(sweep, theta), self.shift(theta), frequency, penalty)
 
     def levelled(self, sweep: Sweep, theta: Array) -> Sweep:
         """The sweep without its part proportional to a power of absolute temperature."""
@@ -86,21 +86,23 @@ class FittedShift:
         """The shift of these numbers."""
         return self.law.shift(self.theta)
 
-    def value(self, of: Callable[[Array], float], limits: tuple[float, float] = (-np.inf, np.inf)) -> Value:
+    def value(self, value_function: Callable[[Array], float], limits: tuple[float, float] = (-np.inf, np.inf)) -> Value:
         """A function of the numbers, with its interval by the delta method."""
-        centre = of(self.theta)
+        centre = value_function(self.theta)
         step = 1e-4 * np.maximum(np.sqrt(np.diag(self.covariances[0])), 1e-6)
-        slope = np.array([(of(self.theta + s) - of(self.theta - s)) / (2.0 * s.sum()) for s in np.diag(step)])
-        wide = float(stdtrit(self.dof, 0.5 + 0.5 * SURE)) * float(np.sqrt(max(slope @ c @ slope for c in self.covariances)))
-        return Value(centre, max(centre - wide, min(limits[0], centre)), min(centre + wide, max(limits[1], centre)))
+        slope = np.array(
+            [(value_function(self.theta + s) - value_function(self.theta - s)) / (2.0 * s.sum()) for s in np.diag(step)]
+        )
+        half_width = float(stdtrit(self.dof, 0.5 + 0.5 * SURE)) * float(np.sqrt(max(slope @ c @ slope for c in self.covariances)))
+        return Value(centre, max(centre - half_width, min(limits[0], centre)), min(centre + half_width, max(limits[1], centre)))
 
 
-def fitted(sweep: Sweep, law: Law, at: float) -> FittedShift:
+def fitted(sweep: Sweep, law: Law, frequency: float) -> FittedShift:
     """Least squares of one law from the best of its starts."""
-    inner = [np.clip(start, law.low + 1e-6, law.high - 1e-6) for start in law.starts]
+    inner_starts = [np.clip(start, law.low + 1e-6, law.high - 1e-6) for start in law.starts]
 
     def residuals(theta: Array, penalty: Array, scale: Array) -> Array:
-        return np.asarray((law.smooth(sweep, theta, at, penalty).penalised / scale).ravel(order="F"))
+        return np.asarray((law.smooth(sweep, theta, frequency, penalty).penalised / scale).ravel(order="F"))
 
     def solved(theta: Array, penalty: Array, scale: Array) -> OptimizeResult:
         return least_squares(
@@ -113,26 +115,26 @@ def fitted(sweep: Sweep, law: Law, at: float) -> FittedShift:
         )
 
     penalty, scale = FIRST_PENALTY, FIRST_SCALE
-    theta = min(inner, key=lambda start: float((residuals(start, penalty, scale) ** 2).sum()))
+    theta = min(inner_starts, key=lambda start: float((residuals(start, penalty, scale) ** 2).sum()))
     for _ in range(ROUNDS):
         theta = solved(theta, penalty, scale).x
-        penalty = UNDERSMOOTHED * chosen_penalty(law.levelled(sweep, theta), law.shift(theta), at)
-        scale = np.maximum(np.sqrt((law.smooth(sweep, theta, at, penalty).residuals ** 2).mean(axis=0)), 1e-6)
-    found = solved(theta, penalty, scale)
-    last = law.smooth(sweep, found.x, at, penalty).residuals
+        penalty = UNDERSMOOTHED * chosen_penalty(law.levelled(sweep, theta), law.shift(theta), frequency)
+        scale = np.maximum(np.sqrt((law.smooth(sweep, theta, frequency, penalty).residuals ** 2).mean(axis=0)), 1e-6)
+    solution = solved(theta, penalty, scale)
+    last = law.smooth(sweep, solution.x, frequency, penalty).residuals
     scores = len(last) * np.log((last**2).mean(axis=0)).sum()
-    independent = np.linalg.pinv(found.jac.T @ found.jac) * float((last / scale).ravel() @ (last / scale).ravel())
-    independent /= max(last.size - len(found.x), 1)
-    shared, groups = _jackknife(sweep, law, at, found.x, penalty, scale)
-    wider = np.sqrt(np.maximum(np.diag(shared) / np.maximum(np.diag(independent), 1e-300), 1.0))
-    dof = float(max(groups - len(found.x), 2))
-    bic = float(scores + len(found.x) * np.log(last.size))
+    covariance_alone = np.linalg.pinv(solution.jac.T @ solution.jac) * float((last / scale).ravel() @ (last / scale).ravel())
+    covariance_alone /= max(last.size - len(solution.x), 1)
+    covariance_of_groups, groups = _jackknife(sweep, law, frequency, solution.x, penalty, scale)
+    widening = np.sqrt(np.maximum(np.diag(covariance_of_groups) / np.maximum(np.diag(covariance_alone), 1e-300), 1.0))
+    dof = float(max(groups - len(solution.x), 2))
+    bic = float(scores + len(solution.x) * np.log(last.size))
     storage, loss = np.sqrt((last**2).mean(axis=0))
-    covariances = independent, shared, independent * np.outer(wider, wider)
-    return FittedShift(law, found.x, covariances, dof, bic, (float(storage), float(loss)))
+    covariances = covariance_alone, covariance_of_groups, covariance_alone * np.outer(widening, widening)
+    return FittedShift(law, solution.x, covariances, dof, bic, (float(storage), float(loss)))
 
 
-def _jackknife(sweep: Sweep, law: Law, at: float, theta: Array, penalty: Array, scale: Array) -> tuple[Array, int]:
+def _jackknife(sweep: Sweep, law: Law, frequency: float, theta: Array, penalty: Array, scale: Array) -> tuple[Array, int]:
     """Covariance of the numbers, and of how many isotherms: each is left out once.
 
     Rows of one isotherm may share an error (of temperature, of clamping), which the splines follow where isotherms lie apart;
@@ -141,29 +143,29 @@ def _jackknife(sweep: Sweep, law: Law, at: float, theta: Array, penalty: Array, 
     """
     isotherm = np.unique(np.round(sweep.temp_degc / ISOTHERM_K), return_inverse=True)[1].ravel()
     groups = int(isotherm.max()) + 1
-    moved = np.zeros((groups, len(theta)))
+    theta_moved = np.zeros((groups, len(theta)))
     step = 1e-4 * np.maximum(np.abs(theta), 1.0)
     for group in range(groups):
-        others = sweep.some(isotherm != group)
+        other_rows = sweep.some(isotherm != group)
 
-        def left(numbers: Array, others: Sweep = others) -> Array:
-            return np.asarray((law.smooth(others, numbers, at, penalty).penalised / scale).ravel(order="F"))
+        def residual_of(numbers: Array, other_rows: Sweep = other_rows) -> Array:
+            return np.asarray((law.smooth(other_rows, numbers, frequency, penalty).penalised / scale).ravel(order="F"))
 
-        now = left(theta)
+        residual_now = residual_of(theta)
         inwards = np.where(theta + step < law.high, step, -step)
-        slopes = np.column_stack([(left(theta + s) - now) / s.sum() for s in np.diag(inwards)])
-        moved[group] = np.linalg.lstsq(slopes, -now, rcond=None)[0]
-    return (groups - 1) / groups * (moved - moved.mean(axis=0)).T @ (moved - moved.mean(axis=0)), groups
+        slopes = np.column_stack([(residual_of(theta + s) - residual_now) / s.sum() for s in np.diag(inwards)])
+        theta_moved[group] = np.linalg.lstsq(slopes, -residual_now, rcond=None)[0]
+    return (groups - 1) / groups * (theta_moved - theta_moved.mean(axis=0)).T @ (theta_moved - theta_moved.mean(axis=0)), groups
 
 
-def with_power(found: FittedShift) -> Law:
+def with_power(shift_fit: FittedShift) -> Law:
     """The law of a fit with a vertical shift by a power of absolute temperature."""
-    law = found.law
+    law = shift_fit.law
     return Law(
         law.name,
         lambda theta: law.shift(theta[:-1]),
         np.append(law.low, -STEEPEST_POWER),
         np.append(law.high, STEEPEST_POWER),
-        (np.append(found.theta, 0.0),),
+        (np.append(shift_fit.theta, 0.0),),
         lambda theta: float(theta[-1]),
     )

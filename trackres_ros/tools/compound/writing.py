@@ -46,17 +46,17 @@ def stem_of(path: Path) -> str:
 def files_of(sweep: Path, folder: Path, inputs: Iterable[Path] = ()) -> dict[str, Path]:
     """The files of a sweep, by kind. Raises InputError if one is the sweep or another input, or the folder is a diagnosis'."""
     stem = stem_of(sweep)
-    found = {
+    content = {
         "vehicle": folder / f"{stem}.yaml",
         "rubber": folder / "rubber" / f"{stem}.csv",
         "prony": folder / f"{stem}_prony.csv",
         "picture": folder / f"{stem}.png",
     }
-    for path in found.values():
+    for path in content.values():
         not_an_input(path, (sweep, *inputs), "output")
     if (folder / SURROUNDINGS_FILE).exists():
         raise InputError("output", f"{folder}, which has a {SURROUNDINGS_FILE}", "a folder of its own")
-    return found
+    return content
 
 
 def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -> Vehicle:
@@ -99,11 +99,11 @@ def table_degc(fit: CompoundFit) -> Array:
 
 
 def _check_warm(fit: CompoundFit) -> None:
-    warmest = float(fit.master.moduli(fit.master.high_degc)[0][0]) / 1e6
-    if warmest > WARM_STORAGE.high:
+    warmest_mpa = float(fit.master.moduli(fit.master.high_degc)[0][0]) / 1e6
+    if warmest_mpa > WARM_STORAGE.high:
         raise InputError(
             str(fit.sweep.path),
-            f"a sweep whose warm end, {figures(fit.master.high_degc)} degC, has a storage modulus of {figures(warmest)} MPa",
+            f"a sweep whose warm end, {figures(fit.master.high_degc)} degC, has a storage modulus of {figures(warmest_mpa)} MPa",
             f"a warm end where it is a rubber, at most {WARM_STORAGE.high:g} MPa",
             "extend the sweep to warmer temperatures",
         )
@@ -144,8 +144,8 @@ def _rubber_text(fit: CompoundFit) -> str:
     degc = table_degc(fit)
     storage, loss = (modulus / 1e6 for modulus in fit.master.moduli(degc))
     loss = np.clip(loss, INSIDE * SWEEP_TAN_DELTA.low * storage, SWEEP_TAN_DELTA.high / INSIDE * storage)
-    wide, wide_loss = np.exp(TWO_SIDED_95 * fit.master.log_std(degc)).T
-    limits = storage / wide, storage * wide, loss / wide_loss, loss * wide_loss
+    wide_storage, wide_loss = np.exp(TWO_SIDED_95 * fit.master.log_std(degc)).T
+    limits = storage / wide_storage, storage * wide_storage, loss / wide_loss, loss * wide_loss
     rows = np.column_stack([degc, storage, loss, loss / storage, *limits])
     head = [*_provenance(fit), "low and high: 95 % intervals of the curve, of errors that differ from row to row."]
     return _comments(head) + MODULI_HEAD + "\n" + "".join(",".join(_cells(row)) + "\n" for row in rows)
@@ -159,11 +159,11 @@ def prony_text(fit: CompoundFit) -> str:
     """The Prony series for other programs: relaxation times and strengths, below a head with their temperature and shift."""
     prony, reference = fit.prony, fit.prony.reference_degc
     c1, c2 = fit.shift.wlf(reference)
-    away = f"T {'+' if reference < 0.0 else '-'} {abs(reference):.6g}"
+    shift_text = f"T {'+' if reference < 0.0 else '-'} {abs(reference):.6g}"
     head = [
         *_provenance(fit),
         f"Relaxation strengths in tension at {reference:.6g} degC; tau_s inf is the modulus of infinite time.",
-        f"Shift of these times: log10 a_T = -{c1:.6g} ({away}) / ({c2:.6g} + {away}), T in degC, "
+        f"Shift of these times: log10 a_T = -{c1:.6g} ({shift_text}) / ({c2:.6g} + {shift_text}), T in degC, "
         f"above {fit.shift.glass_transition:.6g} degC, below it its tangent.",
         "low and high: 95 % intervals; strengths of 0 are left out.",
     ]
@@ -179,30 +179,41 @@ def _with_rubber(text: str, vehicle: Vehicle, fit: CompoundFit) -> str:
     """The text of a vehicle file with the values of the compound."""
     document = Document(EARLIER.sub("", text, count=1))
     document.set(("name",), vehicle.name)
-    at = float(f"{fit.master.at_frequency:.6g}")
-    _set(document, "sweep_frequency", at, [at, at], FITTED, f"of the rubber file, the lowest of {one_line(fit.sweep.path.name)}")
+    frequency = float(f"{fit.master.at_frequency:.6g}")
+    _set(
+        document,
+        "sweep_frequency",
+        frequency,
+        [frequency, frequency],
+        FITTED,
+        f"of the rubber file, the lowest of {one_line(fit.sweep.path.name)}",
+    )
     if fit.law != KEPT:
-        for name, found in fit.values.items():
-            value, low, high = (float(f"{x:.6g}") for x in (found.value, found.low, found.high))
+        for name, value_found in fit.values.items():
+            value, low, high = (float(f"{x:.6g}") for x in (value_found.value, value_found.low, value_found.high))
             limits = RUBBER[name]
             span = [max(min(low, value), limits.low), min(max(high, value), limits.high)]
             _set(document, name, value, span, FITTED, _reason(fit, name))
-    old = vehicle.parameters["rubber.loss_modulus_scale"]
-    span = [old.low, old.high] if old.flag != FITTED and old.low <= 1.0 <= old.high else SCATTER
+    old_quantity = vehicle.parameters["rubber.loss_modulus_scale"]
+    span = (
+        [old_quantity.low, old_quantity.high]
+        if old_quantity.flag != FITTED and old_quantity.low <= 1.0 <= old_quantity.high
+        else SCATTER
+    )
     _set(document, "loss_modulus_scale", 1.0, span, "A", SCATTER_REASON)
     return document.text() or _comments(_provenance(fit)) + document.plain()
 
 
 def _reason(fit: CompoundFit, name: str) -> str:
     law = "Arrhenius' law, whose C2 is its reference in kelvin" if fit.law == ARRHENIUS else "WLF"
-    of = one_line(fit.sweep.path.name)
+    sweep_name = one_line(fit.sweep.path.name)
     if name == "glass_transition":
         if fit.glass_is_seen:
-            return f"below it the shift of {of} is straight; fitted, 95 % interval"
-        return f"reference of the shift alone: {of} does not show the bend of the shift at a glass transition"
-    return f"{law} about Tg + 50 K, fitted to {of}; 95 % interval, of C1 and C2 together: they go with each other"
+            return f"below it the shift of {sweep_name} is straight; fitted, 95 % interval"
+        return f"reference of the shift alone: {sweep_name} does not show the bend of the shift at a glass transition"
+    return f"{law} about Tg + 50 K, fitted to {sweep_name}; 95 % interval, of C1 and C2 together: they go with each other"
 
 
 def _set(document: Document, name: str, value: float, span: Sequence[float], flag: str, reason: str) -> None:
-    for key, new in {"value": value, "range": list(span), "flag": flag, "reason": reason}.items():
-        document.set(("rubber", name, key), new)
+    for key, new_value in {"value": value, "range": list(span), "flag": flag, "reason": reason}.items():
+        document.set(("rubber", name, key), new_value)

@@ -129,5 +129,5 @@ def estimator_of(vehicle: Vehicle, like: Estimator) -> Estimator:
     """An estimator of a vehicle that differs in its values alone, for a few drives: without standard deviations."""
     estimator = copy(like)
     estimator.vehicle, estimator.facts = vehicle, vehicle_constants(vehicle)
-    estimator.constants = make_constants(vehicle, like.settings, with_uncertainty=False, make_table=quick_table)
+    estimator.constants = make_constants(vehicle, like.settings, with_uncertainty=False, maker=quick_table)
     return estimator

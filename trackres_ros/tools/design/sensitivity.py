@@ -171,7 +171,7 @@ def sensitivity(
         pieces = [(i, rows[i : i + PIECE]) for i in range(0, len(rows), PIECE)]
         of_each = partial(outcomes_of, source, paths, speed, air)
         advance, outcomes = progress("vehicles", len(rows)), np.empty((len(rows), len(OUTCOMES) + 1))
-        for (i, piece), result in results(of_each, pieces, LOCAL, few=len(rows) <= ALONE):
+        for (i, piece), result in results(of_each, pieces, LOCAL, has_few=len(rows) <= ALONE):
             outcomes[i : i + PIECE] = result
             advance(len(piece))
         bad = ~np.isfinite(outcomes).all(axis=1)

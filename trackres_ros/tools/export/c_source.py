@@ -44,22 +44,24 @@ def in_c(name: str) -> str:
 
 def check_names(channels: Iterable[str]) -> None:
     """Refuse names of axles and assemblies that are one name in C: channels have constants in capitals there."""
-    known: dict[str, str] = {}
+    known_names: dict[str, str] = {}
     for channel in channels:
-        other, name = known.setdefault(in_c(channel).upper(), channel), channel.partition("/")[2]
-        if other != channel:
+        other_channel, name = known_names.setdefault(in_c(channel).upper(), channel), channel.partition("/")[2]
+        if other_channel != channel:
             allowed = "names that differ in letters or digits, without regard to capitals"
-            raise InputError("export", f"{other.partition('/')[2]} and {name}", allowed, "rename one of them in the vehicle file")
+            raise InputError(
+                "export", f"{other_channel.partition('/')[2]} and {name}", allowed, "rename one of them in the vehicle file"
+            )
 
 
 class CSource:
     """The files of an export as texts; `made` are lines on its origin, for the head of each file."""
 
-    def __init__(self, parts: Parts, title: str, made: tuple[str, ...]) -> None:
+    def __init__(self, parts: Parts, title: str, lines_of_origin: tuple[str, ...]) -> None:
         self.parts, self.translator = parts, parts.translator
         self.real = self.translator.number(REAL)
         self._title = _ascii(title)
-        self._made = "\n".join(f" * {_ascii(line)}" for line in made)
+        self._origin_text = "\n".join(f" * {_ascii(line)}" for line in lines_of_origin)
         self.estimator = parts.estimator
         check_names(self.estimator.channels)
         self.inputs = input_names(self.estimator.channels)
@@ -68,9 +70,11 @@ class CSource:
 
     def files(self) -> dict[str, str]:
         """Each file by its name."""
-        common = {"TITLE": self._title, "MADE": self._made, "REAL": self.real, "VERSION": self.version()}
+        common = {"TITLE": self._title, "MADE": self._origin_text, "REAL": self.real, "VERSION": self.version()}
         values = {"trackres.h": self._header(), "trackres.c": self._source(), "main.c": self._main(), "CMakeLists.txt": {}}
-        return {name: fill_template((TEMPLATES / name).read_text(encoding="utf-8"), common | of) for name, of in values.items()}
+        return {
+            name: fill_template((TEMPLATES / name).read_text(encoding="utf-8"), common | names) for name, names in values.items()
+        }
 
     def version(self) -> str:
         """Version number of the state: a digest of everything that defines the numbers in a state."""
@@ -109,7 +113,7 @@ class CSource:
 
     def _length(self, array: StateArray) -> int:
         """Number of elements of a state array in C; with `float` the total is even, so that there is no gap."""
-        reals = sum(int(one.start.size) for one in self.parts.arrays if one.kind.element == REAL)
+        reals = sum(int(state_array.start.size) for state_array in self.parts.arrays if state_array.kind.element == REAL)
         return int(array.start.size) + (reals % 2 if self.translator.single and array is self.parts.arrays[-1] else 0)
 
     # The source
@@ -173,18 +177,18 @@ class CSource:
 
     def _records(self, *entries: Instance, const: bool = False) -> str:
         """Declare the records that functions take, of the arrays of a state."""
-        needed = {name: kind for one in entries for name, kind in one.given if isinstance(kind, Record)}
+        record_kinds = {name: kind for entry in entries for name, kind in entry.given if isinstance(kind, Record)}
         lines = []
-        for name, kind in needed.items():
-            lines.append(f"    const {self.translator.struct(kind)} {name} = {self._filled(kind, const)};")
+        for name, kind in record_kinds.items():
+            lines.append(f"    const {self.translator.struct(kind)} {name} = {self._filled_record(kind, const)};")
         return "\n".join(lines)
 
-    def _filled(self, kind: Record, const: bool) -> str:
+    def _filled_record(self, kind: Record, const: bool) -> str:
         """The initializer of a record: arrays of the state, tuned numbers, records of these."""
         parts = []
         for field, part in kind.stored_fields():
             if isinstance(part, Record):
-                parts.append(self._filled(part, const))
+                parts.append(self._filled_record(part, const))
             elif not isinstance(part, ArrayOf):
                 parts.append(f"state->tuned[{self.parts.tuned.index(field)}]")
             else:
@@ -192,21 +196,21 @@ class CSource:
                 parts.append(f"{cast}state->{safe_name(field)}")
         return f"{{{', '.join(parts)}}}"
 
-    def _call(self, one: Instance, **given: str) -> str:
+    def _call(self, instance: Instance, **given: str) -> str:
         """The call of an entry: records by their names, arrays of the state, and other arguments as given."""
-        codes = [f"&{name}" if isinstance(kind, Record) else given.get(name, f"state->{name}") for name, kind in one.given]
-        return f"{one.name}({', '.join(codes)})"
+        codes = [f"&{name}" if isinstance(kind, Record) else given.get(name, f"state->{name}") for name, kind in instance.given]
+        return f"{instance.name}({', '.join(codes)})"
 
     # The program that replays
 
     def _main(self) -> dict[str, str]:
-        known = []
+        known_lines = []
         for channel, name in self.inputs.items():
             role, slash, part = channel.partition("/")
             for column, scale in SCALES[role].items():
-                known.append(f'    {{"{column}{slash}{part}", offsetof(trackres_inputs, {in_c(name)}), {float(scale)!r}}},')
-        shown = [f'    {{"{name}", offsetof(trackres_outputs, {in_c(name)}), 1.0}},' for name in self.columns]
-        return {"INPUT_COLUMNS": "\n".join(known), "OUTPUT_COLUMNS": "\n".join(shown)}
+                known_lines.append(f'    {{"{column}{slash}{part}", offsetof(trackres_inputs, {in_c(name)}), {float(scale)!r}}},')
+        output_lines = [f'    {{"{name}", offsetof(trackres_outputs, {in_c(name)}), 1.0}},' for name in self.columns]
+        return {"INPUT_COLUMNS": "\n".join(known_lines), "OUTPUT_COLUMNS": "\n".join(output_lines)}
 
 
 def in_state(array: StateArray) -> str:

@@ -43,11 +43,13 @@ def export_group(context: click.Context, folder: Path | None, vehicle: str | Non
         raise click.UsageError("Missing a command, c or fmu, or the option --check.", context)
     from trackres_ros.tools.export.exporting import check
 
-    found = check(folder, vehicle)
-    text = "\n".join([f"{folder} does not belong to its vehicle file and this version:", *(f"  - {one}" for one in found)])
+    differences = check(folder, vehicle)
+    text = "\n".join(
+        [f"{folder} does not belong to its vehicle file and this version:", *(f"  - {difference}" for difference in differences)]
+    )
     belongs = f"{folder} belongs to its vehicle file and this version"
-    emit({"belongs": not found, "differs": found}, as_json, lambda: text if found else belongs)
-    return 1 if found else 0
+    emit({"belongs": not differences, "differs": differences}, as_json, lambda: text if differences else belongs)
+    return 1 if differences else 0
 
 
 @export_group.command("c", cls=Command)
@@ -56,7 +58,7 @@ def export_group(context: click.Context, folder: Path | None, vehicle: str | Non
 @export_options
 @click.option("--single", is_flag=True, help="Numbers are float instead of double, but for sums: half the size, less precise.")
 @options.json
-def c_command(output: Path, as_json: bool, **asked: Any) -> None:
+def c_command(output: Path, as_json: bool, **request_values: Any) -> None:
     """Write the step of a vehicle as C99: one source and one header, a program that replays a CSV, and a CMake file.
 
     \b
@@ -67,8 +69,8 @@ def c_command(output: Path, as_json: bool, **asked: Any) -> None:
     from trackres_ros.tools.export.exporting import Request, export_c
 
     watch(output)
-    written = export_c(Request(**asked), output)
-    emit({"written": [str(path) for path in written]}, as_json, lambda: f"Written: {', '.join(map(str, written))}")
+    folder_written = export_c(Request(**request_values), output)
+    emit({"written": [str(path) for path in folder_written]}, as_json, lambda: f"Written: {', '.join(map(str, folder_written))}")
 
 
 @export_group.command("fmu", cls=Command)
@@ -76,7 +78,7 @@ def c_command(output: Path, as_json: bool, **asked: Any) -> None:
 @click.option("-o", "--output", type=options.PATH, required=True, metavar="MODEL.fmu", help="The FMU.")
 @export_options
 @options.json
-def fmu_command(output: Path, as_json: bool, **asked: Any) -> None:
+def fmu_command(output: Path, as_json: bool, **request_values: Any) -> None:
     """Write the step of a vehicle as an FMU: FMI 3.0 for co-simulation, with its sources and a library for Linux.
 
     \b
@@ -86,5 +88,5 @@ def fmu_command(output: Path, as_json: bool, **asked: Any) -> None:
     from trackres_ros.tools.export.fmu import export_fmu
 
     watch(output)
-    written = export_fmu(Request(**asked), output)
-    emit({"written": [str(written)]}, as_json, lambda: f"Written: {written}")
+    file_written = export_fmu(Request(**request_values), output)
+    emit({"written": [str(file_written)]}, as_json, lambda: f"Written: {file_written}")

@@ -65,7 +65,7 @@ class Request:
         return tr.load_vehicle(self.vehicle, method=self.method, thermal=self.thermal, surroundings=self.surroundings)
 
 
-def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
+def translated(request: Request, tunable_names: tuple[str, ...] = ()) -> CSource:
     """The C of a vehicle, with tunable numbers of the kernel in its state.
 
     Raises
@@ -76,22 +76,22 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
     settings = make_parameters(read_parameters(request.params)).settings()
     vehicle = request.load()
     estimator = Estimator(vehicle, settings)
-    learned = None if request.state is None else _learned(estimator, request.state)
-    begins = "" if request.state is None else f", starts from what {request.state.name} has learned"
-    made = (
+    learner_values = None if request.state is None else _learned(estimator, request.state)
+    begin_text = "" if request.state is None else f", starts from what {request.state.name} has learned"
+    lines_of_origin = (
         f"vehicle file: {vehicle.source.name}, sha256 {_digest(find_vehicle(request.vehicle))}",
         f"values: {snapshot.key(estimator)}, of the vehicle with rubber, effects and surroundings",
         f"written by: trackres_ros {tr.__version__}, sources {sources()}",
-        f"numbers: {'float' if request.single else 'double'}{begins}",
+        f"numbers: {'float' if request.single else 'double'}{begin_text}",
     )
-    return CSource(Parts(estimator, learned, request.single, tuned), vehicle.title, made)
+    return CSource(Parts(estimator, learner_values, request.single, tunable_names), vehicle.title, lines_of_origin)
 
 
 def _learned(estimator: Estimator, path: Path) -> Any:
     """The learned values with which a live node goes on after a restart: cold, and without what holds only for the moment."""
-    saved, session, learner = snapshot.read_learning(estimator, path), estimator.session(), Learner(estimator, ON)
+    saved_values, session, learner = snapshot.read_learning(estimator, path), estimator.session(), Learner(estimator, ON)
     session.begin(estimator.cold_start(estimator.inputs(0.0)))
-    continue_from(path, session, learner, saved, off_s=0.0)
+    continue_from(path, session, learner, saved_values, off_s=0.0)
     learner.apply_learned(session)
     if not session.learned[layout.Learned.on] > 0.0:
         given, allowed = "a state without active learned parameters", "a state of a run with --learning on"
@@ -110,10 +110,10 @@ def export_c(request: Request, folder: Path) -> list[Path]:
     output_folder(folder)
     source = translated(request)
     estimator, files = source.estimator, source.files()
-    if foreign := [name for name in files if (folder / name).exists() and not (folder / LIST).exists()]:
-        given = f"a folder with another {' and '.join(foreign)}"
+    if foreign_files := [name for name in files if (folder / name).exists() and not (folder / LIST).exists()]:
+        given = f"a folder with another {' and '.join(foreign_files)}"
         raise InputError(str(folder), given, "a new folder, or one written by trackres export c", "choose another folder")
-    listed = {
+    list_content = {
         "format": FORMAT,
         "version": VERSION,
         "program": tr.__version__,
@@ -128,7 +128,7 @@ def export_c(request: Request, folder: Path) -> list[Path]:
         "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in files.items()},
     }
     with file_set():
-        write(folder / LIST, (json.dumps(listed, indent=2) + "\n").encode())
+        write(folder / LIST, (json.dumps(list_content, indent=2) + "\n").encode())
         for name, text in files.items():
             write(folder / name, text.encode())
     return [folder / name for name in (*files, LIST)]
@@ -136,8 +136,8 @@ def export_c(request: Request, folder: Path) -> list[Path]:
 
 def values_key(estimator: Estimator) -> str:
     """Hash of the content of a vehicle's files, and of the files of its own effects."""
-    own = sorted({str(a.effect.source) for a in estimator.vehicle.active if a.effect.source is not None})
-    return hashlib.sha256("".join([snapshot.key(estimator), *map(_digest, map(Path, own))]).encode()).hexdigest()
+    own_sources = sorted({str(a.effect.source) for a in estimator.vehicle.active if a.effect.source is not None})
+    return hashlib.sha256("".join([snapshot.key(estimator), *map(_digest, map(Path, own_sources))]).encode()).hexdigest()
 
 
 def check(folder: Path, vehicle: str | None = None) -> list[str]:
@@ -150,58 +150,60 @@ def check(folder: Path, vehicle: str | None = None) -> list[str]:
     InputError
         If the folder holds no export, or the vehicle file is missing.
     """
-    listed = _read_list(folder / LIST)
-    found = []
-    if (listed["program"], listed["sources"]) != (tr.__version__, sources()):
-        found.append(f"it was written by trackres_ros {listed['program']} with other sources than this {tr.__version__}")
-    for name, digest in listed["files"].items():
+    list_content = _read_list(folder / LIST)
+    differences = []
+    if (list_content["program"], list_content["sources"]) != (tr.__version__, sources()):
+        differences.append(
+            f"it was written by trackres_ros {list_content['program']} with other sources than this {tr.__version__}"
+        )
+    for name, digest in list_content["files"].items():
         path = folder / name
         if not path.is_file():
-            found.append(f"{name} is missing")
+            differences.append(f"{name} is missing")
         elif _digest(path) != digest:
-            found.append(f"{name} was changed after the export")
-    given = vehicle or _found_again(listed["vehicle"], folder)
-    surroundings = listed["surroundings"] and Path(_found_again(listed["surroundings"], folder))
+            differences.append(f"{name} was changed after the export")
+    given = vehicle or _found_again(list_content["vehicle"], folder)
+    surroundings = list_content["surroundings"] and Path(_found_again(list_content["surroundings"], folder))
     of_file = find_vehicle(given)
-    if _digest(of_file) != listed["vehicle_sha256"]:
-        found.append(f"the vehicle file {of_file} differs from the exported one")
-    settings = {**listed["settings"], "feedforward_parts": tuple(listed["settings"]["feedforward_parts"])}
-    loaded = Request(str(of_file), surroundings, method=listed["method"], thermal=listed["thermal"]).load()
-    if values_key(Estimator(loaded, Settings(**settings))) != listed["values"]:
-        found.append("values of the vehicle, its rubber, its effects or its surroundings differ")
-    return found
+    if _digest(of_file) != list_content["vehicle_sha256"]:
+        differences.append(f"the vehicle file {of_file} differs from the exported one")
+    settings = {**list_content["settings"], "feedforward_parts": tuple(list_content["settings"]["feedforward_parts"])}
+    request_loaded = Request(str(of_file), surroundings, method=list_content["method"], thermal=list_content["thermal"]).load()
+    if values_key(Estimator(request_loaded, Settings(**settings))) != list_content["values"]:
+        differences.append("values of the vehicle, its rubber, its effects or its surroundings differ")
+    return differences
 
 
 def _read_list(path: Path) -> dict[str, Any]:
     allowed = "a folder written by trackres export c"
     try:
         with path.open("rb") as file:
-            listed = parse_json(file.read(LARGEST))
+            list_content = parse_json(file.read(LARGEST))
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), allowed) from error
     except ValueError as error:
         raise InputError(str(path), "a damaged list", allowed, "export again") from error
     keys = ("program", "sources", "vehicle", "vehicle_sha256", "surroundings", "method", "thermal", "settings", "values", "files")
-    if not isinstance(listed, dict) or (listed.get("format"), listed.get("version")) != (FORMAT, VERSION):
+    if not isinstance(list_content, dict) or (list_content.get("format"), list_content.get("version")) != (FORMAT, VERSION):
         raise InputError(str(path), "another kind of list, or of another version", allowed, "export again")
-    if not set(keys) <= set(listed) or not all(isinstance(listed[name], dict) for name in ("files", "settings")):
+    if not set(keys) <= set(list_content) or not all(isinstance(list_content[name], dict) for name in ("files", "settings")):
         raise InputError(str(path), "an incomplete list", allowed, "export again")
-    return listed
+    return list_content
 
 
 def _relative(path: Path, folder: Path) -> str:
     """A path relative to the folder, or the name of a shipped file."""
-    resolved, shipped = path.resolve(), config_dir().resolve()
-    if resolved.is_relative_to(shipped):
-        return SHIPPED + resolved.relative_to(shipped).as_posix()
+    resolved, shipped_folder = path.resolve(), config_dir().resolve()
+    if resolved.is_relative_to(shipped_folder):
+        return SHIPPED + resolved.relative_to(shipped_folder).as_posix()
     return Path(os.path.relpath(resolved, folder.resolve())).as_posix()
 
 
 def _found_again(path: str, folder: Path) -> str:
-    found = config_dir() / path.removeprefix(SHIPPED) if path.startswith(SHIPPED) else folder / path
-    if not found.is_file():
+    path_found = config_dir() / path.removeprefix(SHIPPED) if path.startswith(SHIPPED) else folder / path
+    if not path_found.is_file():
         raise InputError(str(folder / LIST), str(path), "an existing vehicle file", "give its path: --vehicle FILE")
-    return str(found)
+    return str(path_found)
 
 
 def _digest(path: Path) -> str:

@@ -88,7 +88,7 @@ def export_fmu(request: Request, path: Path) -> Path:
         See `translated`; where there is no compiler for its library, and for numbers that are `float`.
     """
     file = output_file(path, (".fmu",))
-    compiler = next((one for one in COMPILERS if shutil.which(one)), None)
+    compiler = next((compiler_name for compiler_name in COMPILERS if shutil.which(compiler_name)), None)
     if compiler is None:
         raise InputError("export fmu", "no C compiler", f"one of {', '.join(COMPILERS)}", "install one: apt install gcc")
     source = translated(request, tuple(TUNED))
@@ -101,18 +101,18 @@ def export_fmu(request: Request, path: Path) -> Path:
             (Path(folder) / name).write_text(text, encoding="utf-8")
         library = Path(folder) / f"{MODEL}.so"
         words = [compiler, *FLAGS, *SOURCES, "-o", library.name, "-lm"]
-        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise InputError("export fmu", done.stderr[-200:], f"C that {compiler} takes", "report this with the vehicle file")
+        process = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+        if process.returncode:
+            raise InputError("export fmu", process.stderr[-200:], f"C that {compiler} takes", "report this with the vehicle file")
         description = _description(source, variables, token)
-        whole = io.BytesIO()
-        with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as packed:
-            packed.writestr("modelDescription.xml", description)
-            packed.writestr("sources/buildDescription.xml", _build_description())
+        archive = io.BytesIO()
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as zip_file:
+            zip_file.writestr("modelDescription.xml", description)
+            zip_file.writestr("sources/buildDescription.xml", _build_description())
             for name, text in texts.items():
-                packed.writestr(f"sources/{name}", text)
-            packed.writestr(f"binaries/{platform.machine()}-linux/{MODEL}.so", library.read_bytes())
-    write(file, whole.getvalue())
+                zip_file.writestr(f"sources/{name}", text)
+            zip_file.writestr(f"binaries/{platform.machine()}-linux/{MODEL}.so", library.read_bytes())
+    write(file, archive.getvalue())
     return file
 
 
@@ -128,25 +128,25 @@ def _variables(source: CSource) -> Iterator[Variable]:
     for i, (name, (unit, text)) in enumerate(TUNED.items()):
         start = float(getattr(source.estimator.constants.number, name))
         facts = VehicleConstants._fields
-        seen = _in_state("conditions", facts.index(name)) if name in facts else "0"
-        yield Variable(name, _in_state("tuned", i), "parameter", unit, text, start, also=seen, limits=limits[name])
+        condition_place = _in_state("conditions", facts.index(name)) if name in facts else "0"
+        yield Variable(name, _in_state("tuned", i), "parameter", unit, text, start, also=condition_place, limits=limits[name])
     yield from _of_effects(source)
 
 
 def _limits(estimator: Estimator) -> dict[str, tuple[float, float]]:
     """Lowest and highest value of each number of `TUNED`, as a vehicle file and settings take them."""
     vehicle = estimator.vehicle
-    rate, share = (limits_of(Settings)[f"feedforward_{of}"] for of in ("rate", "share"))
+    rate, share = (limits_of(Settings)[f"feedforward_{limit_name}"] for limit_name in ("rate", "share"))
     per_share = estimator.constants.number.feedforward_limit / estimator.settings.feedforward_share
     if isinstance(vehicle, RoadVehicle):
-        of, area = ROAD_LOAD, (ROAD_LOAD["drag_area"].low, ROAD_LOAD["drag_area"].high)
+        limit_name, area = ROAD_LOAD, (ROAD_LOAD["drag_area"].low, ROAD_LOAD["drag_area"].high)
         friction = least_rolling(vehicle.values), ROAD_LOAD["rolling_coefficient"].high
     else:
-        of, drag, front = CHASSIS, CHASSIS["drag_coefficient"], CHASSIS["frontal_area"]
+        limit_name, drag, front = CHASSIS, CHASSIS["drag_coefficient"], CHASSIS["frontal_area"]
         area = drag.low * front.low, drag.high * front.high
         friction = CHASSIS["bearing_friction"].low, CHASSIS["bearing_friction"].high
-    alike = {"air_density": "air_density", "rotating_mass_factor": "rotating_mass_factor", "nominal_ambient": "ambient"}
-    return {name: (of[key].low, of[key].high) for name, key in alike.items()} | {
+    name_of_fact = {"air_density": "air_density", "rotating_mass_factor": "rotating_mass_factor", "nominal_ambient": "ambient"}
+    return {name: (limit_name[key].low, limit_name[key].high) for name, key in name_of_fact.items()} | {
         "bearing_friction": friction,
         "drag_area": area,
         "feedforward_rate": (rate.low, rate.high),
@@ -161,19 +161,19 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
     states = k.effects[:, stepping.STATE].tolist()
     facts = source.estimator.facts
     vehicle = source.estimator.vehicle
-    listed = built_in(vehicle.values) if isinstance(vehicle, RoadVehicle) else ()
-    quantities = {effect: (arm, ROAD_LOAD[name]) for effect, _, name, arm in listed}
+    built_in_effects = built_in(vehicle.values) if isinstance(vehicle, RoadVehicle) else ()
+    quantities = {effect: (arm, ROAD_LOAD[name]) for effect, _, name, arm in built_in_effects}
     for state, active in enumerate(source.parts.active):
-        first, rows = states.index(state), states.count(state)
+        first_state, rows = states.index(state), states.count(state)
         for i, q in enumerate(active.effect.parameters):
             if q.is_fixed or _parts_belt(active, q, facts):  # the number of nodes follows from it
                 continue
-            place = _in_state("effect_values", first * width + i)
-            arm, of = quantities.get(active.effect, (1.0, q))
+            place = _in_state("effect_values", first_state * width + i)
+            arm, limits = quantities.get(active.effect, (1.0, q))
             unit, text = q.unit.replace("Nm", "N.m").replace("^", ""), f"{q.text} [{q.unit}]"
             yield Variable(
                 f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "", text,
-                float(active.values[q.name]), rows, f"{width} * sizeof(double)", limits=(arm * of.low, arm * of.high),
+                float(active.values[q.name]), rows, f"{width} * sizeof(double)", limits=(arm * limits.low, arm * limits.high),
             )  # fmt: skip
 
 
@@ -199,8 +199,8 @@ def _places(source: CSource, variables: list[Variable], token: str) -> dict[str,
         lines.append(f"    {{{values}}}, /* {v.name} */")
     counts = {"SMALLEST_STEP": Motion.quantum, "LARGEST_QUANTUM": LARGEST_QUANTUM}
     counts |= {"VARIABLE_COUNT": len(variables), "OF_REASONS": len(variables), "OF_LEVEL": len(variables) + 1}
-    longest = repr(float(source.estimator.settings.speed_max_age_s))
-    texts = {"TOKEN": token, "LONGEST_S": longest, "VARIABLES": "\n".join(lines)}
+    longest_age = repr(float(source.estimator.settings.speed_max_age_s))
+    texts = {"TOKEN": token, "LONGEST_S": longest_age, "VARIABLES": "\n".join(lines)}
     return texts | {name: str(count) for name, count in counts.items()}
 
 
@@ -211,26 +211,26 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
         generationTool=f"trackres_ros {tr.__version__}", variableNamingConvention="structured",
     )  # fmt: skip
     abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState")
-    can: dict[str, Any] = dict.fromkeys(abilities, "true")
-    Xml.SubElement(root, "CoSimulation", modelIdentifier=MODEL, **can)
+    ability_flags: dict[str, Any] = dict.fromkeys(abilities, "true")
+    Xml.SubElement(root, "CoSimulation", modelIdentifier=MODEL, **ability_flags)
     units = Xml.SubElement(root, "UnitDefinitions")
     for name in sorted({v.unit for v in variables if v.unit}):
         Xml.SubElement(Xml.SubElement(units, "Unit", name=name), "BaseUnit", UNITS[name])
-    known = Xml.SubElement(root, "ModelVariables")
+    entries = Xml.SubElement(root, "ModelVariables")
     for reference, v in enumerate(variables):
-        more: dict[str, Any] = {"description": v.text} if v.text else {}
-        more |= {"unit": v.unit} if v.unit else {}
-        more |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
-        more |= {} if v.limits is None else {"min": repr(v.limits[0]), "max": repr(v.limits[1])}
+        attributes: dict[str, Any] = {"description": v.text} if v.text else {}
+        attributes |= {"unit": v.unit} if v.unit else {}
+        attributes |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
+        attributes |= {} if v.limits is None else {"min": repr(v.limits[0]), "max": repr(v.limits[1])}
         variability = "tunable" if v.causality == "parameter" else "continuous"
         Xml.SubElement(
-            known, "Float64", name=".".join(map(in_c, v.name.split("/"))), valueReference=str(reference), causality=v.causality,
-            variability=variability, **more,
+            entries, "Float64", name=".".join(map(in_c, v.name.split("/"))), valueReference=str(reference), causality=v.causality,
+            variability=variability, **attributes,
         )  # fmt: skip
     outputs = [reference for reference, v in enumerate(variables) if v.causality == "output"]
     for reference, (kind, name) in enumerate((("UInt32", "reasons"), ("Int32", "level")), len(variables)):
         outputs.append(reference)
-        Xml.SubElement(known, kind, name=name, valueReference=str(reference), causality="output", variability="discrete")
+        Xml.SubElement(entries, kind, name=name, valueReference=str(reference), causality="output", variability="discrete")
     structure = Xml.SubElement(root, "ModelStructure")
     for element in ("Output", "InitialUnknown"):
         for reference in outputs:

@@ -45,18 +45,20 @@ class Parts:
     not in the code, to be changed while it runs.
     """
 
-    def __init__(self, estimator: Estimator, learned: Any = None, single: bool = False, tuned: Sequence[str] = ()) -> None:
-        self.estimator, self.tuned = estimator, tuple(tuned)
+    def __init__(
+        self, estimator: Estimator, learned_values: Any = None, is_single: bool = False, tunable_names: Sequence[str] = ()
+    ) -> None:
+        self.estimator, self.tuned = estimator, tuple(tunable_names)
         session = estimator.session()
-        if learned is not None:
-            session.learned[:] = learned
-        self.arrays = _state_arrays(session, WIDE if single else REAL)
-        if tuned:
-            start = np.array([float(getattr(estimator.constants.number, name)) for name in tuned])
-            self.arrays.append(StateArray("tuned", start, ", ".join(tuned)))
+        if learned_values is not None:
+            session.learned[:] = learned_values
+        self.arrays = _state_arrays(session, WIDE if is_single else REAL)
+        if tunable_names:
+            start = np.array([float(getattr(estimator.constants.number, name)) for name in tunable_names])
+            self.arrays.append(StateArray("tuned", start, ", ".join(tunable_names)))
         self._by_name = {array.name: array for array in self.arrays}
         self.arrays = [array for array in self.arrays if array.start.size]
-        self.translator = Translator(translate_body, single)
+        self.translator = Translator(translate_body, is_single)
         self.translator.is_checked = False
         self.effects = EffectCalls(self.translator)
         self._translate_effects()
@@ -96,8 +98,10 @@ class Parts:
     def records(self) -> dict[str, Record]:
         """The records for the entries: constants, memory of the guards, carried state, and scratch memory."""
         k, session = self.estimator.constants, self.estimator.session()
-        changed = {"effects": self._rows, "number": _scaled(k.number)}
-        numbers = [(name, REAL if name in self.tuned else Const(value)) for name, value in changed["number"]._asdict().items()]
+        record_changes = {"effects": self._rows, "number": _scale_number(k.number)}
+        numbers = [
+            (name, REAL if name in self.tuned else Const(value)) for name, value in record_changes["number"]._asdict().items()
+        ]
         constants: list[tuple[str, Kind]] = []
         for name in k._fields:
             if name == "effect_values":
@@ -106,42 +110,42 @@ class Parts:
             if name == "number" and self.tuned:
                 constants.append((name, Record("numbers", tuple(numbers))))
                 continue
-            value = changed.get(name, getattr(k, name))
+            value = record_changes.get(name, getattr(k, name))
             if isinstance(value, np.ndarray):
                 self.translator.table_names[id(value)] = NAMES_OF_CONSTANTS.get(name, name)
             constants.append((name, Const(value)))
-        self._kept = changed
+        self._kept = record_changes
         memory = tuple((name, self._array(name)) for name in session.memory._fields)
-        carried = tuple((name, self._array(f"carried_{name}")) for name in ("belts", "motion", "effects", "learned"))
+        carried_arrays = tuple((name, self._array(f"carried_{name}")) for name in ("belts", "motion", "effects", "learned"))
         arrays = self.estimator.scratch()
         effects = tuple((name, self._array(name)) for name in arrays.effects._fields)
-        others = tuple((name, self._array(name)) for name in arrays._fields if name != "effects")
-        scratch = (("effects", Record("effect_scratch", effects)), *others)
+        other_arrays = tuple((name, self._array(name)) for name in arrays._fields if name != "effects")
+        scratch = (("effects", Record("effect_scratch", effects)), *other_arrays)
         return {
             "k": Record("constants", tuple(constants)),
             "memory": Record("memory", memory),
-            "carried": Record("carried", carried),
+            "carried": Record("carried", carried_arrays),
             "scratch": Record("scratch", scratch),
         }
 
     def _translate_entries(self) -> dict[str, Instance]:
         records = self.records()
         given = ArrayOf(REAL, (len(self.estimator.channels),))
-        out = ArrayOf(REAL, (len(self.estimator.columns),))
-        used: list[Kind] = [records["k"], records["memory"], records["carried"], records["scratch"]]
-        feeds = [*used, self._array("clock")]
+        output_kind = ArrayOf(REAL, (len(self.estimator.columns),))
+        kinds_used: list[Kind] = [records["k"], records["memory"], records["carried"], records["scratch"]]
+        feeds = [*kinds_used, self._array("clock")]
         kinds: dict[Any, list[Kind]] = {
-            step.step: [*feeds, given, REAL, out],
-            step.take_message: [*feeds, INT, INT, INT, REAL, out],
+            step.step: [*feeds, given, REAL, output_kind],
+            step.take_message: [*feeds, INT, INT, INT, REAL, output_kind],
             step.feedforward_now: [records["k"], records["memory"], self._array("carried_motion"), INT],
             step.reasons_now: [records["k"], records["memory"], INT],
             step.is_stale: [records["k"], records["memory"], INT],
-            step.rest_after: [*used, REAL, REAL],
+            step.rest_after: [*kinds_used, REAL, REAL],
         }
         return {function.__name__: self.translator.instance(function, given) for function, given in kinds.items()}
 
 
-def _scaled(number: Any) -> Any:
+def _scale_number(number: Any) -> Any:
     """Numbers of the kernel as plain Python numbers."""
     return type(number)(*(value.item() if isinstance(value, np.generic) else value for value in number))
 

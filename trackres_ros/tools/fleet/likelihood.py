@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from trackres_ros.arrays import Array
 from trackres_ros.diagnosis.base.base import Base
-from trackres_ros.diagnosis.base.instrument import instrument, narrowed
+from trackres_ros.diagnosis.base.instrument import instrument, narrow_prior
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, Problem, fit, free_parameters, jacobian, of_rows, valid_rows
 from trackres_ros.diagnosis.inference.noise import SHORT_ROOT
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import DriveSession, split
+from trackres_ros.diagnosis.prepare.session import DriveSession, split_laps
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.surroundings.headwind import Headwind
 from trackres_ros.recording.recording import Recording
@@ -123,7 +123,7 @@ def weather(session: DriveSession, base: Base) -> list[Effect]:
     """Nuisance that differs from day to day: wind, if headings show its direction."""
     if "heading" not in session.given or Headwind.name in base.includes:
         return []
-    return [narrowed(Headwind(), WIND_MPS, STRONGEST_WIND_MPS)]
+    return [narrow_prior(Headwind(), WIND_MPS, STRONGEST_WIND_MPS)]
 
 
 def marginal(precision: Array, linear: Array, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -160,5 +160,5 @@ def _training(session: DriveSession) -> NDArray[np.bool_]:
     """Data of the fit: without the last laps, unless there is only one."""
     if len(np.unique(session.block[session.used])) < 2:
         return session.used
-    mask = split((session,)).training_mask(session)
+    mask = split_laps((session,)).training_mask(session)
     return mask if mask.any() else session.used

@@ -1,7 +1,7 @@
 // Copyright the trackres_ros authors
 // SPDX-License-Identifier: Apache-2.0
 
-// What a controller in C++ does with ~/estimate: the rules of docs/controller.md, without a middleware.
+// What a controller in C++ does with ~/estimate: the rules of docs/node.md, without a middleware.
 // Nothing here allocates, locks or throws once a message is read: `torque` may be called in a real-time loop.
 
 #ifndef TRACKRES_FEEDFORWARD__FEEDFORWARD_HPP_
