@@ -26,6 +26,7 @@ from proofs.learning import (
 from proofs.sealed.drives import SealedDrive, drive, trapezoids
 from proofs.sealed.recordings import FASTEST_MPS, START_S, VEHICLE, weight_and_radius, write_vehicle
 from proofs.sealed.truth import HEAVY_TAILS, Build, Sensors, drawn_sensors, lagging, road_slopes, simulate_truth
+from proofs.tables import FOLDER, Rows, number, write_tables
 from trackres_ros.arrays import Array
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import Steps
@@ -123,6 +124,7 @@ class DelayProof(LearningProof):
     def report(self, scores: list[dict[str, Any]], labels: Mapping[str, Any], seal: str) -> tuple[dict[str, Any], str]:
         """See `Proof`."""
         content = {"seed": labels["seed"], "minutes": labels["minutes"], "seal": seal, "each": scores}
+        write_tables(self.folder / FOLDER, {"delay": rows_of(scores)})
         return content, page(content)
 
 
@@ -186,25 +188,13 @@ def _score(one: Delayed, rows: Array) -> dict[str, Any]:
 def page(scores: Mapping[str, Any]) -> str:
     """The scores as Markdown."""
     plain = [item for item in scores["each"] if not item["hostile"]]
-    hostile = [item for item in scores["each"] if item["hostile"]]
     minutes = f"{scores['minutes']:g} minutes"
-    lines = [
-        f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
-        f"{len(hostile)}. Seed {scores['seed']}, SHA-256 of what is concealed",
-        f"`{scores['seal']}`.",
-        "",
-        "| | Vehicles | Error below 20 ms | Known at the end | Mean size of the error [ms] | 95 % below [ms] "
-        "| Known after, median [s] | Sure of a wrong delay |",
-        "|---|---|---|---|---|---|---|---|",
-        _line("all that nothing misleads", plain),
-    ]
-    for low, high in RATES_OF:
-        lines.append(_line(f"slower sensor at {low:g} to {high:g} Hz", [item for item in plain if low <= _slower(item) < high]))
-    for kind in sorted({item["hostile"] for item in hostile}):
-        lines.append(_line(f"misled: {kind}", [item for item in hostile if item["hostile"] == kind]))
     good, known = sum(abs(item["error_s"]) < TARGET_S for item in plain), [item for item in plain if item["known"]]
     wrong = sum(item["wrong_s"] > 0 for item in scores["each"])
-    lines += [
+    lines = [
+        f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
+        f"{len(scores['each']) - len(plain)}. Seed {scores['seed']}, SHA-256 of what is concealed",
+        f"`{scores['seal']}`.",
         "",
         f"An error below 20 ms after {minutes}: {good} of {len(plain)} (target: all); of those whose state is `learned` "
         f"{sum(abs(item['error_s']) < TARGET_S for item in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
@@ -214,17 +204,34 @@ def page(scores: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _slower(one: dict[str, Any]) -> float:
-    return float(min(one["speed_hz"], one["torque_hz"]))
+def rows_of(each: Sequence[dict[str, Any]]) -> Rows:
+    """Errors of the delay by the rate of the slower sensor [Hz], and by what misleads."""
+    plain = [item for item in each if not item["hostile"]]
+    kinds = sorted({item["hostile"] for item in each if item["hostile"]})
+    return [
+        _row("all that nothing misleads", plain),
+        *(
+            _row(f"slower sensor at {low:g} to {high:g} Hz", [item for item in plain if low <= _slower(item) < high])
+            for low, high in RATES_OF
+        ),
+        *(_row(f"misled: {kind}", [item for item in each if item["hostile"] == kind]) for kind in kinds),
+    ]
 
 
-def _line(name: str, some: Sequence[dict[str, Any]]) -> str:
-    if not some:
-        return f"| {name} | 0 | | | | | | |"
+def _slower(item: dict[str, Any]) -> float:
+    return float(min(item["speed_hz"], item["torque_hz"]))
+
+
+def _row(name: str, some: Sequence[dict[str, Any]]) -> dict[str, str]:
     errors = 1e3 * np.abs([item["error_s"] for item in some])
-    result_afters = [item["known_after_s"] for item in some if item["known_after_s"] is not None]
-    median = f"{np.median(result_afters):.0f}" if result_afters else ""
-    return (
-        f"| {name} | {len(some)} | {int((errors < 1e3 * TARGET_S).sum())} | {sum(item['known'] for item in some)} | "
-        f"{errors.mean():.1f} | {np.quantile(errors, 0.95):.1f} | {median} | {sum(item['wrong_s'] > 0 for item in some)} |"
-    )
+    after = [item["known_after_s"] for item in some if item["known_after_s"] is not None]
+    return {
+        "group": name,
+        "vehicles": str(len(some)),
+        "error_below_20_ms": str(int((errors < 1e3 * TARGET_S).sum())),
+        "known_at_the_end": str(sum(item["known"] for item in some)),
+        "mean_error_ms": number(errors.mean(), 1) if some else "",
+        "error_95_percent_below_ms": number(np.quantile(errors, 0.95), 1) if some else "",
+        "known_after_median_s": number(np.median(after), 0) if after else "",
+        "sure_of_a_wrong_delay": str(sum(item["wrong_s"] > 0 for item in some)),
+    }

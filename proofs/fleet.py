@@ -23,6 +23,7 @@ from proofs.pipeline import Proof, each, read_json
 from proofs.sealed.belt import read_data_sheet
 from proofs.sealed.drives import SealedDrive, drive
 from proofs.sealed.truth import Build, drawn_sensors, record, simulate_truth
+from proofs.tables import FOLDER, Tables, write_tables
 from trackres_ros.files.interpreter import python
 from trackres_ros.files.own_files import PART
 from trackres_ros.files.resources import find_vehicle
@@ -158,6 +159,7 @@ class FleetProof(Proof):
         """See `Proof`."""
         known = known_of_the_type(FleetDataset(self.folder / "results"))
         counts = summary(scores, labels["seed"], seal) | {"known_of_the_type": known}
+        write_tables(self.folder / FOLDER, tables_of(counts))
         return counts, page(counts)
 
 
@@ -255,27 +257,31 @@ def page(found: Mapping[str, Any]) -> str:
         f"- all changes: {changes['found']} of {changes['hidden']} found, {changes['named']} by the right name, "
         f"{changes['among_those_named']} by that or with it among what would explain it as well",
         f"- false alarms: {false['count']} in {found['vehicle_months']:.0f} vehicle-months",
-        "",
-        "| vehicle | hidden | from recording | found within | name right | false |",
-        "|---|---|---|---|---|---|",
-    ]
-    for s in found["each"]:
-        h = s["hidden"]
-        what = f"{h['parameter']} {h['kind']} {100.0 * h['size']:+.0f} %" if h else "-"
-        named = "" if not h or not s["found"] else "yes" if s["named"] else "among others" if s["one_of"] else "no"
-        first, within = (h["first"] + 1, s["recordings"] or "not found") if h else ("", "")
-        lines.append(f"| {s['name']} | {what} | {first} | {within} | {named} | {s['false']} |")
-    known = found["known_of_the_type"]
-    lines += [
-        "",
-        f"How sure the type is, by number of vehicles with {RECORDINGS_OF_EACH} recordings each. The values are standard "
-        f'deviations over those of the vehicle file; "settled" counts the parameters below {SETTLED_STD:g}.',
-        "",
-        f"| vehicles | settled | {' | '.join(known[0]['std'])} |",
-        f"|---|---|{'---|' * len(known[0]['std'])}",
-        *(f"| {k['vehicles']} | {k['settled']:.1f} | {' | '.join(f'{x:.2f}' for x in k['std'].values())} |" for k in known),
     ]
     return "\n".join(lines) + "\n"
+
+
+def tables_of(found: Mapping[str, Any]) -> Tables:
+    """The changes of each vehicle; how sure the type is [standard deviations of the vehicle file], by number of vehicles."""
+    vehicles = []
+    for s in found["each"]:
+        h = s["hidden"]
+        name = "" if not h or not s["found"] else "yes" if s["named"] else "among others" if s["one_of"] else "no"
+        vehicles.append(
+            {
+                "vehicle": s["name"],
+                "hidden": f"{h['parameter']} {h['kind']} {100.0 * h['size']:+.0f} %" if h else "",
+                "from_recording": str(h["first"] + 1) if h else "",
+                "detected_within": str(s["recordings"] or "not found") if h else "",
+                "right_name": name,
+                "false_alarms": str(s["false"]),
+            }
+        )
+    sure = [
+        {"vehicles": str(k["vehicles"]), "settled": f"{k['settled']:.1f}", **{name: f"{x:.2f}" for name, x in k["std"].items()}}
+        for k in found["known_of_the_type"]
+    ]
+    return {"fleet": vehicles, "fleet_type": sure}
 
 
 def _interval(hits: int, of: int) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from proofs.sealed.belt import read_data_sheet
 from proofs.sealed.drives import SealedDrive, drive
 from proofs.sealed.recordings import APART_S, FASTEST_MPS, START_S, VEHICLE, refit, write_vehicle
 from proofs.sealed.truth import Build, G, drawn_sensors, record, simulate_truth
+from proofs.tables import FOLDER, Rows, write_tables
 from trackres_ros.arrays import Array
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
@@ -287,6 +288,7 @@ class LearningProof(Proof):
             "cases": scores,
             "ageing": read_json(self.folder / AGEING) if (self.folder / AGEING).exists() else None,
         }
+        write_tables(self.folder / FOLDER, {"learning_misled": misled_rows([case for case in scores if case["hostile"]])})
         return content, page(self.folder, content)
 
 
@@ -457,31 +459,37 @@ def _ratio(plain: list[Any], key: str, over: str) -> float:
     return float(np.median([case["errors"][key] / case["errors"][over] for case in plain]))
 
 
+def misled_rows(hostile: list[Any]) -> Rows:
+    """What misleads, a row for each: the worst error over the file [% of the torque], and the statuses [s a drive]."""
+    rows = []
+    for kind in KINDS:
+        cases = [case for case in hostile if case["hostile"] == kind]
+        if not cases:
+            continue
+        worse = [float(x) for case in cases for x in case["worse"]]
+        rows.append(
+            {
+                "misled_by": kind,
+                "part": "sensor" if kind in SENSORS else "vehicle or ground",
+                "vehicles": str(len(cases)),
+                "worst_over_file_percent": f"{100.0 * max(worse):.1f}",
+                "drives": str(len(worse)),
+                "drives_worse_by_2_percent": str(sum(x > MOST_WORSE for x in worse)),
+                "outside_the_ranges": str(sum(case["outside"] for case in cases)),
+                "status_s_a_drive": _said(cases),
+            }
+        )
+    return rows
+
+
 def _of_hostile(hostile: list[Any]) -> list[str]:
     if not hostile:
         return []
-    lines = [
-        "| What misleads | Vehicles | Worst over the file [% of torque] | Drives worse by more than 2 % | Outside the ranges "
-        "| Status [s a drive] |",
-        "|---|---|---|---|---|---|",
-    ]
-    for kind in KINDS:
-        item = [case for case in hostile if case["hostile"] == kind]
-        if not item:
-            continue
-        worse = [float(x) for case in item for x in case["worse"]]
-        bad = sum(x > MOST_WORSE for x in worse)
-        outside = sum(case["outside"] for case in item)
-        location = "sensor" if kind in SENSORS else "vehicle or ground"
-        shares = f"{100.0 * max(worse):+.1f} | {bad} of {len(worse)}"
-        lines.append(f"| {kind} ({location}) | {len(item)} | {shares} | {outside} | {_said(item)} |")
     drives = [float(x) for case in hostile for x in case["worse"]]
     bad = sum(x > MOST_WORSE for x in drives)
     silent = [case["hostile"] for case in hostile for i in range(DRIVES) if not case["said"][str(i + 1)]["said_s"]]
     which = ", ".join(f"{kind} {count}" for kind, count in sorted(Counter(silent).items()))
     return [
-        *lines,
-        "",
         f"Worse than the file by more than 2 % of the torque: {bad} of {len(drives)} drives (target: none). Without a remark "
         f"in the status: {len(silent)} of {len(drives)} drives (target: none){': ' if which else ''}{which}.",
         "",

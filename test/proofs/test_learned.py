@@ -21,10 +21,12 @@ from proofs.learning import (
     age,
     draw_cases,
     misled,
+    misled_rows,
     weight_shares,
 )
 from proofs.sealed.drives import SealedDrive, drive
 from proofs.sealed.recordings import START_S
+from proofs.tables import FOLDER, read_table
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 
@@ -76,10 +78,13 @@ def hostile_case(kind, said):
             "said": {str(i + 1): {"said_s": {said: 20} if said and i else {}} for i in range(3)}}  # fmt: skip
 
 
-def test_the_page_tells_on_which_drives_nothing_was_said():
-    text = "\n".join(_of_hostile([hostile_case("pump", "a torque that no parameter explains"), hostile_case("mud", "")]))
-    assert "4 of 6 drives (target: none): mud 3, pump 1." in text
-    assert "a torque that no parameter explains: 13" in text
+def test_the_page_tells_on_which_drives_nothing_was_said(repository):
+    cases = [hostile_case("pump", "a torque that no parameter explains"), hostile_case("mud", "")]
+    assert "4 of 6 drives (target: none): mud 3, pump 1." in "\n".join(_of_hostile(cases))
+    rows = misled_rows(cases)
+    assert list(rows[0]) == list(read_table(repository / "docs" / "trust" / "learning_misled.csv")[0])
+    said = {row["misled_by"]: row["status_s_a_drive"] for row in rows}
+    assert said == {"pump": "a torque that no parameter explains: 13", "mud": "nothing"}
 
 
 def test_the_page_tells_by_how_much_a_right_mass_is_off():
@@ -100,7 +105,7 @@ def test_delays_are_drawn_of_a_seed():
     assert all(0.0 <= item.filter_s <= item.delay_s <= LONGEST_S for item in drawing)
 
 
-def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch):
+def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path, monkeypatch, repository):
     # Its processes in this one.
     monkeypatch.setattr(pipeline, "run_step", lambda step, _: pipeline.call(*(str(word) for word in step if word is not None)))
     monkeypatch.setattr(pipeline, "each", lambda work, tasks, _word: [work(task) for task in tasks])
@@ -110,6 +115,9 @@ def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path,
     assert len(scores["each"]) == 2
     assert all(score["wrong_s"] == 0 for score in scores["each"])
     assert "of 1 (target: all)" in (tmp_path / "delay.md").read_text() == page(scores)
+    rows = read_table(tmp_path / FOLDER / "delay.csv")
+    assert list(rows[0]) == list(read_table(repository / "docs" / "trust" / "delay.csv")[0])
+    assert [row["vehicles"] for row in rows if row["group"].startswith(("all", "misled"))] == ["1", "1"]
     assert trackres(*asked[:3], 22, *asked[4:]).returncode == 2
     labels = tmp_path / "sealed" / "labels.json"
     opened = json.loads(labels.read_text())

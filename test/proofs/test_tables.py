@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tables of the proofs without a seal, from small results: they have the columns of docs/trust/, whose page is made from them."""
+"""Tables of the proofs from small results: they have the columns of docs/trust/, whose page is made from them."""
 
 import gzip
 import json
@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from proofs import fleet
 from proofs.commands import _finish
 from proofs.field import emps
 from proofs.field.live import LiveError, Taught, learned_row, replay_row
@@ -114,6 +115,23 @@ def test_tables_are_written_and_printed(tmp_path, capsys):
     lines = shown(tables).splitlines()
     assert lines[0] == "some"
     assert lines[-1].endswith(" ...")
+
+
+def test_changes_of_a_fleet(published):
+    step = fleet.Hidden("bearing_friction", "step", 6, 0.1)
+    scored = [
+        fleet.ScoredVehicle("truck-01", None, False, None, False, False, 0, 3.0),
+        fleet.ScoredVehicle("truck-02", step, True, 5, False, True, 1, 3.0),
+        fleet.ScoredVehicle("truck-03", step, False, None, False, False, 0, 3.0),
+    ]
+    known = [{"vehicles": 1, "settled": 3.8, "std": dict.fromkeys(list(published("fleet_type")[0])[2:], 0.5)}]
+    tables = fleet.tables_of(fleet.summary(scored, 1, "seal") | {"known_of_the_type": known})
+    assert {name: list(rows[0]) for name, rows in tables.items()} == {name: list(published(name)[0]) for name in tables}
+    assert [tuple(row.values()) for row in tables["fleet"]] == [
+        ("truck-01", "", "", "", "", "0"),
+        ("truck-02", "bearing_friction step +10 %", "7", "5", "among others", "1"),
+        ("truck-03", "bearing_friction step +10 %", "7", "not found", "", "0"),
+    ]
 
 
 def test_rows_of_other_truths_stay_when_a_run_is_taken_over(repository, tmp_path, monkeypatch):

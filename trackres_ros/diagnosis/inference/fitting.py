@@ -6,7 +6,7 @@
 Tests use the best whitening, `for_tests`. On a road its autoregression comes near a unit root, and the whitened residual is
 nearly the difference between seconds. Then a small misfit of the acceleration dominates, and a constant of hundreds of Nm
 hardly matters. Asymmetric innovations shift the level further, because the whitening magnifies their mean. For predictive
-values, `with_levels`, the roots of the autoregression are bounded further inside; docs/diagnosis.md lists the trials.
+values, `with_levels`, the roots of the autoregression are bounded further inside; docs/decisions/diagnosis.md lists the trials.
 """
 
 from __future__ import annotations
