@@ -42,6 +42,7 @@ def test_it_has_the_tables_of_the_program(site):
         ("api", "load_vehicle"),
         ("effects", "viscous_bearing"),
         ("node", "mismatch_hold_s"),
+        ("recordings", "specific_force"),
         ("robustness", "OFF_ROUTE"),
     ):
         assert re.search(rf"<(td|h3)[^>]*><code>{entry}</code>", (site / f"{page}.html").read_text(encoding="utf-8"))

@@ -18,7 +18,7 @@ from trackres_ros.node.parameters import PARAMETERS, NodeParameter, make_paramet
 from trackres_ros.node.status import COMPARISON_KEYS, DISTURBANCE_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
 from trackres_ros.node.transport import input_topics, live_topics
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.roles import ROLES, UNITS, base_role
 from trackres_ros.vehicle import load
 
 
@@ -115,9 +115,21 @@ def effects_page() -> str:
     )
 
 
+def recordings_page() -> str:
+    """docs/recordings.md."""
+    roles = []
+    for name, role in ROLES.items():
+        of_part = "/NAME" if role.parts else ""
+        columns = ", ".join(f"`{column}`" for column in role.columns)
+        roles.append((f"`{name}{of_part}`", ", ".join(UNITS[role.unit]), columns, role.text))
+    head = ("role, with /NAME also of a part", "units; the first without a `unit`", "columns of a table", "meaning")
+    return page_with("docs/recordings.md", roles=markdown(head, roles))
+
+
 PAGES = {
     "docs/api.md": api_page.page,
     "docs/effects.md": effects_page,
     "docs/node.md": node_page,
+    "docs/recordings.md": recordings_page,
     "docs/robustness.md": statuses_page,
 }
