@@ -18,9 +18,10 @@ from trackres_ros.node.status import COMPARISON_KEYS, DISTURBANCE_KEYS, ESTIMATE
 from trackres_ros.node.transport import live_topics
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import PLAUSIBLE
+from trackres_ros.tasks.main import cli
 from trackres_ros.vehicle import load
 
-GENERATED = ["docs/trust.md", "config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
+GENERATED = ["README.md", "docs/trust.md", "config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
 
 MOST_WORDS = 25
 """Of a sentence of a page, and of a cell of a table."""
@@ -130,6 +131,13 @@ def test_the_commands_of_the_proof_have_the_seeds_of_its_scores(repository):
     commands = (repository / "docs" / "trust.md").read_text()
     runs = (repository / "docs" / "trust" / "runs.csv").read_text()
     assert set(re.findall(r"\b20\d{6}\b", commands)) == set(re.findall(r",(20\d{6}),", runs)) != set()
+
+
+def test_the_page_of_commands_has_each_command(repository):
+    page = (repository / "docs" / "commands.md").read_text(encoding="utf-8")
+    names = cli.list_commands(None)
+    assert len(names) > 20
+    assert not [name for name in names if f"`trackres {name}" not in page]
 
 
 def test_every_counter_has_its_policy(repository):

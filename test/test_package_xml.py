@@ -89,7 +89,7 @@ def test_tests_load_where_only_the_keys_of_package_xml_are(repository, package, 
 
 
 def test_outputs_of_the_launch_examples_need_no_extra(repository):
-    texts = [(repository / path).read_text(encoding="utf-8") for path in ("README.md", "launch/replay.launch.py")]
+    texts = [(repository / path).read_text(encoding="utf-8") for path in ("docs/commands.md", "launch/replay.launch.py")]
     outputs = [name for text in texts for name in re.findall(r"output:=([\w.]+)", text)]
     assert len(outputs) == 2
     assert not [name for name in outputs if name.endswith(tuple(WRITTEN_WITH))]
@@ -102,10 +102,10 @@ def test_what_an_error_says_to_install_brings_the_module(extras):
         assert f"pip install {name} (" in MissingExtraError("this", module, "extra").remedy
 
 
-def test_the_readme_has_a_row_for_each_extra_of_users(repository):
+def test_the_page_of_commands_has_each_extra_of_users(repository):
     required = (repository / "setup.py").read_text(encoding="utf-8").partition("extras_require={")[2].partition("\n    },")[0]
     extras = set(re.findall(r'^        "(\w+)":', required, re.MULTILINE)) - FOR_DEVELOPERS - {"all"}
-    table = (repository / "README.md").read_text(encoding="utf-8").partition("| Extra | For |")[2].partition("\n\n")[0]
+    table = (repository / "docs" / "commands.md").read_text(encoding="utf-8").partition("| Extra | For |")[2].partition("\n\n")[0]
     named = {
         name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.rpartition("|")[0].split("|")[1] if row else "")
     }

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""docs/trust.md: the marked parts of the page, from the tables of the proofs in docs/trust/."""
+"""docs/trust.md and README.md: their marked parts, from the tables of the proofs in docs/trust/."""
 
 from itertools import groupby
 
@@ -48,8 +48,18 @@ def page() -> str:
             if row["published_percent"] and not row["model"].startswith("Coulomb friction in the file")
         ),
         paper="\n".join(paper(row) for row in tables["paper"]),
-        loop="; ".join(f"{row['part']} {row['before_nm']} -> {row['after_nm']} Nm" for row in tables["loop"][:2]),
+        loop=loop(tables["loop"]),
     )
+
+
+def readme() -> str:
+    """README.md with the errors of the closed loop."""
+    return page_with("README.md", loop=loop(read_table(ROOT / "docs" / "trust" / "loop.csv")))
+
+
+def loop(rows) -> str:
+    """Errors of the feed-forward with the vehicle file before and after the diagnosis."""
+    return "; ".join(f"{row['part']} {row['before_nm']} -> {row['after_nm']} Nm" for row in rows[:2])
 
 
 def markdown(head, rows) -> str:
