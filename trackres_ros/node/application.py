@@ -483,7 +483,7 @@ class Application:
         if parameters.number("output_rate_hz") != self.parameters.number("output_rate_hz"):
             self._next_output_ns = self.clock.steady_ns()
         self.parameters = parameters
-        if estimator.settings != self.estimator.settings:
+        if estimator is not self.estimator:
             self._continue_with(estimator)
 
     def checked_change(self, values: Mapping[str, object]) -> Parameters:
@@ -494,8 +494,10 @@ class Application:
         return self._prepare_change(values)[0]
 
     def _prepare_change(self, values: Mapping[str, object]) -> tuple[Parameters, Estimator]:
+        """The parameters after a change, and the estimator with them; one that needs no other goes on."""
         parameters = changed_parameters(self.parameters, values, self.topics)
-        return parameters, Estimator(self.vehicle, settings_for(parameters.settings(), self.topics))
+        settings = settings_for(parameters.settings(), self.topics)
+        return parameters, self.estimator if settings == self.estimator.settings else Estimator(self.vehicle, settings)
 
     def carry_out(self, requests: SignalRequests) -> None:
         """Carry out pending requests by signals, and log what became of each."""
