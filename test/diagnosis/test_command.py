@@ -145,7 +145,7 @@ def bad_files(good, folder):
         "at least 120 s": ("short.csv", lines[:50]),
         "no torque": ("no_torque.csv", [",".join(line.split(",")[:-2]) for line in lines]),
         "line 901": ("half_a_line.csv", [*lines[:900], lines[900][:20], lines[901]]),
-        "a rosbag2 directory": ("notes.txt", ["rain"]),
+        "a suffix of many formats": ("notes.txt", ["rain"]),
     }
     for name, content in contents.values():
         (folder / name).write_text("\n".join(content))

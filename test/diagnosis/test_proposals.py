@@ -70,7 +70,7 @@ def test_a_form_at_a_found_threshold_has_the_size_of_the_vehicle():
 
 def test_a_delay_is_proposed_by_the_whitened_residual(delayed):
     _, proposals = delayed
-    assert rank(proposals, "delay", "fast") == 0
+    assert rank(proposals, "delay", "fast_gain") == 0
     item = proposals.by_name["delay"]
     assert item in proposals.best(())
     assert item.level < 0.2 * item.fast_gain
@@ -80,7 +80,7 @@ def test_a_delay_is_proposed_by_the_whitened_residual(delayed):
 def test_the_best_of_both_lists_are_proposed_if_beyond_chance(cold, delayed):
     for _, proposals in (cold, delayed):
         every, least = proposals.by_name.values(), np.log(len(proposals.by_name))
-        lists = [sorted(every, key=lambda p, by=by: -getattr(p, by))[:4] for by in ("level", "fast")]
+        lists = [sorted(every, key=lambda p, by=by: -getattr(p, by))[:4] for by in ("level", "fast_gain")]
         expectations = {p.effect.name for p in (*lists[0], *lists[1]) if max(p.level, p.fast_gain) > least}
         if expectations & set(TIED):
             expectations |= set(TIED) & proposals.by_name.keys()

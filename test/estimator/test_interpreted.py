@@ -121,7 +121,7 @@ OF_SERIES = {
     "smooth_backward": (RISING, FLAGS, FLAGS, LENGTH, FLAGS, (N, 5), LENGTH),
     "mark_corners": (RISING, LENGTH, 0.2, FLAGS),
     "pass": (LENGTH, LENGTH, FLAGS, 0.1, 0.3, 0.25, (N, 2), (N, 2), LENGTH),
-    "follow": (LENGTH, LENGTH, FLAGS, 0.9, 0.4, LENGTH, LENGTH),
+    "follow_level": (LENGTH, LENGTH, FLAGS, 0.9, 0.4, LENGTH, LENGTH),
 }  # fmt: skip
 """Arguments of kernels: numbers, shapes of random numbers, random flags."""
 

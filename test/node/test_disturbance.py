@@ -48,11 +48,11 @@ def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given, top
     d = desk(Path(topics).read_text().replace("}", f", stamp: {stamp}}}"), vehicle=given[0]["vehicle"])
     d.drive(20.0, dt=0.2)
     drive(d, 40.0, 0.0)
-    level, _, distance = of(d, "disturbance")
+    level, _, values = of(d, "disturbance")
     assert level is Level.OK
-    assert distance["form"] == "spells"
-    assert distance["present"] == "false"
-    assert float(distance["there"]) < 0.1
+    assert values["form"] == "spells"
+    assert values["present"] == "false"
+    assert float(values["there"]) < 0.1
     assert "DISTURBANCE" not in d.names()
     began_s = d.time_s
     drive(d, 40.0, LEVEL_NM)

@@ -194,6 +194,16 @@ def test_a_parameter_acts_where_the_topics_file_gives_no_other(desk, line, name,
         assert getattr(changed.app.estimator.settings, name) == result_before
 
 
+def test_a_change_that_the_vehicle_refuses_changes_nothing(desk):
+    app = desk().app
+    before = app.parameters
+    for change in (app.checked_change, app.change):
+        with pytest.raises(InputError, match="motor_ratio"):
+            change({"torque_at": "motor", "learning": "on"})
+    assert app.parameters == before
+    assert app.estimator.settings.torque_at == "sprockets"
+
+
 def test_overrides_of_qos_are_apart_with_full_names(tmp_path):
     path, words = tmp_path / "p.yaml", {"/left/speed": {"subscription": {"reliability": "reliable", "depth": 7}}}
     path.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"gap_s": 2.0, "qos_overrides": words}}}))

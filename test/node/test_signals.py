@@ -20,7 +20,7 @@ def test_a_signal_during_start_is_kept_with_the_log_pipe_closed(monkeypatch):
         requests = SignalRequests()
         requests._note(SAVE, None)
         requests._note(signal.SIGTERM, None)
-    assert requests._open_topics == [SAVE]
+    assert requests._pending_signals == [SAVE]
     assert requests.to_stop
 
 
@@ -48,7 +48,7 @@ def test_a_signal_waits_until_all_are_listened_to(handlers, monkeypatch):
     requests = SignalRequests()
     requests.listen()
     assert pending == {SAVE}
-    assert requests._open_topics == [SAVE]
+    assert requests._pending_signals == [SAVE]
     assert not signal.sigpending() & set(WHAT)
 
 

@@ -59,6 +59,8 @@ def settable(parameter):
         return [*[(value, value) for value in (p.low, p.high, p.default)], *[(value, None) for value in refused]]
     if p.name == "learning":
         return [(True, "on"), (False, "off"), ("on", "on"), ("perhaps", None), (1, None), ("watch", "watch")]
+    if p.name == "torque_at":  # the vehicle file has no ratio of a motor
+        return [("motor", None), ("sprockets", "sprockets"), ("none of them", None), (True, None)]
     if isinstance(p.default, tuple):
         return [([p.choices[0]], [p.choices[0]]), ([], []), (["none"], None), (list(p.default), list(p.default))]
     return [*[(choice, choice) for choice in (*p.choices, p.default)], ("none of them", None), (True, None)]

@@ -475,8 +475,7 @@ class Application:
 
         Raises InputError as `checked_change` does; then nothing is changed.
         """
-        parameters = self.checked_change(values)
-        settings = settings_for(parameters.settings(), self.topics)
+        parameters, estimator = self._prepare_change(values)
         self.comparison.change(parameters.mismatch())
         self.learning.change(parameters.text("learning"), self.session)
         if parameters.number("save_period_s") != self.parameters.number("save_period_s"):
@@ -484,12 +483,21 @@ class Application:
         if parameters.number("output_rate_hz") != self.parameters.number("output_rate_hz"):
             self._next_output_ns = self.clock.steady_ns()
         self.parameters = parameters
-        if settings != self.estimator.settings:
-            self._continue_with(Estimator(self.vehicle, settings))
+        if estimator is not self.estimator:
+            self._continue_with(estimator)
 
     def checked_change(self, values: Mapping[str, object]) -> Parameters:
-        """The parameters after a change, which is not made; see `changed_parameters`."""
-        return changed_parameters(self.parameters, values, self.topics)
+        """The parameters after a change, which is not made.
+
+        Raises InputError as `changed_parameters` does, and for settings that the vehicle file does not allow.
+        """
+        return self._prepare_change(values)[0]
+
+    def _prepare_change(self, values: Mapping[str, object]) -> tuple[Parameters, Estimator]:
+        """The parameters after a change, and the estimator with them; one that needs no other goes on."""
+        parameters = changed_parameters(self.parameters, values, self.topics)
+        settings = settings_for(parameters.settings(), self.topics)
+        return parameters, self.estimator if settings == self.estimator.settings else Estimator(self.vehicle, settings)
 
     def carry_out(self, requests: SignalRequests) -> None:
         """Carry out pending requests by signals, and log what became of each."""

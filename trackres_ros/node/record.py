@@ -93,7 +93,7 @@ class Recorder:
         self.path, self._limits = path, limits or RecordLimits()
         self._files = RecordingFiles(path, self._limits)
         self._bag: OutputBag | None = None
-        self._open_topics: deque[Item] = deque()
+        self._queue: deque[Item] = deque()
         self._put_bytes = self._taken_bytes = 0  # bytes; one thread counts each
         self._overflow, self._dropped_ns = [0, 0], -SHOWN_NS  # messages and estimates
         self._given_out, self._finished_counts, self._missing_counts = [0, 0], [0, 0], [0, 0]
@@ -214,7 +214,7 @@ class Recorder:
             self._dropped_ns = time.monotonic_ns()
             return
         self._put_bytes += _size(item)
-        self._open_topics.append(item)
+        self._queue.append(item)
 
     # Work of the thread
 
@@ -242,8 +242,8 @@ class Recorder:
     def _drain(self) -> list[Item]:
         """Take the queue; messages from before the simulated clock keep waiting for it."""
         items, self._before_clock = self._before_clock, []
-        while self._open_topics:
-            items.append(self._open_topics.popleft())
+        while self._queue:
+            items.append(self._queue.popleft())
             self._taken_bytes += _size(items[-1])
         if not any(item[3] > 0 for item in items) and not self._stop.is_set():
             self._before_clock = items[-MOST_EARLY:]
