@@ -95,26 +95,26 @@ def test_without_a_torque_what_was_learned_is_kept_until_a_reset(desk, topics, s
 @pytest.mark.parametrize("between", ["no torque", "off", "off, then on", "no speed"])
 def test_time_without_learning_wears_whatever_runs_are_between(desk, topics, state, monkeypatch, between):
     result_before, given_values = state.read_bytes(), {"topics": topics, "state_file": str(state)}
-    time_nows = [json.loads(result_before)["saved_at"]]
-    monkeypatch.setattr("time.time", lambda: time_nows[0])
-    time_nows[0] += 86400.0 * 100.0
+    wall_clock_s = [json.loads(result_before)["saved_at"]]
+    monkeypatch.setattr("time.time", lambda: wall_clock_s[0])
+    wall_clock_s[0] += 86400.0 * 100.0
     if between == "no speed":  # and a clock that is set after the start
-        time_nows[0] -= 1e9
+        wall_clock_s[0] -= 1e9
         d = desk(**given_values)
-        time_nows[0] += 1e9
+        wall_clock_s[0] += 1e9
         d.drive(0.1)
-        time_nows[0] += 86400.0 * 50.0
+        wall_clock_s[0] += 86400.0 * 50.0
     else:
         d = desk(**(given_values if between != "no torque" else {"state_file": str(state)}), learning="off")
         d.drive(2.0)
     if between == "off, then on":
-        time_nows[0] += 86400.0 * 50.0
+        wall_clock_s[0] += 86400.0 * 50.0
         d.app.change({"learning": "on"})
         d.drive(0.1)
     d.save()
     kept = json.loads(state.read_text())["learning"]
     assert (kept == json.loads(result_before)["learning"]) is (between in ("no torque", "off"))
-    time_nows[0] += 86400.0 * 100.0
+    wall_clock_s[0] += 86400.0 * 100.0
     worn = desk(**given_values).app.learning.learner.learned.covariance
     state.write_bytes(result_before)
     assert worn == pytest.approx(desk(**given_values).app.learning.learner.learned.covariance, rel=1e-9)

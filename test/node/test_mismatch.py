@@ -32,9 +32,9 @@ def watch(residual, dt=1.0, settings=None, speed=8.0, accel=0.0, detector=None, 
     """Feed a series; the detector and the times [s] at which it changed its mind."""
     detector = detector or MismatchDetector(settings or MismatchSettings())
     turned, parted = [], detector.verdict.parted
-    for i, (value, time_now) in enumerate(zip(residual.tolist(), np.broadcast_to(speed, residual.shape).tolist(), strict=True)):
+    for i, (value, speed_mps) in enumerate(zip(residual.tolist(), np.broadcast_to(speed, residual.shape).tolist(), strict=True)):
         time_s = start_s + i * dt
-        detector.take(START_NS + round(time_s * 1e9), value, DRIVE_NM, STD_NM, time_now, accel)
+        detector.take(START_NS + round(time_s * 1e9), value, DRIVE_NM, STD_NM, speed_mps, accel)
         if detector.verdict.parted is not parted:
             parted = not parted
             turned.append(time_s)

@@ -150,18 +150,18 @@ class Pace:
     def judge(self):
         """Hold the laws, and return the kinds of outputs that there were."""
         seen, wrong_s, longest_s = set(), 0.0, 0.0
-        for (before_s, result_before, *_), (now_s, time_now, target, numbers) in itertools.pairwise(self.outputs):
+        for (before_s, torque_before, *_), (now_s, torque_now, target, numbers) in itertools.pairwise(self.outputs):
             if not numbers:
                 wrong_s = 0.0
                 continue
             rate = max(number.feedforward_rate for number in numbers)
             fading = max(number.feedforward_limit / number.feedforward_fade for number in numbers)
-            distance = abs(time_now) > abs(result_before) and time_now * result_before >= 0.0
+            distance = abs(torque_now) > abs(torque_before) and torque_now * torque_before >= 0.0
             most = rate if distance else rate + fading
-            assert abs(time_now - result_before) <= most * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
-            assert time_now * target > 0.0 or (not distance and time_now * result_before >= 0.0)
+            assert abs(torque_now - torque_before) <= most * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
+            assert torque_now * target > 0.0 or (not distance and torque_now * torque_before >= 0.0)
             longest_s = max(longest_s if wrong_s else 0.0, *(number.feedforward_fade for number in numbers))
-            wrong_s = wrong_s + now_s - before_s if time_now * target < 0.0 else 0.0
+            wrong_s = wrong_s + now_s - before_s if torque_now * target < 0.0 else 0.0
             assert wrong_s <= longest_s + 0.2
             seen.add("away" if distance else "wrong" if wrong_s else "zero" if target == 0.0 else "to it")
         return seen

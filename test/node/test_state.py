@@ -71,37 +71,37 @@ def test_after_a_restart_while_driving_nothing_accelerates(desk, warm):
 
 def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     path, belt = warm
-    time_nows = [1e9]
+    wall_clock_s = [1e9]
     content = json.loads(path.read_text())
-    path.write_bytes(seal({**content, "saved_at": time_nows[0]}))
-    monkeypatch.setattr("time.time", lambda: time_nows[0])
+    path.write_bytes(seal({**content, "saved_at": wall_clock_s[0]}))
+    monkeypatch.setattr("time.time", lambda: wall_clock_s[0])
     d = desk(state_file=str(path))
-    time_nows[0] += 3600.0
+    wall_clock_s[0] += 3600.0
     d.forward(31.0)
     d.save()
-    time_nows[0] += 3600.0
+    wall_clock_s[0] += 3600.0
     waited = first_belt(d)
     assert waited < belt - 3.0
-    path.write_bytes(seal({**content, "saved_at": time_nows[0] - 7200.0}))
+    path.write_bytes(seal({**content, "saved_at": wall_clock_s[0] - 7200.0}))
     assert waited == pytest.approx(first_belt(desk(state_file=str(path))), abs=1e-6)  # as if switched off all the time
 
 
 @pytest.mark.parametrize("wrong_s", [-1e9, -86400.0, 0.0])
 def test_a_clock_set_before_the_first_speed_tells_the_time_off(desk, warm, monkeypatch, wrong_s):
     path, _ = warm
-    time_nows = [1e9]
-    kept = seal({**json.loads(path.read_text()), "saved_at": time_nows[0] - 600.0})
+    wall_clock_s = [1e9]
+    kept = seal({**json.loads(path.read_text()), "saved_at": wall_clock_s[0] - 600.0})
     path.write_bytes(kept)
-    monkeypatch.setattr("time.time", lambda: time_nows[0])
+    monkeypatch.setattr("time.time", lambda: wall_clock_s[0])
     result_before = desk(state_file=str(path))
     right = first_belt(result_before)
     result_before.app.close()
     path.write_bytes(kept)
-    time_nows[0] += wrong_s
+    wall_clock_s[0] += wrong_s
     d = desk(state_file=str(path))
     d.forward(31.0)
     d.save()
-    time_nows[0] -= wrong_s
+    wall_clock_s[0] -= wrong_s
     assert first_belt(d) == pytest.approx(right, abs=1e-6)
 
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.recording.bindings import TopicBinding, Topics
-from trackres_ros.recording.choosing import guess
 from trackres_ros.recording.combining import PositionUnits
+from trackres_ros.recording.guessing import guess
 from trackres_ros.recording.samples import SampleBlock
 from trackres_ros.units import GRAVITY
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import FieldStep, TopicBinding, Topics, field_steps
 from trackres_ros.recording.channel_file import Channel
-from trackres_ros.recording.choosing import guess, guess_channels
+from trackres_ros.recording.guessing import guess, guess_channels
 from trackres_ros.recording.roles import ROLES, UNITS, conversion
 from trackres_ros.units import GRAVITY
 

@@ -17,8 +17,9 @@ from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.documents import in_a_line
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
-from trackres_ros.recording.choosing import Choice, choose, listed_names, torque_columns, torque_note
+from trackres_ros.recording.choosing import Choice, choose
 from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, parts_without_samples, readings_of
+from trackres_ros.recording.guessing import listed_names, torque_columns, torque_note
 from trackres_ros.recording.reading import read_in_steps, reading
 from trackres_ros.recording.roles import likely_values, may_say_reverse
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock

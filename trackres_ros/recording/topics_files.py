@@ -14,7 +14,8 @@ from trackres_ros.files.documents import in_a_line
 from trackres_ros.files.resources import shipped_topics
 from trackres_ros.recording.bindings import TIME, TopicBinding, Topics
 from trackres_ros.recording.channel_source import ChannelSource
-from trackres_ros.recording.choosing import NOT_GUESSED, TIME_S, time_line, topics_line
+from trackres_ros.recording.choosing import TIME_S, time_line
+from trackres_ros.recording.guessing import NOT_GUESSED, topics_line
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.roles import Conversion, as_said, base_role
 from trackres_ros.text import table

@@ -30,7 +30,7 @@ from trackres_ros.diagnosis.prepare.session import (
 from trackres_ros.effects.sensor.speed_scale import SpeedScale
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.bindings import TopicBinding
-from trackres_ros.recording.choosing import torque_remedy
+from trackres_ros.recording.guessing import torque_remedy
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import PLAUSIBLE, ROLES, UNITS, Conversion, base_role
 from trackres_ros.recording.samples import Series

@@ -23,9 +23,9 @@ from trackres_ros.errors import InputError, nearest, one_line
 from trackres_ros.recording.bag_files import READABLE, RosTopic, counts_of, is_ros1, messages, open_bag, remedy, unlisted_files
 from trackres_ros.recording.bindings import NO_FIX, TopicBinding, Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
-from trackres_ros.recording.choosing import guess, torque_note, torque_topics
 from trackres_ros.recording.combining import Companions, PositionUnits, Signs, Sums, readings_of
 from trackres_ros.recording.guess_values import faults_of_topics
+from trackres_ros.recording.guessing import guess, torque_note, torque_topics
 from trackres_ros.recording.mcap import SUFFIX as UNFINISHED
 from trackres_ros.recording.message_types import (
     WIDE,

@@ -14,7 +14,8 @@ import numpy as np
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChannelRows, rows_at
-from trackres_ros.recording.choosing import COLUMNS, listed_names
+from trackres_ros.recording.choosing import COLUMNS
+from trackres_ros.recording.guessing import listed_names
 from trackres_ros.recording.opening import FileKind
 from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import FloatArray
